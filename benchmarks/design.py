@@ -16,7 +16,7 @@ from time import perf_counter
 import numpy as np
 
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.planning.design.design_problem import Setting
+from agent.planning.design.design_problem import DesignProblem
 from twin.design.candidates import CandidatePositions
 from twin.design.goals import PositionCountGoal
 from twin.design.search import ExchangeSearch, Selection
@@ -58,7 +58,7 @@ def greedy(search: ExchangeSearch) -> tuple[int, ...]:
 
 def run() -> dict[str, float]:
     job = load_case(CASE_STUDY)
-    setting = Setting({job.settings.tool: job}, GRID_DEG)
+    setting = DesignProblem({job.settings.tool: job}, GRID_DEG)
     start = perf_counter()
     candidates = setting.candidates
     built = perf_counter()

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from time import perf_counter
 
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.planning.cycle_time import machine_minutes, position_minutes, walked
+from agent.planning.cycle_time import machine_minutes, position_minutes, walk_plan
 from agent.planning.preflight import run_preflight, whole_procedure
 
 REPEATS = 5
@@ -25,9 +25,9 @@ def median_s(action: Callable[[], object]) -> float:
 
 def run() -> dict[str, float]:
     job = load_case(CASE_STUDY)
-    walk_s = median_s(lambda: walked(job, whole_procedure(job)))
+    walk_s = median_s(lambda: walk_plan(job, whole_procedure(job)))
     preflight_s = median_s(lambda: run_preflight(job))
-    _, steps = walked(job, whole_procedure(job))
+    _, steps = walk_plan(job, whole_procedure(job))
     return {
         "positions": float(len(job.positions)),
         "set_ms": median_s(lambda: machine_minutes(job, job.positions)) * 1e3,

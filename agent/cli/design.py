@@ -19,10 +19,10 @@ from agent.cli.printing import columns_table, facts_table, results_console
 from agent.files import translated
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import machine_minutes
-from agent.planning.design.comparison import Choice, compared
+from agent.planning.design.comparison import VariantDesign, compare_variants
 from agent.planning.design.design_files import check_target, write_design
-from agent.planning.design.design_result import Designed
-from agent.planning.design.pareto_figure import Rival
+from agent.planning.design.design_result import DesignResult
+from agent.planning.design.pareto_figure import ReferenceSet
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import variants_of
 from agent.planning.job import Job
@@ -104,7 +104,9 @@ def design_command(
         )
         console = Console(stderr=True)
         with console.status("") as status:
-            choices = compared(variants, goal, grid_deg, verify=verify_set, say=lambda what: status.update(f"{what} …"))
+            choices = compare_variants(
+                variants, goal, grid_deg, verify=verify_set, say=lambda what: status.update(f"{what} …")
+            )
     best = next(choice for choice in choices if choice.best)
     rivals = _rivals(job)
     files = write_design(best.found, rivals, out)
@@ -128,14 +130,14 @@ def _goal(slot: float | None, positions: int | None, target_vce: float | None) -
         return PositionCountGoal(positions) if positions is not None else TargetErrorGoal(1e-3 * given[0])
 
 
-def _rivals(job: Job) -> list[Rival]:
+def _rivals(job: Job) -> list[ReferenceSet]:
     """Return the position set of the settings for comparison, if it can be measured at all."""
     name = job.settings.procedure.position_set
     try:
         vce_um = valuation_of(job, job.positions).after.aligned_um
     except UserError:
         return []
-    return [Rival(f"{Path(name).name} of the settings", machine_minutes(job, job.positions).total, vce_um)]
+    return [ReferenceSet(f"{Path(name).name} of the settings", machine_minutes(job, job.positions).total, vce_um)]
 
 
 def _as_json(position: Position) -> dict[str, object]:
@@ -147,7 +149,7 @@ def _as_json(position: Position) -> dict[str, object]:
     }
 
 
-def _worth(found: Designed) -> dict[str, object]:
+def _worth(found: DesignResult) -> dict[str, object]:
     return {
         "machine_minutes": round(found.minutes, 3),
         "balls": found.balls,
@@ -160,7 +162,7 @@ def _worth(found: Designed) -> dict[str, object]:
 
 
 def _document(
-    choices: list[Choice], best: Choice, rivals: list[Rival], files: list[Path], seconds: float
+    choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
 ) -> dict[str, object]:
     found = best.found
     return {
@@ -177,7 +179,7 @@ def _document(
     }
 
 
-def _variant(choice: Choice) -> dict[str, object]:
+def _variant(choice: VariantDesign) -> dict[str, object]:
     worth = _worth(choice.design) if choice.design else dict.fromkeys(("machine_minutes", "expected_vce_um"))
     return {
         "touches_per_ball": choice.variant.touches,
@@ -189,7 +191,9 @@ def _variant(choice: Choice) -> dict[str, object]:
     }
 
 
-def _show(choices: list[Choice], best: Choice, rivals: list[Rival], files: list[Path], seconds: float) -> None:
+def _show(
+    choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
+) -> None:
     found, console = best.found, results_console()
     if len(choices) > 1:
         console.print(_comparison(choices))
@@ -218,7 +222,7 @@ def _show(choices: list[Choice], best: Choice, rivals: list[Rival], files: list[
         console.print(str(path), markup=False)
 
 
-def _verification(found: Designed) -> str:
+def _verification(found: DesignResult) -> str:
     """Return the lines for the settings file."""
     orientations = list(dict.fromkeys((p.azimuth_deg, p.elevation_deg) for p in found.held_out))
     stations = sorted({p.station for p in found.held_out})
@@ -226,7 +230,7 @@ def _verification(found: Designed) -> str:
     return f"for the settings:\n[verification]\npositions_deg = [{listed}]\nstations = {stations}"
 
 
-def _comparison(choices: list[Choice]) -> Table:
+def _comparison(choices: list[VariantDesign]) -> Table:
     table = columns_table(("touches", "balls", "θ / °", "positions", "min", "VCE / µm", "valuation / %", ""))
     for choice in choices:
         variant, found = choice.variant, choice.design

@@ -15,7 +15,7 @@ from agent.cli.options import procedure_options
 from agent.cli.printing import columns_table, facts_table, results_console
 from agent.errors import PlanRefused
 from agent.files import check_folder
-from agent.planning.cycle_time import PARTS, as_listed, minutes_by_part, walked
+from agent.planning.cycle_time import PARTS, minutes_by_part, walk_plan, without_optimisation
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
@@ -61,8 +61,8 @@ def plan_command(
         for path in draw(refused) if draw else ():
             click.echo(f"preview: {path}", err=True)
         raise
-    listed = as_listed(job)
-    before_minutes = sum(timed.seconds for timed in walked(listed, whole_procedure(listed))[1]) / S_PER_MIN
+    listed = without_optimisation(job)
+    before_minutes = sum(timed.seconds for timed in walk_plan(listed, whole_procedure(listed))[1]) / S_PER_MIN
     expectation = expect(job, preflight.measured)
     valuation = valuation_of(job, job.positions)
     files = draw(None) if draw else []

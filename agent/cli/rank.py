@@ -17,7 +17,7 @@ from agent.cli.errors import reported
 from agent.cli.options import PATH
 from agent.cli.printing import results_console
 from agent.planning.case_file import CASE_STUDY
-from agent.planning.identifiability import Question, Ranking, rank
+from agent.planning.identifiability import RankRequest, RankResult, rank
 from agent.reports.page.number_format import number, plural, point
 from twin.design.identifiability import Identifiability
 from twin.design.setup_advice import describe_gain, describe_trial
@@ -76,14 +76,14 @@ def rank_command(
     as_json: bool,
 ) -> None:
     """Show which errors a set-up can determine and which changes would determine more, without any device."""
-    found = rank(Question(config, machine, artefact, position_set, stations, tools, formulation, grid_shape))
+    found = rank(RankRequest(config, machine, artefact, position_set, stations, tools, formulation, grid_shape))
     if as_json:
         click.echo(json.dumps(found.as_json(), allow_nan=False))
         return
     _show(found, results_console())
 
 
-def _show(found: Ranking, console: Console) -> None:
+def _show(found: RankResult, console: Console) -> None:
     console.print(_headline(found), markup=False)
     console.print(_fields_table(found))
     console.print(
@@ -108,7 +108,7 @@ def _first_of_each_kind(advice: Sequence[TrialGain]) -> list[TrialGain]:
     return list(best.values())
 
 
-def _headline(found: Ranking) -> str:
+def _headline(found: RankResult) -> str:
     planned, procedure = found.planned, found.set_up.procedure
     tools = ", ".join(f"{name} {point(layout.tool_offset_mm)}" for name, layout in procedure.layouts.items())
     left = f"; {plural(len(planned.left_out), 'position')} out of reach" if planned.left_out else ""
@@ -119,7 +119,7 @@ def _headline(found: Ranking) -> str:
     )
 
 
-def _fields_table(found: Ranking) -> Table:
+def _fields_table(found: RankResult) -> Table:
     table = Table(title="rms over the workspace in µm, best rigid motion taken out", title_justify="left")
     table.add_column("tool")
     table.add_column("measured")

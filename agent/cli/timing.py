@@ -16,11 +16,11 @@ from agent.execution.run_record import RunSteps, read_steps
 from agent.files import translated
 from agent.model_files import load_machine
 from agent.planning.latency_fit import (
-    KindOfStep,
     ObservedStep,
-    kinds_of_steps,
+    StepKindTiming,
     observed_steps,
     refit,
+    step_kind_timings,
     suggested_settings,
 )
 from agent.planning.time_model import TimeModel, time_model
@@ -47,7 +47,7 @@ def timing_command(run: Path, as_json: bool) -> None:
             run=run.name,
             hint="choose a run that measured something",
         )
-    kinds, suggested = kinds_of_steps(model, observed), suggested_settings(refit(model, observed))
+    kinds, suggested = step_kind_timings(model, observed), suggested_settings(refit(model, observed))
     if as_json:
         click.echo(json.dumps({"steps": [asdict(kind) for kind in kinds], "timing": suggested}, allow_nan=False))
         return
@@ -65,7 +65,7 @@ def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
     return model, observed_steps(recorded.steps, model)
 
 
-def _table(kinds: Sequence[KindOfStep]) -> Table:
+def _table(kinds: Sequence[StepKindTiming]) -> Table:
     """Return the table: minutes of all steps of a kind, milliseconds per step."""
     table = Table(title="machine time of the run")
     table.add_column("step", no_wrap=True)

@@ -17,7 +17,7 @@ from agent.planning.ideal_machine import IdealMachine
 from agent.planning.job import Job
 from agent.planning.time_model import time_model
 from agent.probing.ball import point
-from agent.probing.paths.shortest_path import ShortestPilot
+from agent.probing.paths.shortest_path import ShortestPathPlanner
 from agent.probing.position import PositionTask, measure_position
 from agent.probing.run_plan import MeasuringOrder, measure_positions, position_key
 from twin.arrays import Array
@@ -67,7 +67,7 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
     """Machine time of measuring `positions` in their order (stations contiguous), from the travel's lower end and
     the mount at zero; the held-out positions of the proof are not part of it."""
     order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)
-    _, steps = walked(job, measure_positions(order, job.layout, job.rules))
+    _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules))
     seconds: dict[str, float] = defaultdict(float)
     for timed in steps:
         if not timed.carrying:
@@ -85,15 +85,15 @@ def position_minutes(job: Job, position: Position) -> float:
     course = job.rules.course
     if course.roads is None:
         parked = point(course.parked(job.layout.nominal(position).mean(axis=0), position.station))
-        _, steps = walked(job, _there_and_back(job, position, parked), parked)
+        _, steps = walk_plan(job, _there_and_back(job, position, parked), parked)
     else:
-        pilot = ShortestPilot(course.roads.among(job.layout), course, job.rules.probing)
+        pilot = ShortestPathPlanner(course.roads.among(job.layout), course, job.rules.probing)
         here = pilot.suppose(position.station)
-        _, steps = walked(job, _one_more(job, position, here, pilot), point(here))
+        _, steps = walk_plan(job, _one_more(job, position, here, pilot), point(here))
     return sum(timed.seconds for timed in steps) / S_PER_MIN
 
 
-def as_listed(job: Job) -> Job:
+def without_optimisation(job: Job) -> Job:
     """The same with stations and positions in the order in which they are listed, and plain ways."""
     procedure = job.settings.procedure.model_copy(update={"paths": "plain", "optimise_order": False})
     rules = replace(job.rules, course=replace(job.rules.course, roads=None))
@@ -113,7 +113,7 @@ def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
     return {station: dict(minutes[station]) for station in sorted(minutes)}
 
 
-def walked(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:
+def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:
     """What `plan` concludes on a machine without errors, and its steps that take time, in order."""
     steps: list[TimedStep] = []
 
@@ -133,7 +133,7 @@ def _there_and_back(job: Job, position: Position, parked: Point) -> Plan[None]:
         yield MoveTo(f"{PREFIX}/{position_key(position)}/park-again", parked)
 
 
-def _one_more(job: Job, position: Position, here: Array, pilot: ShortestPilot) -> Plan[None]:
+def _one_more(job: Job, position: Position, here: Array, pilot: ShortestPathPlanner) -> Plan[None]:
     nominal = job.layout.nominal(position)
     mask = job.layout.reachable(position, nominal)
     if mask.sum() < MIN_BALLS:

@@ -28,7 +28,7 @@ from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)
-class Question:
+class RankRequest:
     """The files and choices of a rank. `position_set`: names joined by + or a position file, None for that of the
     settings; `tools`: names in the machine file, none for that of the settings; `stations`: evenly along X instead of
     those of the settings."""
@@ -44,7 +44,7 @@ class Question:
 
 
 @dataclass(frozen=True, eq=False)
-class Ranking:
+class RankResult:
     """`vce`: to expect at each field of `seen`; `advice`: best first."""
 
     job: Job
@@ -82,7 +82,7 @@ class Ranking:
         }
 
 
-def rank(question: Question) -> Ranking:
+def rank(question: RankRequest) -> RankResult:
     """Raises UserError naming file, key and what is known for whatever cannot be used, or sees nothing."""
     job = load_case(
         question.config,
@@ -99,10 +99,10 @@ def rank(question: Question) -> Ranking:
         return _ranked(job, name, set_up, grid)
 
 
-def _ranked(job: Job, name: str, set_up: SetUp, grid: Array) -> Ranking:
+def _ranked(job: Job, name: str, set_up: SetUp, grid: Array) -> RankResult:
     estimate, views = set_up.estimate(), evaluated_tools(set_up, grid)
     seen = assess_identifiability(estimate, views)
-    return Ranking(
+    return RankResult(
         job=job,
         position_set=name,
         set_up=set_up,
@@ -113,7 +113,7 @@ def _ranked(job: Job, name: str, set_up: SetUp, grid: Array) -> Ranking:
     )
 
 
-def _set_up(job: Job, question: Question, name: str) -> SetUp:
+def _set_up(job: Job, question: RankRequest, name: str) -> SetUp:
     """Every position is measured with every tool asked for, unless a file says with which."""
     positions = _positions(job, question, name)
     asked = tuple(dict.fromkeys(question.tools)) or (job.settings.tool,)
@@ -131,7 +131,7 @@ def _set_up(job: Job, question: Question, name: str) -> SetUp:
     )
 
 
-def _positions(job: Job, question: Question, name: str) -> tuple[Position, ...]:
+def _positions(job: Job, question: RankRequest, name: str) -> tuple[Position, ...]:
     if question.position_set is None:
         return job.positions
     if name.endswith(POSITION_FILES):

@@ -12,15 +12,15 @@ import numpy as np
 from agent.execution.steps import Plan
 from agent.files import translated
 from agent.model_files import load_machine, load_positions
-from agent.planning.measuring_order import Ordering
-from agent.planning.procedure_rules import course_of, layout_of, preparation_of, probing_of
+from agent.planning.measuring_order import OrderOptimiser
+from agent.planning.procedure_rules import layout_of, preparation_of, probing_of, retreat_of
 from agent.planning.stations import check_stations, load_artefacts, station_change
 from agent.planning.temperature_rules import drift_limits_of, settling_of
 from agent.planning.time_model import time_model
 from agent.probing.position import MeasuredBall, PositionRules
-from agent.probing.preparation import Preparation, Prepared, prepare_probe
-from agent.probing.repeated_positions import ClosingRules
-from agent.probing.run_plan import Measured, MeasuringOrder, by_station
+from agent.probing.preparation import Preparation, PreparationResult, prepare_probe
+from agent.probing.repeated_positions import RepeatRules
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, by_station
 from agent.settings.load import POSITION_FILES
 from agent.settings.schema import GateSettings, Settings
 from drivers.errors import ConfigurationError
@@ -73,18 +73,18 @@ class Job:
         return MeasuringOrder("measure", self._ordering.positions(both, stations), standing_at)
 
     @cached_property
-    def _ordering(self) -> Ordering:
-        return Ordering(self.layout, self.rules, time_model(self.machine, self.settings.timing))
+    def _ordering(self) -> OrderOptimiser:
+        return OrderOptimiser(self.layout, self.rules, time_model(self.machine, self.settings.timing))
 
     @property
-    def closing(self) -> ClosingRules:
+    def closing(self) -> RepeatRules:
         """Rules for measuring the first position again at the end: one of the set, never a held-out one."""
         chosen = self.settings.temperature
-        return ClosingRules(
+        return RepeatRules(
             chosen.repeat_after_change_k, chosen.declared_change_k, chosen.repeat_positions, self.positions
         )
 
-    def preparing(self) -> Plan[Prepared]:
+    def preparing(self) -> Plan[PreparationResult]:
         """Return the plan of probe check and qualification, which come before everything else."""
         return prepare_probe(self.measuring, self.layout, self.rules, self.preparation)
 
@@ -95,7 +95,7 @@ class Job:
             return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
         return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
 
-    def balls_of(self, measured: Measured, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
+    def balls_of(self, measured: MeasuredPositions, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
         """Return the balls of the held-out positions, or of all others, numbered as in `artefact`; `again`: with those
         that were measured again at the end of their positions."""
         kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
@@ -146,7 +146,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         preparation=preparation_of(settings, machine, artefacts, probing),
         rules=PositionRules(
             probing,
-            course_of(settings.stations, settings.procedure, settings.timing, machine),
+            retreat_of(settings.stations, settings.procedure, settings.timing, machine),
             drift_limits_of(settings.procedure, settings.temperature),
             settling_of(settings.temperature),
             station_change(settings.roles, settings.stations),

@@ -31,7 +31,7 @@ class ObservedStep:
 
 
 @dataclass(frozen=True)
-class KindOfStep:
+class StepKindTiming:
     """All steps of one kind, in seconds. Latencies are the time beyond the motion of each step (the whole time of an
     AskOperator), as set and as suggested; `rest_s`: rms of the residuals with the suggested latency."""
 
@@ -73,7 +73,7 @@ def _fitted(kind: str, given_s: float, observed: Sequence[ObservedStep]) -> floa
     return max(0.0, math.fsum(beyond) / len(beyond)) if beyond else given_s
 
 
-def kinds_of_steps(model: TimeModel, observed: Sequence[ObservedStep]) -> list[KindOfStep]:
+def step_kind_timings(model: TimeModel, observed: Sequence[ObservedStep]) -> list[StepKindTiming]:
     """Compare the prediction by `model` with the observation, for every observed kind."""
     given, fitted = _latencies(model), _latencies(refit(model, observed))
     table = []
@@ -103,9 +103,9 @@ def _latencies(model: TimeModel) -> dict[str, float]:
     }
 
 
-def _summary(kind: str, steps: Sequence[ObservedStep], latency_s: float, suggested_s: float) -> KindOfStep:
+def _summary(kind: str, steps: Sequence[ObservedStep], latency_s: float, suggested_s: float) -> StepKindTiming:
     rest = [step.observed_s - step.motion_s - suggested_s for step in steps]
-    return KindOfStep(
+    return StepKindTiming(
         kind=kind,
         count=len(steps),
         observed_s=math.fsum(step.observed_s for step in steps),

@@ -14,8 +14,8 @@ from functools import cache
 from itertools import pairwise, permutations
 
 from agent.planning.time_model import TimeModel
-from agent.probing.paths.approach_points import Spot
-from agent.probing.paths.free_paths import Stand, Traffic
+from agent.probing.paths.approach_points import TipLocation
+from agent.probing.paths.free_paths import ArtefactPose, FreePathFinder
 from agent.probing.position import PositionRules
 from twin.artefact.position_set import Position
 from twin.collision.geometry import point
@@ -23,10 +23,10 @@ from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.travelling_salesman import shortest_tour
 from twin.design.procedure import MIN_BALLS
 
-MOST_PERMUTED = 7
+MAX_PERMUTED_STATIONS = 7
 """More stations than this are measured as they are listed."""
 
-FAR_S = 20.0
+PARK_DETOUR_S = 20.0
 """About what the way over a parking place takes."""
 
 AT_REST_DEG = (0.0, 0.0)
@@ -35,7 +35,7 @@ Angles = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Ordering:
+class OrderOptimiser:
     """Orders the positions of one layout. Where all ways between positions go by the retreat plane, they cost about the
     same, and only the turns differ."""
 
@@ -46,7 +46,7 @@ class Ordering:
     def stations(self, listed: Sequence[int], standing_at: int | None, last_at: Sequence[int]) -> tuple[int, ...]:
         """`listed` from where the artefact stands, with as few carries as can be, the next measurement being at
         `last_at`; among equals the shortest ways along the machine, then as listed."""
-        if len(listed) > MOST_PERMUTED:
+        if len(listed) > MAX_PERMUTED_STATIONS:
             return (*(s for s in listed if s == standing_at), *(s for s in listed if s != standing_at))
         return min(permutations(listed), key=lambda order: self._carrying(order, standing_at, last_at))
 
@@ -99,19 +99,19 @@ class Ordering:
                 traffic.estimates[key] = traffic.least_turning_seconds(stands[0], starts, stands[1], ends)
             # Where nothing before the turning artefact is clear, the way is over the parking place; that is far.
             found = traffic.estimates[key]
-            return found if math.isfinite(found) else FAR_S
+            return found if math.isfinite(found) else PARK_DETOUR_S
 
         return seconds
 
-    def _last_spots(self, position: Position) -> list[Spot]:
+    def _last_spots(self, position: Position) -> list[TipLocation]:
         probing = self.rules.probing
         away = point(probing.directions[-1])
-        return [Spot(ball, away, probing.contact_mm, touching=True) for ball in self._ends(position)]
+        return [TipLocation(ball, away, probing.contact_mm, touching=True) for ball in self._ends(position)]
 
-    def _first_spots(self, position: Position) -> list[Spot]:
+    def _first_spots(self, position: Position) -> list[TipLocation]:
         probing = self.rules.probing
         out_mm = probing.contact_mm + probing.wide.approach_mm
-        return [Spot(ball, point(probing.directions[0]), out_mm) for ball in self._ends(position)]
+        return [TipLocation(ball, point(probing.directions[0]), out_mm) for ball in self._ends(position)]
 
     def _ends(self, position: Position) -> tuple[int, ...]:
         """Both end balls; none where too few are within reach."""
@@ -119,7 +119,7 @@ class Ordering:
         return (reached[0], reached[-1]) if len(reached) >= MIN_BALLS else ()
 
     @staticmethod
-    def _stand(traffic: Traffic, position: Position) -> Stand:
+    def _stand(traffic: FreePathFinder, position: Position) -> ArtefactPose:
         return traffic.standing(position.station, position.azimuth_deg, position.elevation_deg)
 
 

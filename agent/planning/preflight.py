@@ -16,12 +16,12 @@ from agent.planning.job import Job
 from agent.planning.preflight_rig import assemble_preflight_rig
 from agent.planning.safety_rules import checked_plan
 from agent.planning.time_model import TimeModel, time_model
-from agent.probing.repeated_positions import measure_closed
-from agent.probing.run_plan import Measured, measure_positions
+from agent.probing.repeated_positions import measure_with_repeats
+from agent.probing.run_plan import MeasuredPositions, measure_positions
 from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError
 
-Procedure = Callable[[Job], Plan[tuple[Measured, Measured]]]
+Procedure = Callable[[Job], Plan[tuple[MeasuredPositions, MeasuredPositions]]]
 """All motion of a run; returns the measurements for the estimate and those that prove it."""
 
 
@@ -30,8 +30,8 @@ class PreflightResult:
     """Simulated run. `timeline`: step key → seconds of machine time at which that step is done; `steps`: those that
     take time, in order."""
 
-    measured: Measured
-    verified: Measured
+    measured: MeasuredPositions
+    verified: MeasuredPositions
     timeline: Mapping[str, float]
     steps: Sequence[TimedStep]
     machine_seconds: float
@@ -43,7 +43,7 @@ class PreflightResult:
         return self.machine_seconds / 60.0
 
 
-def unwatched() -> None:
+def never_interrupted() -> None:
     """Interrupt nothing: the default for a preflight that nobody watches."""
 
 
@@ -51,7 +51,7 @@ def run_preflight(
     job: Job,
     start_mm: Point | None = None,
     procedure: Procedure | None = None,
-    watch: Callable[[], None] = unwatched,
+    watch: Callable[[], None] = never_interrupted,
 ) -> PreflightResult:
     """Run the whole procedure, by default that of a calibration, on a machine without errors.
 
@@ -106,7 +106,7 @@ class _Times:
             self.steps.append(TimedStep(step, motion_s, beyond_s))
 
 
-def _require_proof(verified: Measured) -> None:
+def _require_proof(verified: MeasuredPositions) -> None:
     """Raise ConfigurationError if nothing can be measured with the new table active: it would stay unproved."""
     if not verified.positions:
         raise ConfigurationError(
@@ -116,11 +116,11 @@ def _require_proof(verified: Measured) -> None:
         )
 
 
-def whole_procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
+def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
     """Plan of a calibration: the probe's preparation, the set with the held-out positions, then these again."""
     prepared = yield from job.preparing()
     order = replace(job.measuring, standing_at=prepared.standing_at)
-    measured = yield from measure_closed(order, job.layout, prepared.rules, job.closing)
+    measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.closing)
     order = job.verifying(measured.standing_at)
     verified = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
     return measured, verified

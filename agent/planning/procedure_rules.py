@@ -8,11 +8,11 @@ import numpy as np
 
 from agent.planning.stations import Artefacts, bodies_around, station_change
 from agent.planning.time_model import time_model
-from agent.probing.paths.free_paths import Roads
-from agent.probing.paths.retreat import Course
+from agent.probing.paths.free_paths import FreePathRules
+from agent.probing.paths.retreat import Retreat
 from agent.probing.preparation import Preparation
 from agent.probing.probe_check import ProbeCheck
-from agent.probing.probing_parameters import BallLimits, FindFirst, Probing, Search
+from agent.probing.probing_parameters import BallLimits, FastTouch, ProbingParameters, Search
 from agent.probing.qualification import QualificationRules
 from agent.probing.reversal import ReversalCheck
 from agent.settings.schema import ProcedureSettings, QualificationSettings, Settings, StationSettings, TimingSettings
@@ -26,9 +26,9 @@ from twin.machine.machine_description import MachineDescription
 from twin.units import MM_PER_UM
 
 
-def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefact) -> Probing:
+def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefact) -> ProbingParameters:
     """Return the rules of probing, with the same approach vectors on every ball."""
-    return Probing(
+    return ProbingParameters(
         directions=approach_directions(chosen.touches_per_ball, STYLUS_AXIS),
         stylus_axis=STYLUS_AXIS,
         ball_radius_mm=artefact.ball_radius_mm,
@@ -48,14 +48,14 @@ def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefa
         repeats=chosen.repeats,
         stop_on_failure=chosen.on_failure == "stop",
         careful_mm_per_s=chosen.guarded_feed_mm_per_min / 60.0,
-        find=FindFirst(chosen.first_touch_feed_mm_per_min / 60.0, chosen.back_off_mm)
+        find=FastTouch(chosen.first_touch_feed_mm_per_min / 60.0, chosen.back_off_mm)
         if chosen.touch_stages == 2
         else None,
     )
 
 
 def preparation_of(
-    settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing
+    settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: ProbingParameters
 ) -> Preparation:
     """Return the checks before a run. Raises ConfigurationError for a datum ball that the artefact does not have."""
     _refuse_unknown_datum(settings.qualification, artefacts.kind)
@@ -86,7 +86,7 @@ def _refuse_unknown_datum(qualification: QualificationSettings, artefact: Artefa
 
 
 def layout_of(
-    settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing
+    settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: ProbingParameters
 ) -> MeasuringLayout:
     """Return the measuring layout; its limits are the travel less the room that the pattern of `probing` needs."""
     travel = np.array(machine.limits)
@@ -110,9 +110,9 @@ def layout_of(
     )
 
 
-def course_of(
+def retreat_of(
     stations: StationSettings, procedure: ProcedureSettings, timing: TimingSettings, machine: MachineDescription
-) -> Course:
+) -> Retreat:
     """Return the paths between balls and stations, with a park location beside each station within the travel."""
     (x_low, x_high), (y_low, _), _ = machine.limits
     park = {}
@@ -125,15 +125,15 @@ def course_of(
                 key="stations.park_distance_mm",
             )
         park[number] = target
-    roads = roads_of(procedure, timing, machine) if procedure.paths == "shortest" else None
-    return Course(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park, roads=roads)
+    roads = free_path_rules_of(procedure, timing, machine) if procedure.paths == "shortest" else None
+    return Retreat(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park, roads=roads)
 
 
-def roads_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> Roads:
+def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> FreePathRules:
     """Return the rules of free paths, with the dynamics and latencies from which machine time is computed."""
     times = time_model(machine, timing)
     travel = np.array(machine.limits)
-    return Roads(
+    return FreePathRules(
         stylus_axis=STYLUS_AXIS,
         lower_mm=travel[:, 0],
         upper_mm=travel[:, 1],

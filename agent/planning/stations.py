@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.files import translated
 from agent.model_files import load_artefact
-from agent.probing.station_change import Carried, StationChange
+from agent.probing.station_change import CarriedItem, StationChange
 from agent.settings.schema import DeviceSettings, RoleSettings, Settings, StationSettings
 from drivers.errors import ConfigurationError
 from drivers.registry import has_several_mounts
@@ -48,7 +48,7 @@ def station_change(roles: RoleSettings, stations: StationSettings) -> StationCha
     """Return how a run changes from station to station."""
     if isinstance(roles.mount, str):
         return StationChange()
-    carried = Carried.ARTEFACT if stations.artefacts is None else Carried.NOTHING
+    carried = CarriedItem.ARTEFACT if stations.artefacts is None else CarriedItem.NOTHING
     return StationChange(carried, tuple(sorted(roles.mount)), stations.parked_deg)
 
 

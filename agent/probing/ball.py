@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Point, Record
-from agent.probing.ball_gates import Tripped, doubtful, tripped_gate
-from agent.probing.probing_parameters import Probing, Search
-from agent.probing.touch import TouchWay, point, touch_ball
+from agent.probing.ball_gates import FailedGate, doubtful_touches, first_failed_gate
+from agent.probing.probing_parameters import ProbingParameters, Search
+from agent.probing.touch import TouchPath, point, touch_ball
 from drivers.roles import Vector
 from twin.artefact.sphere_fit import SphereFit, fit_sphere
 from twin.errors import TwinError
 
-__all__ = ["BallFound", "BallLost", "measure_ball", "point"]
+__all__ = ["FittedBall", "LostBall", "measure_ball", "point"]
 
 
 @dataclass(frozen=True, eq=False)
-class BallFound:
+class FittedBall:
     """`centre_mm` (3,): axis positions, as displayed, at which stylus centre and ball centre coincide.
 
     `radius_mm`, `form_mm` and `residuals_mm` (k,) are those of the sphere with a free radius, whatever the centre was
@@ -36,7 +36,7 @@ class BallFound:
 
 
 @dataclass(frozen=True)
-class BallLost:
+class LostBall:
     """Not measured, and why."""
 
     reason: str
@@ -44,8 +44,8 @@ class BallLost:
 
 
 def measure_ball(
-    key: str, predicted_mm: Vector, probing: Probing, search: Search, way: TouchWay | None = None
-) -> Plan[BallFound | BallLost]:
+    key: str, predicted_mm: Vector, probing: ProbingParameters, search: Search, way: TouchPath | None = None
+) -> Plan[FittedBall | LostBall]:
     """Touch the ball where it is expected; clean up and repeat where a limit is broken; decide by policy.
 
     A ball that has to be looked for is located first, by touches of which none comes near its holder.
@@ -67,13 +67,15 @@ def measure_ball(
             hint="clean the ball and the stylus, check that both are tight and where the artefact stands",
             step=key,
         )
-    return BallLost(ball.reason, ball.touches)
+    return LostBall(ball.reason, ball.touches)
 
 
 class _Ball:
     """What is known of a ball while it is attempted."""
 
-    def __init__(self, key: str, predicted_mm: Vector, probing: Probing, search: Search, way: TouchWay | None) -> None:
+    def __init__(
+        self, key: str, predicted_mm: Vector, probing: ProbingParameters, search: Search, way: TouchPath | None
+    ) -> None:
         self._key = key
         self._way = way
         self._probing = probing
@@ -101,7 +103,7 @@ class _Ball:
         yield Record(f"{key}/found", "event", {"ball": self._key, "off_mm": fit.centre - self._centre})
         self._centre, self._search = fit.centre, probing.narrow
 
-    def attempt(self, number: int, *, last: bool) -> Plan[BallFound | None]:
+    def attempt(self, number: int, *, last: bool) -> Plan[FittedBall | None]:
         """All touches once; None where the ball has to be attempted again, or is given up."""
         key = self._key if number == 0 else f"{self._key}/repeat-{number}"
         latched: list[Point] = []
@@ -122,8 +124,8 @@ class _Ball:
         return (yield from self._judged(key, fit, points, gate, number, last))
 
     def _judged(
-        self, key: str, fit: SphereFit, points: Vector, gate: Tripped | None, number: int, last: bool
-    ) -> Plan[BallFound | None]:
+        self, key: str, fit: SphereFit, points: Vector, gate: FailedGate | None, number: int, last: bool
+    ) -> Plan[FittedBall | None]:
         away_mm = self._away_mm(fit)
         self._centre, self._search = fit.centre, self._probing.narrow
         if gate is not None:
@@ -137,10 +139,10 @@ class _Ball:
         return self._found(fit, points)
 
     def _cleaned(
-        self, key: str, fit: SphereFit, points: Vector, gate: Tripped
-    ) -> Plan[tuple[SphereFit | None, Vector, Tripped | None]]:
+        self, key: str, fit: SphereFit, points: Vector, gate: FailedGate
+    ) -> Plan[tuple[SphereFit | None, Vector, FailedGate | None]]:
         """Doubtful touches once more, along the same lines: what was a crumb or a false trip goes away."""
-        again = doubtful(fit, self._probing)
+        again = doubtful_touches(fit, self._probing)
         then = f"clean-up of touch {', '.join(str(index) for index in again)}"
         yield Record(f"{key}/clean-up", "event", gate.payload(self._key, then))
         points = points.copy()
@@ -153,8 +155,8 @@ class _Ball:
         cleaned = self._fitted(points)
         return cleaned, points, None if cleaned is None else self._gate(cleaned)
 
-    def _gate(self, fit: SphereFit) -> Tripped | None:
-        return tripped_gate(fit, self._probing)
+    def _gate(self, fit: SphereFit) -> FailedGate | None:
+        return first_failed_gate(fit, self._probing)
 
     def _away_mm(self, fit: SphereFit) -> float:
         return float(np.linalg.norm(fit.centre - self._centre))
@@ -192,14 +194,14 @@ class _Ball:
             return points
         return stylus.pretravel.correct(points, self._probing.directions)
 
-    def _found(self, free: SphereFit, points: Vector) -> BallFound:
+    def _found(self, free: SphereFit, points: Vector) -> FittedBall:
         probing, stylus = self._probing, self._probing.stylus
         centre, covariance = free.centre, free.centre_covariance
         if stylus is not None and stylus.fixed:
             fit = fit_sphere(self._corrected(points), probing.touch_sigma_mm, stylus.radius_mm, near=free.centre)
             moved = stylus.radius_sigma_mm * probing.centre_per_radius
             centre, covariance = fit.centre, fit.centre_covariance + np.outer(moved, moved)
-        return BallFound(centre, covariance, free.radius, free.form, self.touches, free.residuals)
+        return FittedBall(centre, covariance, free.radius, free.form, self.touches, free.residuals)
 
     def _note(self, reason: str, last: bool) -> dict[str, object]:
         return {"ball": self._key, "reason": reason, "then": self._next(last)}

@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.probing.probing_parameters import Probing
+from agent.probing.probing_parameters import ProbingParameters
 from twin.artefact.sphere_fit import SphereFit
 from twin.units import UM_PER_MM
 
-TIED = 0.95
+TIE_RATIO = 0.95
 """Touches whose weighed residual reaches this part of the largest cannot be told apart: their directions are off the
 pattern's by the distance at which a ball is measured again, some percent of its radius."""
-POLE_SHOWN_FROM = 0.05
+MIN_POLE_REDUNDANCY = 0.05
 """Redundancy of the pole below which nothing but the pole itself says where it should be."""
 
 
 @dataclass(frozen=True)
-class Tripped:
+class FailedGate:
     """A gate of one ball that did not let it pass."""
 
     gate: str
@@ -38,7 +38,7 @@ class Tripped:
         }
 
 
-def tripped_gate(fit: SphereFit, probing: Probing) -> Tripped | None:
+def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate | None:
     """The first limit that `fit`, its radius free, breaks; None where it keeps them all."""
     limits = probing.limits
     deviation = fit.radius - probing.expected_radius_mm
@@ -54,21 +54,21 @@ def tripped_gate(fit: SphereFit, probing: Probing) -> Tripped | None:
         figure_um, limit_um = float(value_mm) * UM_PER_MM, limit_mm * UM_PER_MM
         if abs(figure_um) > limit_um:
             text = f"{words} {figure_um:.1f} µm, allowed {limit_um:.1f} µm"
-            return Tripped(gate, figure_um, limit_um, text)
+            return FailedGate(gate, figure_um, limit_um, text)
     return None
 
 
-def pole_error_mm(fit: SphereFit, probing: Probing) -> float | None:
+def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
     """Pole against equator: distance of the pole's touch from the sphere through all others, the pole left out.
 
     To first order residual / redundancy. None for the five-point pattern: four touches in one plane fix no sphere, so
     that a pole that trips late is a ball that stands farther in.
     """
     share = float(probing.redundancies[0])
-    return float(fit.residuals[0]) / share if share > POLE_SHOWN_FROM else None
+    return float(fit.residuals[0]) / share if share > MIN_POLE_REDUNDANCY else None
 
 
-def doubtful(fit: SphereFit, probing: Probing) -> tuple[int, ...]:
+def doubtful_touches(fit: SphereFit, probing: ProbingParameters) -> tuple[int, ...]:
     """Numbers of the touches to repeat: the worst, and those that the pattern cannot tell from it.
 
     Weighed by √redundancy (Baarda's test). On five points with a free radius every wrong touch of the equator shows on
@@ -77,4 +77,4 @@ def doubtful(fit: SphereFit, probing: Probing) -> tuple[int, ...]:
     shown = np.sqrt(probing.redundancies)
     weighed = np.divide(np.abs(fit.residuals), shown, out=np.zeros_like(shown), where=shown > 0.0)
     largest = weighed.max()
-    return tuple(int(i) for i in np.flatnonzero(weighed >= TIED * largest)) if largest > 0.0 else ()
+    return tuple(int(i) for i in np.flatnonzero(weighed >= TIE_RATIO * largest)) if largest > 0.0 else ()

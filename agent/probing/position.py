@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Record
-from agent.probing.ball import BallFound, BallLost, measure_ball
-from agent.probing.paths.path_planner import Pilot, PlainPilot
-from agent.probing.paths.retreat import Course
+from agent.probing.ball import FittedBall, LostBall, measure_ball
+from agent.probing.paths.path_planner import PathPlanner, PlainPathPlanner
+from agent.probing.paths.retreat import Retreat
 from agent.probing.position_drift import DriftLimits, judge_drift
-from agent.probing.probing_parameters import Probing, Search
+from agent.probing.probing_parameters import ProbingParameters, Search
 from agent.probing.station_change import StationChange
 from agent.probing.temperature_readings import Conditions, read_conditions
-from agent.probing.thermal_settling import SettlingRules, settled
+from agent.probing.thermal_settling import SettlingRules, wait_until_settled
 from twin.arrays import Array
 from twin.artefact.end_ball_alignment import align_to_end_balls
 
@@ -50,7 +50,7 @@ class MeasuredBall:
     azimuth_deg: float
     elevation_deg: float
     ball: int
-    found: BallFound
+    found: FittedBall
     conditions: Conditions
 
     @property
@@ -103,8 +103,8 @@ class MeasuredPosition:
 
 @dataclass(frozen=True)
 class PositionRules:
-    probing: Probing
-    course: Course
+    probing: ProbingParameters
+    course: Retreat
     drift: DriftLimits
     settling: SettlingRules = field(default_factory=SettlingRules)
     change: StationChange = field(default_factory=StationChange)
@@ -115,7 +115,7 @@ def measure_position(
     here: Array,
     rules: PositionRules,
     before: Sequence[Conditions] = (),
-    pilot: Pilot | None = None,
+    pilot: PathPlanner | None = None,
 ) -> Plan[MeasuredPosition]:
     """Measure every reachable ball of `task`; ends at the retreat plane, where `pilot` does not go on to the next.
 
@@ -123,10 +123,10 @@ def measure_position(
     (wide search), the rest is aligned to them; the first ball is measured again last, for drift. `before`: conditions
     in which the position before was measured; where the artefact has not settled, nothing moves until it has.
     """
-    own = pilot or PlainPilot(rules.course, rules.probing)
+    own = pilot or PlainPathPlanner(rules.course, rules.probing)
     first, between, last = own.sequence(task)
     yield from own.turn(task, here)
-    yield from settled(task.key, rules.settling, before)
+    yield from wait_until_settled(task.key, rules.settling, before)
     measuring = _Measuring(task, rules, own)
     yield from own.enter(task, first)
     found_first = yield from measuring.end_ball(first, rules.probing.wide if task.found else rules.probing.unknown)
@@ -144,7 +144,7 @@ def measure_position(
 class _Measuring:
     """Measures balls of one position and keeps what was found, lost and touched."""
 
-    def __init__(self, task: PositionTask, rules: PositionRules, pilot: Pilot) -> None:
+    def __init__(self, task: PositionTask, rules: PositionRules, pilot: PathPlanner) -> None:
         self._task = task
         self._probing = rules.probing
         self._pilot = pilot
@@ -154,10 +154,10 @@ class _Measuring:
         self.lost = 0
         self.touches = 0
 
-    def end_ball(self, ball: int, search: Search) -> Plan[BallFound]:
+    def end_ball(self, ball: int, search: Search) -> Plan[FittedBall]:
         """Both ends must be found: without them nothing is known about where the artefact stands."""
         result = yield from self.ball(ball, self._task.predicted_mm[ball], search)
-        if isinstance(result, BallLost):
+        if isinstance(result, LostBall):
             raise MeasurementFault(
                 f"end ball {ball} was not found where it was expected: {result.reason}",
                 hint="check the station's place in the settings, the mount's zero and the artefact's seat",
@@ -165,11 +165,11 @@ class _Measuring:
             )
         return result
 
-    def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[BallFound | BallLost]:
+    def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[FittedBall | LostBall]:
         """One ball for the record; journaled as soon as it is known."""
         key = f"{self._task.key}/ball-{ball:02d}"
         result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow)
-        if isinstance(result, BallLost):
+        if isinstance(result, LostBall):
             self.lost += 1
             yield Record(f"{key}/lost", "event", {"ball": ball, "reason": result.reason})
             return result
@@ -178,11 +178,11 @@ class _Measuring:
         yield Record(f"{key}/centre", "ball", measured.record(key))
         return result
 
-    def drift(self, first: int, found: BallFound, limits: DriftLimits) -> Plan[Array]:
+    def drift(self, first: int, found: FittedBall, limits: DriftLimits) -> Plan[Array]:
         """The first ball again: (3,) mm by which it seems to have moved; NaN where it was lost."""
         key = f"{self._task.key}/ball-{first:02d}/again"
         again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow)
-        if isinstance(again, BallLost):
+        if isinstance(again, LostBall):
             yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})
             return np.full(3, np.nan)
         self.again = yield from self._measured(key, first, again)
@@ -190,16 +190,16 @@ class _Measuring:
         yield from judge_drift(key, drift, limits)
         return drift
 
-    def _measured(self, key: str, ball: int, found: BallFound) -> Plan[MeasuredBall]:
+    def _measured(self, key: str, ball: int, found: FittedBall) -> Plan[MeasuredBall]:
         conditions = yield from read_conditions(key, self._thermometers)
         task = self._task
         return MeasuredBall(task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, found, conditions)
 
     def _approach_and_measure(
         self, key: str, ball: int, predicted: Array, search: Search
-    ) -> Plan[BallFound | BallLost]:
+    ) -> Plan[FittedBall | LostBall]:
         yield from self._pilot.to_ball(key, predicted)
         result = yield from measure_ball(key, predicted, self._probing, search, self._pilot.way_at(ball))
         self.touches += result.touches
-        yield from self._pilot.from_ball(key, result.centre_mm if isinstance(result, BallFound) else predicted)
+        yield from self._pilot.from_ball(key, result.centre_mm if isinstance(result, FittedBall) else predicted)
         return result

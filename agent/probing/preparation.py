@@ -9,8 +9,8 @@ import numpy as np
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
-from agent.probing.ball import BallFound, BallLost, measure_ball, point
-from agent.probing.paths.shortest_path import pilot_of
+from agent.probing.ball import FittedBall, LostBall, measure_ball, point
+from agent.probing.paths.shortest_path import create_path_planner
 from agent.probing.position import PositionRules
 from agent.probing.probe_check import ProbeCheck, Repeatability, check_repeatability
 from agent.probing.qualification import Qualification, QualificationRules, qualify_stylus
@@ -37,7 +37,7 @@ class Preparation:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparationResult:
     """`rules` with what is known of the stylus now; `standing_at`: where the artefact stands now."""
 
     rules: PositionRules
@@ -57,14 +57,14 @@ PREFIX = "probe"
 
 def prepare_probe(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, preparation: Preparation
-) -> Plan[Prepared]:
+) -> Plan[PreparationResult]:
     """Check and qualify on the datum ball of `order`; begins anywhere, ends at the retreat plane before that ball.
 
     Raises MeasurementFault where the ball is not found, the probe does not repeat, or the ball is no ball.
     """
     yield from _mounts_parked(rules)
     if preparation.nothing:
-        return Prepared(rules, order.standing_at)
+        return PreparationResult(rules, order.standing_at)
     position, ball, preparation = yield from _datum(order, layout, preparation)
     key = f"{PREFIX}/{position_key(position)}"
     yield CheckPermissions(f"{key}/permissions")
@@ -78,7 +78,7 @@ def prepare_probe(
     yield from _go_to(key, position, predicted, rules)
     found = yield from _found(f"{key}/ball-{ball:02d}", predicted, rules)
     prepared = yield from _looked_at(f"{key}/ball-{ball:02d}", found.centre_mm, rules, preparation)
-    pilot = pilot_of(rules.course, rules.probing, layout)
+    pilot = create_path_planner(rules.course, rules.probing, layout)
     yield from pilot.beside(key, position, ball, found.centre_mm)
     yield from pilot.leave(key, found.centre_mm)
     return replace(prepared, standing_at=position.station)
@@ -92,7 +92,7 @@ def _mounts_parked(rules: PositionRules) -> Plan[None]:
         yield from park_mounts(PREFIX, "mounts", rules.change, rules.course, here, rules.change.own_mounts)
 
 
-def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[Prepared]:
+def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[PreparationResult]:
     repeatability = qualification = reversal = None
     probing = rules.probing
     if preparation.check is not None:
@@ -102,7 +102,7 @@ def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Prepa
         probing = probing.qualified(qualification.stylus)
     if preparation.reversal is not None:
         reversal = yield from measure_reversal(f"{key}/reversal", centre, probing, preparation.reversal)
-    return Prepared(replace(rules, probing=probing), None, repeatability, qualification, reversal)
+    return PreparationResult(replace(rules, probing=probing), None, repeatability, qualification, reversal)
 
 
 def _go_to(key: str, position: Position, predicted: Array, rules: PositionRules) -> Plan[None]:
@@ -116,10 +116,10 @@ def _go_to(key: str, position: Position, predicted: Array, rules: PositionRules)
     yield MoveTo(f"{key}/approach", point(above))
 
 
-def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[BallFound]:
+def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[FittedBall]:
     """Where the ball really stands: the wide search by the pattern of the run."""
     result = yield from measure_ball(key, predicted, rules.probing, rules.probing.unknown)
-    if isinstance(result, BallLost):
+    if isinstance(result, LostBall):
         raise MeasurementFault(
             f"the ball for the probe check was not found where it was expected: {result.reason}",
             hint="check the station's place in the settings, the mount's zero and the artefact's seat",

@@ -8,13 +8,13 @@ import numpy as np
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Record
-from agent.probing.probing_parameters import Probing
+from agent.probing.probing_parameters import ProbingParameters
 from agent.probing.touch import touch_ball
 from drivers.roles import Vector
 from twin.artefact.repeatability import RepeatabilityEstimate, estimate_repeatability
 from twin.units import UM_PER_MM
 
-SURE_ENOUGH = 0.99
+REFUSAL_CONFIDENCE = 0.99
 """A run is refused only where the probe is beyond its limit with this confidence: five touches of a probe exactly at
 its limit exceed it every second night."""
 
@@ -47,7 +47,7 @@ class Repeatability:
         )
 
 
-def check_repeatability(key: str, centre: Vector, probing: Probing, check: ProbeCheck) -> Plan[Repeatability]:
+def check_repeatability(key: str, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[Repeatability]:
     """Touch the pole of the ball at `centre` again and again; as often once more where those were too far apart.
 
     Raises MeasurementFault where a touch misses, and where all of them together are surely beyond the limit.
@@ -60,7 +60,7 @@ def check_repeatability(key: str, centre: Vector, probing: Probing, check: Probe
     scatter = estimate_repeatability(depths)
     result = _judged(scatter, check)
     yield Record(f"{key}/repeatability", "decision", {**vars(result), "depths_um": [d * UM_PER_MM for d in depths]})
-    if 2.0 * scatter.sigma > check.limit_mm and scatter.exceeds(0.5 * check.limit_mm, SURE_ENOUGH):
+    if 2.0 * scatter.sigma > check.limit_mm and scatter.exceeds(0.5 * check.limit_mm, REFUSAL_CONFIDENCE):
         raise MeasurementFault(
             f"the probe does not repeat: {result.text}",
             hint="check that the stylus is tight and the ball clean, then the probe's battery, cable and seat",
@@ -69,7 +69,7 @@ def check_repeatability(key: str, centre: Vector, probing: Probing, check: Probe
     return result
 
 
-def _depths(key: str, first: int, centre: Vector, probing: Probing, check: ProbeCheck) -> Plan[list[float]]:
+def _depths(key: str, first: int, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[list[float]]:
     """Latched positions along the stylus, mm from the ball's centre."""
     pole = probing.directions[0]
     depths = []
@@ -89,7 +89,7 @@ def _judged(scatter: RepeatabilityEstimate, check: ProbeCheck) -> Repeatability:
     limit = 0.5 * check.limit_mm
     if scatter.sigma <= limit:
         verdict = "within"
-    elif scatter.exceeds(limit, SURE_ENOUGH):
+    elif scatter.exceeds(limit, REFUSAL_CONFIDENCE):
         verdict = "beyond"
     else:
         verdict = "above, but not surely beyond"

@@ -11,7 +11,7 @@ from twin.arrays import Array
 from twin.artefact.pretravel import PretravelMap
 from twin.artefact.touch_pattern import LOCATING_RINGS, centre_shift_per_radius, redundancies, ring_directions
 
-PLACE_ROOM_MM = 3.0
+PLACEMENT_ALLOWANCE_MM = 3.0
 """By so much a mount may stand off its place before a ball near the end of travel is out of reach after all."""
 
 
@@ -42,7 +42,7 @@ class BallLimits:
 
 
 @dataclass(frozen=True)
-class FindFirst:
+class FastTouch:
     """The first of two touches: fast, to know where the surface is; then back by `back_off_mm` from what it latched."""
 
     feed_mm_per_s: float
@@ -64,7 +64,7 @@ class Stylus:
 
 
 @dataclass(frozen=True)
-class Probing:
+class ProbingParameters:
     """`directions` (k, 3): unit vectors in which the tip travels towards the ball, the pole first.
 
     The same vectors on every ball keep pretravel and lobing common to all, so that they cancel in
@@ -86,7 +86,7 @@ class Probing:
     recentre_mm: float
     repeats: int
     stop_on_failure: bool
-    find: FindFirst | None = None
+    find: FastTouch | None = None
     stylus: Stylus | None = None
     careful_mm_per_s: float | None = None
 
@@ -118,8 +118,8 @@ class Probing:
     def room_mm(self) -> tuple[Array, Array]:
         """Travel (3,) that touching with the wide search needs below and above a ball's axis position."""
         starts = -self.directions * (self.contact_mm + self.wide.approach_mm)
-        below = np.maximum(0.0, -starts.min(axis=0)) + PLACE_ROOM_MM
-        return below, np.maximum(0.0, starts.max(axis=0)) + PLACE_ROOM_MM
+        below = np.maximum(0.0, -starts.min(axis=0)) + PLACEMENT_ALLOWANCE_MM
+        return below, np.maximum(0.0, starts.max(axis=0)) + PLACEMENT_ALLOWANCE_MM
 
     @cached_property
     def redundancies(self) -> Array:
@@ -131,6 +131,6 @@ class Probing:
         """(3,): motion of a fitted centre for each mm by which a fixed radius is too large."""
         return centre_shift_per_radius(self.directions)
 
-    def qualified(self, stylus: Stylus) -> Probing:
+    def qualified(self, stylus: Stylus) -> ProbingParameters:
         """The same with what is known of the stylus now."""
         return replace(self, stylus=stylus)

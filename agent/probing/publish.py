@@ -20,20 +20,20 @@ from drivers.roles import Activation, TableImage
 
 
 @dataclass(frozen=True)
-class FoundState:
+class ActiveCompensation:
     """The compensation as it was found: which bank acts, and what is in it (None: no compensation)."""
 
     bank: int
     table: TableImage | None
 
 
-def read_state(prefix: str) -> Plan[FoundState]:
+def read_state(prefix: str) -> Plan[ActiveCompensation]:
     """What acts now, completely read. This is what every way out restores."""
     bank = yield ReadActiveBank(f"{prefix}/active-bank")
     table = (yield ReadTable(f"{prefix}/active-table", bank)) if bank else None
     if bank and table is None:
         raise StoreError(f"bank {bank} is active but holds no table", hint="look at the controller's banks")
-    return FoundState(bank, table)
+    return ActiveCompensation(bank, table)
 
 
 def choose_bank(banks: tuple[int, ...], active: int) -> int:

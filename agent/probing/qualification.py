@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.execution.steps import Plan, Record
-from agent.probing.ball import BallFound, measure_ball
-from agent.probing.probing_parameters import BallLimits, Probing, Stylus
+from agent.probing.ball import FittedBall, measure_ball
+from agent.probing.probing_parameters import BallLimits, ProbingParameters, Stylus
 from twin.arrays import Array
 from twin.artefact.pretravel import PretravelMap, fit_pretravel
 from twin.artefact.sphere_fit import fit_sphere
@@ -58,18 +58,20 @@ class Qualification:
         return text
 
 
-def qualify_stylus(key: str, centre: Array, probing: Probing, rules: QualificationRules) -> Plan[Qualification]:
+def qualify_stylus(
+    key: str, centre: Array, probing: ProbingParameters, rules: QualificationRules
+) -> Plan[Qualification]:
     """Touch the ball at `centre` by the dense pattern. A datum ball that keeps breaking a limit raises
     MeasurementFault: nothing could be trusted after it."""
     dense = replace(probing, directions=rules.directions, limits=rules.limits, stylus=None, stop_on_failure=True)
     found = yield from measure_ball(key, centre, dense, dense.narrow)
-    assert isinstance(found, BallFound)  # noqa: S101  a lost one stops
+    assert isinstance(found, FittedBall)  # noqa: S101  a lost one stops
     result = qualification_of(found, probing, rules)
     yield Record(f"{key}/stylus", "decision", _payload(key, result))
     return result
 
 
-def qualification_of(found: BallFound, probing: Probing, rules: QualificationRules) -> Qualification:
+def qualification_of(found: FittedBall, probing: ProbingParameters, rules: QualificationRules) -> Qualification:
     """What the densely touched ball says. The radius is fixed in later fits where that makes centres better known."""
     sigma_mm = probing.touch_sigma_mm
     dense = fit_sphere(-rules.directions, sigma_mm)
@@ -88,7 +90,7 @@ def qualification_of(found: BallFound, probing: Probing, rules: QualificationRul
     )
 
 
-def _map(found: BallFound, probing: Probing, rules: QualificationRules) -> PretravelMap | None:
+def _map(found: FittedBall, probing: ProbingParameters, rules: QualificationRules) -> PretravelMap | None:
     if not rules.with_map:
         return None
     return fit_pretravel(rules.directions, found.residuals_mm, probing.stylus_axis)

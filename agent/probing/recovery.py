@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from agent.execution.steps import CheckPermissions, MoveTo, Plan, ReadPosition
 from agent.execution.tip_trace import LastMotion
 from agent.probing.ball import point
-from agent.probing.paths.retreat import Course
+from agent.probing.paths.retreat import Retreat
 
 WITHDRAW_FEED_MM_PER_S = 20.0
 
 
 def withdraw(
-    course: Course, stylus_axis: NDArray[np.float64], distance_mm: float, came: LastMotion | None = None
+    course: Retreat, stylus_axis: NDArray[np.float64], distance_mm: float, came: LastMotion | None = None
 ) -> Plan[None]:
     """Out along the last approach direction, back along the stylus by `distance_mm` slowly, then to the retreat plane;
     guarded all the way.

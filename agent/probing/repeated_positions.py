@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 
 from agent.execution.steps import Plan, Record
 from agent.probing.position import MeasuredBall, MeasuredPosition, PositionRules
-from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.probing.temperature_readings import Conditions
 from twin.artefact.position_set import Position
 from twin.collision.measuring_layout import MeasuringLayout
 
-CLOSE = "close"
+REPEAT_PREFIX = "close"
 
 
 @dataclass(frozen=True)
-class ClosingRules:
+class RepeatRules:
     """`change_k` of the machine from which on the loop is closed, with the first `count` of the positions `of`;
     `declared_k` where no thermometer is on the machine."""
 
@@ -32,9 +32,9 @@ class ClosingRules:
     of: Collection[Position]
 
 
-def measure_closed(
-    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, closing: ClosingRules
-) -> Plan[Measured]:
+def measure_with_repeats(
+    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, closing: RepeatRules
+) -> Plan[MeasuredPositions]:
     """`measure_positions`, and the first ones of them again where the machine has changed in between."""
     measured = yield from measure_positions(order, layout, rules)
     change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], closing.declared_k)
@@ -42,9 +42,9 @@ def measure_closed(
     if not first or change_k < closing.change_k:
         return measured
     note = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
-    yield Record(f"{CLOSE}/machine", "event", {"note": note})
-    again = MeasuringOrder(CLOSE, first, measured.standing_at)
-    return joined(measured, (yield from measure_positions(again, layout, rules, measured.standings)))
+    yield Record(f"{REPEAT_PREFIX}/machine", "event", {"note": note})
+    again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at)
+    return join_measured(measured, (yield from measure_positions(again, layout, rules, measured.standings)))
 
 
 def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:
@@ -53,14 +53,14 @@ def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> f
     return max(told) - min(told) if told else declared_k
 
 
-def measured_balls(measured: Measured) -> list[MeasuredBall]:
+def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:
     return [ball for position in measured.positions for ball in position.balls]
 
 
-def joined(one: Measured, other: Measured) -> Measured:
+def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredPositions:
     """As if all had been one order; the positions of the second are numbered on."""
     start = max((ball.position for ball in measured_balls(one)), default=-1) + 1
-    return Measured(
+    return MeasuredPositions(
         positions=(*one.positions, *(_renumbered(position, start) for position in other.positions)),
         left_out=(*one.left_out, *other.left_out),
         unreachable_balls=one.unreachable_balls + other.unreachable_balls,
@@ -69,7 +69,7 @@ def joined(one: Measured, other: Measured) -> Measured:
     )
 
 
-def drifts_um(measured: Measured) -> Mapping[int, float]:
+def drifts_um(measured: MeasuredPositions) -> Mapping[int, float]:
     """By the number of each position: how far its first ball had moved at its end, where it was found again."""
     found = ((position.balls[0].position, position.drift_mm) for position in measured.positions)
     lengths = {number: 1e3 * math.hypot(*drift.tolist()) for number, drift in found}
@@ -84,7 +84,7 @@ def _renumbered(position: MeasuredPosition, start: int) -> MeasuredPosition:
     return replace(position, balls=tuple(shifted(ball) for ball in position.balls), again=again)
 
 
-def _first(measured: Measured, closing: ClosingRules) -> tuple[Position, ...]:
+def _first(measured: MeasuredPositions, closing: RepeatRules) -> tuple[Position, ...]:
     """The first of the set that were measured, all at one station."""
     first = [position.balls[0] for position in measured.positions]
     places = [Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import MoveTo, Plan, Record, TouchTowards
-from agent.probing.probing_parameters import Probing
+from agent.probing.probing_parameters import ProbingParameters
 from agent.probing.touch import point
 from drivers.roles import Touch, Vector
 from twin.artefact.reversal import SLOPE, ObliqueTouch, fit_lost_motion, plan_oblique_touches
@@ -20,9 +20,9 @@ from twin.units import UM_PER_MM
 PRELOAD_MM = 1.0
 """Far more than any play of a machine that is worth a calibration, and still clear of the ball."""
 WITHIN, BEYOND = "within", "beyond"
-SURE = 2.0
+COVERAGE_FACTOR = 2.0
 """Standard uncertainties: beyond the limit by as many is surely beyond."""
-UNSEEN = (
+LIMITATION = (
     "not seen: reversal elsewhere along the travel, of the axes' angles apart from their effect at this place, of the "
     "mount's axes; none of it is in the table, which holds for the middle of both directions"
 )
@@ -51,7 +51,7 @@ class AxisReversal:
     def text(self) -> str:
         if self.lost_um is None or self.sigma_um is None:
             return f"{self.axis} {self.verdict}"
-        return f"{self.axis} {self.lost_um:+.1f} µm ± {SURE * self.sigma_um:.1f} µm (2σ): {self.verdict}"
+        return f"{self.axis} {self.lost_um:+.1f} µm ± {COVERAGE_FACTOR * self.sigma_um:.1f} µm (2σ): {self.verdict}"
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,10 @@ class Reversal:
     def text(self) -> str:
         at = ", ".join(f"{value:.0f}" for value in self.at_mm)
         found = "; ".join(one.text for one in self.axes)
-        return f"lost motion at ({at}) mm: {found}; limit {self.limit_um:g} µm; {UNSEEN}"
+        return f"lost motion at ({at}) mm: {found}; limit {self.limit_um:g} µm; {LIMITATION}"
 
 
-def measure_reversal(key: str, centre: Vector, probing: Probing, check: ReversalCheck) -> Plan[Reversal]:
+def measure_reversal(key: str, centre: Vector, probing: ProbingParameters, check: ReversalCheck) -> Plan[Reversal]:
     """Begins and ends in the plane before the ball at `centre`, along the stylus.
 
     Raises MeasurementFault where the check says stop and an axis is surely beyond the limit.
@@ -122,7 +122,7 @@ class _Readings:
 
 
 def _measured(
-    key: str, name: str, axis: int, centre: Vector, probing: Probing, check: ReversalCheck
+    key: str, name: str, axis: int, centre: Vector, probing: ProbingParameters, check: ReversalCheck
 ) -> Plan[AxisReversal]:
     """Up, down, down, up …, so that a steady drift drops out."""
     readings = _Readings()
@@ -141,7 +141,9 @@ def _measured(
     return _judged(name, lost.value_mm, lost.sigma_mm, check.limit_mm)
 
 
-def _touched(key: str, centre: Vector, touch: ObliqueTouch, upwards: bool, probing: Probing) -> Plan[float | None]:
+def _touched(
+    key: str, centre: Vector, touch: ObliqueTouch, upwards: bool, probing: ProbingParameters
+) -> Plan[float | None]:
     """Before the ball, past the start by the pre-load, back to it by the axis asked for alone, then the touch."""
     approach_mm = max(probing.narrow.approach_mm, 3.0 * PRELOAD_MM)
     contact = centre + touch.normal * probing.contact_mm
@@ -162,7 +164,7 @@ def _touched(key: str, centre: Vector, touch: ObliqueTouch, upwards: bool, probi
 def _judged(name: str, lost_mm: float, sigma_mm: float, limit_mm: float) -> AxisReversal:
     if abs(lost_mm) <= limit_mm:
         verdict = WITHIN
-    elif abs(lost_mm) - SURE * sigma_mm > limit_mm:
+    elif abs(lost_mm) - COVERAGE_FACTOR * sigma_mm > limit_mm:
         verdict = BEYOND
     else:
         verdict = "above, but not surely beyond"

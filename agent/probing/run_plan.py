@@ -15,7 +15,7 @@ from agent.execution.steps import (
     ReadTemperatures,
     Record,
 )
-from agent.probing.paths.shortest_path import pilot_of
+from agent.probing.paths.shortest_path import create_path_planner
 from agent.probing.position import MeasuredPosition, PositionRules, PositionTask, measure_position
 from agent.probing.station_change import change_station
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
@@ -38,7 +38,7 @@ class MeasuringOrder:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredPositions:
     """`positions[i]` belongs to index `indices[i]` of the order; left-out positions have none."""
 
     positions: tuple[MeasuredPosition, ...]
@@ -61,7 +61,7 @@ def measure_positions(
     layout: MeasuringLayout,
     rules: PositionRules,
     known: Mapping[int, MountPoseEstimate] | None = None,
-) -> Plan[Measured]:
+) -> Plan[MeasuredPositions]:
     """Measure every position of `order`. `known`: how the mount was found to stand earlier in this run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
@@ -72,7 +72,7 @@ def measure_positions(
     done: list[MeasuredPosition] = []
     left_out: list[str] = []
     unreachable = 0
-    pilot = pilot_of(rules.course, rules.probing, layout)
+    pilot = create_path_planner(rules.course, rules.probing, layout)
     inside = ""
     for index, position in enumerate(order.positions):
         if position.station != stands_at:
@@ -113,7 +113,7 @@ def measure_positions(
         inside = key
     if inside:
         yield from pilot.leave(inside, done[-1].balls[0].found.centre_mm)
-    return Measured(tuple(done), tuple(left_out), unreachable, stands_at, standings)
+    return MeasuredPositions(tuple(done), tuple(left_out), unreachable, stands_at, standings)
 
 
 def position_key(position: Position) -> str:

@@ -12,7 +12,7 @@ from drivers.roles import OperatorRequest, OperatorTask
 from twin.arrays import Array
 
 
-class Carried(Enum):
+class CarriedItem(Enum):
     """What a person carries to the next station."""
 
     MOUNT = "Put the artefact and its mount at station {}, clamp it, clear the workspace, close the doors."
@@ -20,7 +20,7 @@ class Carried(Enum):
     NOTHING = ""
 
 
-class Ways(Protocol):
+class RetreatLocations(Protocol):
     """Where the probe is out of the way of what turns."""
 
     def retreated(self, position: Array) -> Array: ...
@@ -33,24 +33,24 @@ class StationChange:
     """`own_mounts`: stations with a mount of their own, which stands at azimuth and elevation `parked_deg` while
     another one is measured; empty for one mount that is carried."""
 
-    carried: Carried = Carried.MOUNT
+    carried: CarriedItem = CarriedItem.MOUNT
     own_mounts: tuple[int, ...] = ()
     parked_deg: tuple[float, float] = (0.0, 90.0)
 
     @property
     def moves_artefact(self) -> bool:
         """Whether an artefact stands elsewhere than it was found before, once it has been at another station."""
-        return self.carried is not Carried.NOTHING
+        return self.carried is not CarriedItem.NOTHING
 
 
 def change_station(
-    prefix: str, change: StationChange, ways: Ways, here: Array, *, leaving: int | None, to: int, index: int
+    prefix: str, change: StationChange, ways: RetreatLocations, here: Array, *, leaving: int | None, to: int, index: int
 ) -> Plan[Array]:
     """Park the mount that is left, where it stays; have the operator carry what is carried, and see that motion is
     permitted again. Begins with the probe anywhere free; the axis positions afterwards."""
     if leaving is not None and change.own_mounts:
         here = yield from park_mounts(prefix, f"change-{index}", change, ways, here, (leaving,))
-    if change.carried is Carried.NOTHING:
+    if change.carried is CarriedItem.NOTHING:
         return here
     request = OperatorRequest(OperatorTask.MOVE_ARTEFACT, change.carried.value.format(to), to)
     yield AskOperator(f"{prefix}/carry-{index}-to-station-{to}", request)
@@ -59,7 +59,7 @@ def change_station(
 
 
 def park_mounts(
-    prefix: str, when: str, change: StationChange, ways: Ways, here: Array, stations: Sequence[int]
+    prefix: str, when: str, change: StationChange, ways: RetreatLocations, here: Array, stations: Sequence[int]
 ) -> Plan[Array]:
     """Turn the mounts at `stations` to where they are in nobody's way, the probe beside each; where that is then."""
     for station in stations:

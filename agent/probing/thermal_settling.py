@@ -11,9 +11,9 @@ from agent.execution.steps import Dwell, Plan, Record
 from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_per_h, read_conditions
 from twin.units import S_PER_MIN
 
-SHORTEST_S = 60.0
+MIN_TREND_S = 60.0
 """Readings over less than this say more of the thermometer's noise than of a rate."""
-WINDOW_S = 600.0
+TREND_WINDOW_S = 600.0
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class SettlingRules:
                 f"the artefact has {now.artefact_c:.2f} °C, {abs(now.departure_k):.2f} K from 20 °C, "
                 f"allowed {self.max_departure_k:g} K"
             )
-        recent = [one for one in trace if now.instant_s - one.instant_s <= WINDOW_S]
-        if now.instant_s - recent[0].instant_s < SHORTEST_S:
+        recent = [one for one in trace if now.instant_s - one.instant_s <= TREND_WINDOW_S]
+        if now.instant_s - recent[0].instant_s < MIN_TREND_S:
             return ""
         rate = rate_k_per_h(recent)
         if rate is not None and abs(rate) > self.max_rate_k_per_h:
@@ -43,7 +43,7 @@ class SettlingRules:
         return ""
 
 
-def settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Plan[Conditions]:
+def wait_until_settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Plan[Conditions]:
     """Conditions in which the artefact may be measured: at once, or after a wait with nothing moving.
 
     `history`: readings that came with the balls before, oldest first. Raises MeasurementFault at the deadline.

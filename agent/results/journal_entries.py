@@ -17,7 +17,7 @@ from agent.execution.journal import RunJournal
 from agent.files import read_text
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
-from agent.probing.preparation import Prepared
+from agent.probing.preparation import PreparationResult
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, OUTCOME, PROBE
 from agent.results.estimation import Finding, order_text
 from agent.results.facts import ArtefactFacts, TableFacts
@@ -48,7 +48,7 @@ def inputs_of(job: Job) -> dict[str, Any]:
     }
 
 
-def record_probe(journal: RunJournal, prepared: Prepared) -> None:
+def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
     """What was found of probe and stylus, as the report shows it."""
     facts = probe_facts(prepared)
     if facts is not None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from agent.files import translated
 from agent.planning.job import Job
-from agent.probing.run_plan import Measured
+from agent.probing.run_plan import MeasuredPositions
 from agent.results.observations import no_correction, observations_of
 from drivers.errors import ConfigurationError
 from twin.identification import Estimate, Options, identify, predicted_vce
@@ -20,7 +20,7 @@ class Expectation:
     vce: VolumetricRms
 
 
-def expect(job: Job, measured: Measured) -> Expectation:
+def expect(job: Job, measured: MeasuredPositions) -> Expectation:
     """Rank and predicted VCE of the set as measured in a preflight, without the held-out positions.
 
     Raises ConfigurationError where the set cannot identify the machine.
@@ -31,7 +31,7 @@ def expect(job: Job, measured: Measured) -> Expectation:
     return Expectation(estimate.rank, estimate.model.size, vce)
 
 
-def preflight_estimate(job: Job, measured: Measured) -> Estimate:
+def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
     """Estimate from the balls of a preflight: its covariance is that of the run to come.
 
     Raises ConfigurationError where the set cannot identify the machine.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.probing.preparation import Prepared
+from agent.probing.preparation import PreparationResult
 from agent.probing.qualification import Qualification
 from agent.results.facts import ProbeFacts, ProbeRing
 from twin.arrays import Array
@@ -15,7 +15,7 @@ from twin.units import UM_PER_MM
 MAP_STEP_DEG = 3.0
 
 
-def probe_facts(prepared: Prepared | None) -> ProbeFacts | None:
+def probe_facts(prepared: PreparationResult | None) -> ProbeFacts | None:
     """None where nothing was looked at before the run."""
     if prepared is None:
         return None

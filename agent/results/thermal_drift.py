@@ -11,7 +11,7 @@ from agent.planning.job import Job
 from agent.planning.temperature_rules import drift_prior_of
 from agent.probing.position import MeasuredBall
 from agent.probing.repeated_positions import machine_change_k
-from agent.probing.run_plan import Measured
+from agent.probing.run_plan import MeasuredPositions
 from agent.results.observations import Correction, observations_of
 from agent.settings.schema import IdentificationSettings
 from agent.settings.temperature import TemperatureSettings
@@ -20,7 +20,7 @@ from twin.artefact.thermal_regressors import smooth_readings, thermal_regressors
 from twin.identification import CarriedOverPrior, Options
 
 
-def balls_for_estimate(job: Job, measured: Measured) -> list[MeasuredBall]:
+def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBall]:
     """Return all balls but those of held-out positions.
 
     If the machine drifted, the first ball of each position, measured again at its end, is included.

@@ -11,8 +11,8 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing import publish
 from agent.probing.position import MeasuredBall
-from agent.probing.repeated_positions import measure_closed
-from agent.probing.run_plan import Measured, measure_positions
+from agent.probing.repeated_positions import measure_with_repeats
+from agent.probing.run_plan import MeasuredPositions, measure_positions
 from agent.results.estimation import Finding, find_machine, prove, provenance
 from agent.results.gates import Gate, change_gate, consented, estimate_gates, require, table_gates
 from agent.results.journal_entries import record_held_out, record_identified
@@ -54,7 +54,7 @@ class CalibrationRun(GuardedRun):
         """Calibrate from the first position of the set on; the state is measuring, the compensation has been read."""
         job, progress = self._job, self.progress
         order = replace(job.measuring, standing_at=standing_at)
-        progress.measured = self._engine.run(measure_closed(order, job.layout, self._rules, job.closing))
+        progress.measured = self._engine.run(measure_with_repeats(order, job.layout, self._rules, job.closing))
         self._tracker.enter(RunState.IDENTIFYING)
         balls = balls_for_estimate(job, progress.measured)
         with translated(MeasurementFault):
@@ -87,7 +87,7 @@ class CalibrationRun(GuardedRun):
             self._journal.decision("gate", vars(gate))
         require(self.progress.gates)
 
-    def _write_and_prove(self, finding: Finding, measured: Measured) -> None:
+    def _write_and_prove(self, finding: Finding, measured: MeasuredPositions) -> None:
         """Stage, activate, measure the held-out positions again; if they disagree, the former bank is reactivated."""
         progress, enter = self.progress, self._tracker.enter
         assert progress.found is not None  # noqa: S101  read before anything is measured
@@ -108,7 +108,7 @@ class CalibrationRun(GuardedRun):
         enter(RunState.VERIFYING)
         self._verify(finding, measured, image)
 
-    def _verify(self, finding: Finding, measured: Measured, image: TableImage) -> None:
+    def _verify(self, finding: Finding, measured: MeasuredPositions, image: TableImage) -> None:
         job, progress = self._job, self.progress
         order = job.verifying(measured.standing_at)
         progress.verified = self._engine.run(measure_positions(order, job.layout, self._rules, measured.standings))

@@ -14,9 +14,9 @@ from agent.execution.steps import Step
 from agent.planning.job import Job
 from agent.probing import publish
 from agent.probing.position import PositionRules
-from agent.probing.preparation import Prepared
+from agent.probing.preparation import PreparationResult
 from agent.probing.recovery import withdraw
-from agent.probing.run_plan import Measured
+from agent.probing.run_plan import MeasuredPositions
 from agent.results.estimation import Finding
 from agent.results.gates import Gate
 from agent.results.journal_entries import record_probe
@@ -35,12 +35,12 @@ class Progress:
     `job`: what `measured` was measured for, where it is not the job that the run began with.
     """
 
-    found: publish.FoundState | None = None
-    prepared: Prepared | None = None
-    measured: Measured | None = None
+    found: publish.ActiveCompensation | None = None
+    prepared: PreparationResult | None = None
+    measured: MeasuredPositions | None = None
     finding: Finding | None = None
     gates: list[Gate] = field(default_factory=list)
-    verified: Measured | None = None
+    verified: MeasuredPositions | None = None
     proof: Proof | None = None
     night: NightReport | None = None
     active_bank: int | None = None
@@ -86,7 +86,7 @@ class GuardedRun(ABC):
             self._journal.decision("refused", {"reason": str(refusal)})
             self._tracker.enter(RunState.REFUSED, str(refusal))
 
-    def _begin(self) -> publish.FoundState:
+    def _begin(self) -> publish.ActiveCompensation:
         """Read and journal the whole active compensation before anything moves."""
         self._tracker.enter(RunState.MEASURING)
         found = self.progress.found = self._engine.run(publish.read_state("before"))
@@ -94,7 +94,7 @@ class GuardedRun(ABC):
         self._journal.table("backup", found.bank, found.table)
         return found
 
-    def _prepare_probe(self) -> Prepared:
+    def _prepare_probe(self) -> PreparationResult:
         """Check and qualify the probe; the result holds for all later measurements."""
         prepared = self.progress.prepared = self._engine.run(self._job.preparing())
         record_probe(self._journal, prepared)

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 
 from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, PURPLE, from_zero
 from agent.planning.cycle_time import machine_minutes
-from agent.planning.design.design_problem import Setting
-from agent.planning.design.design_result import designed
+from agent.planning.design.design_problem import DesignProblem
+from agent.planning.design.design_result import find_design
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import Variant, variants_of
 from agent.planning.job import Job
@@ -94,7 +94,7 @@ def run(case: StudyCase) -> StudyResult:
     reference = next(one for one in named if one.name == REFERENCE)
     goals: list[tuple[str, Goal]] = [(SLOT_KIND, TimeSlotGoal(share * reference.minutes)) for share in SLOT_SHARES]
     goals.append((TARGET_KIND, TargetErrorGoal(1e-3 * reference.criterion_um)))
-    setting = Setting(base.jobs, GRID_DEG)
+    setting = DesignProblem(base.jobs, GRID_DEG)
     designs = [
         evaluator.evaluate_design(base, setting, goal, kind=kind, with_preflight=True)
         for kind, goal in _counted(case, goals, "designs")
@@ -102,7 +102,9 @@ def run(case: StudyCase) -> StudyResult:
     slot = TimeSlotGoal(VARIANT_SHARE * reference.minutes)
     options = _counted(case, _options(case.job), "artefacts and touches")
     variants = [
-        evaluator.evaluate_design(variant, Setting(variant.jobs, GRID_DEG), slot, kind="variant", with_preflight=False)
+        evaluator.evaluate_design(
+            variant, DesignProblem(variant.jobs, GRID_DEG), slot, kind="variant", with_preflight=False
+        )
         for variant in options
     ]
     evaluated = [*named, *designs, *variants]
@@ -137,9 +139,9 @@ class SetEvaluator:
         return self._evaluated(name, "named", variant, positions, minutes, published=True)
 
     def evaluate_design(
-        self, variant: Variant, setting: Setting, goal: Goal, *, kind: str, with_preflight: bool
+        self, variant: Variant, setting: DesignProblem, goal: Goal, *, kind: str, with_preflight: bool
     ) -> EvaluatedSet:
-        found = designed(setting, goal, verify=False, with_preflight=with_preflight, say=lambda _: None)
+        found = find_design(setting, goal, verify=False, with_preflight=with_preflight, say=lambda _: None)
         return self._evaluated(
             f"{len(found.positions)} designed", kind, variant, found.positions, found.minutes, published=False
         )

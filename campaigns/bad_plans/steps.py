@@ -13,14 +13,14 @@ from agent.errors import PlanRefused
 from agent.execution import steps as s
 from agent.planning.job import Job
 from agent.planning.preflight import run_preflight, whole_procedure
-from agent.probing.run_plan import Measured
+from agent.probing.run_plan import MeasuredPositions
 from campaigns.bad_plans.mutation import BadPlan, unchanged
 from drivers.errors import ConfigurationError
 from drivers.roles import TableImage
 
 Rewrite = Callable[[s.Step], Iterable[s.Step] | None]
 """Function that returns the steps replacing a step, or None to keep it. The result of the last one is passed on."""
-Both = tuple[Measured, Measured]
+Both = tuple[MeasuredPositions, MeasuredPositions]
 
 BEYOND_MM = 1.0
 TABLE = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((2, 2, 2, 3), dtype=np.int32))

@@ -22,7 +22,7 @@ from agent.execution.rig import Rig
 from agent.execution.steps import Step
 from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import run_preflight, unwatched
+from agent.planning.preflight import never_interrupted, run_preflight
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.resume.resume import resume
 from agent.runs.run_context import RunHooks
@@ -132,7 +132,7 @@ def cache_preflight() -> None:
     """Cache the preflight of one case, which is the same every time; copies of this process inherit it."""
     done: dict[Any, Any] = {}
 
-    def once(job: Job, start_mm: Any = None, procedure: Any = None, watch: Any = unwatched) -> Any:
+    def once(job: Job, start_mm: Any = None, procedure: Any = None, watch: Any = never_interrupted) -> Any:
         if start_mm not in done:
             done[start_mm] = run_preflight(job, start_mm, procedure, watch)
         return done[start_mm]

@@ -14,9 +14,9 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.planning.cycle_time import as_listed
+from agent.planning.cycle_time import without_optimisation
 from agent.planning.job import Job
-from agent.planning.preview.tip_path import Waypoint, walk
+from agent.planning.preview.tip_path import Waypoint, walk_waypoints
 from twin.artefact.position_set import Position
 
 SHOWN = Position(1, 0.0, 45.0)
@@ -26,7 +26,7 @@ BLUE, GREY, RED = "#1f5fa8", "#b8b8b8", "#c8482e"
 
 def ways(job: Job) -> tuple[np.ndarray, float]:
     """(n, 3) of the tip through the position, the way to it included, and the minutes that it takes."""
-    walked: tuple[Waypoint, ...] = walk(job)
+    walked: tuple[Waypoint, ...] = walk_waypoints(job)
     own = [index for index, waypoint in enumerate(walked) if waypoint.step.key.startswith(KEY + "/")]
     before = walked[own[0] - 1]
     tips = [before.tip_mm, *(walked[index].tip_mm for index in own)]
@@ -37,7 +37,10 @@ def main() -> None:
     case = load_case(CASE_STUDY)
     balls = case.layout.nominal(SHOWN) + case.tool_offset_mm
     figure, axes = plt.subplots(2, 1, figsize=(9.0, 6.6), sharex=True, sharey=True, layout="constrained")
-    jobs = (as_listed(case), "plain: retract, retreat plane, park"), (case, "proved: the fastest that is free")
+    jobs = (
+        (without_optimisation(case), "plain: retract, retreat plane, park"),
+        (case, "proved: the fastest that is free"),
+    )
     for axis, (job, title) in zip(axes, jobs, strict=True):
         path, minutes = ways(job)
         axis.plot(path[:, 0], path[:, 1], color=BLUE, linewidth=0.9, label="stylus tip")

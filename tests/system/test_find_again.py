@@ -14,7 +14,7 @@ from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
 from agent.planning.job import Job, prepare_job
-from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import GuardTripped
@@ -33,7 +33,7 @@ def job() -> Iterator[Job]:
 
 def carried_and_measured(
     job: Job, position: Position, by_mm: tuple[float, float, float], turn_deg: float
-) -> tuple[Measured, World]:
+) -> tuple[MeasuredPositions, World]:
     """The simulated operator puts it down at station 2; then it stands that far off besides."""
     rig = assemble(job.settings, VirtualClock(), Path.cwd())
     rig.open()

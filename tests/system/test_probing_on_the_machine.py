@@ -19,11 +19,11 @@ from agent.execution import steps as s
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
-from agent.planning.cycle_time import walked
+from agent.planning.cycle_time import walk_plan
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import run_preflight
-from agent.probing.preparation import Prepared
-from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
+from agent.probing.preparation import PreparationResult
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.roles import Miss, Touch
@@ -55,10 +55,10 @@ class Bench:
     def run(self, plan: s.Plan[Any]) -> Any:
         return Engine(self.rig.actions(), observer=lambda step, result: self.seen.append((step, result))).run(plan)
 
-    def prepared(self) -> Prepared:
+    def prepared(self) -> PreparationResult:
         return self.run(self.job.preparing())
 
-    def measured(self, prepared: Prepared, positions: tuple[Position, ...]) -> Measured:
+    def measured(self, prepared: PreparationResult, positions: tuple[Position, ...]) -> MeasuredPositions:
         order = MeasuringOrder("measure", positions, 1)
         return self.run(measure_positions(order, self.job.layout, prepared.rules))
 
@@ -72,7 +72,7 @@ class Bench:
     def events(self) -> list[dict[str, Any]]:
         return [dict(x.payload) for x, _ in self.seen if isinstance(x, s.Record) and x.kind == "event"]
 
-    def off_um(self, measured: Measured) -> np.ndarray:
+    def off_um(self, measured: MeasuredPositions) -> np.ndarray:
         """(n, 3) found less stated, all positions."""
         return 1e3 * np.concatenate(
             [
@@ -150,7 +150,7 @@ def test_dry_run_walk_and_machine_agree_on_what_two_stages_of_nine_touches_take(
     last = next(key for step, _ in reversed(machine.seen) if (key := step.key) in preflight.timeline)
     taken = machine.rig.clock.now() - began
     assert taken == pytest.approx(preflight.timeline[last], rel=0.01)
-    _, steps = walked(machine.job, machine.job.preparing())
+    _, steps = walk_plan(machine.job, machine.job.preparing())
     walked_s = sum(timed.seconds for timed in steps)
     assert 20.0 < walked_s < 240.0
     assert walked_s == pytest.approx(

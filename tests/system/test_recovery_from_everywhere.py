@@ -18,7 +18,7 @@ from agent.execution.rig import Rig
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import whole_procedure
 from agent.probing.recovery import withdraw
-from agent.probing.run_plan import Measured
+from agent.probing.run_plan import MeasuredPositions
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import GuardTripped
@@ -109,7 +109,7 @@ def test_from_every_step_the_way_out_is_free(state: Path, paths: str) -> None:
     rig.open()
     interrupted = Interrupted(job, rig)
     measured, _ = Engine(interrupted.actions()).run(whole_procedure(job))
-    assert isinstance(measured, Measured)
+    assert isinstance(measured, MeasuredPositions)
     assert len(measured.positions) == 4
     device = rig.devices["twin"]
     assert isinstance(device, SimulatedMachineDevice)

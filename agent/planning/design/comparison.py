@@ -5,42 +5,44 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from agent.planning.design.design_problem import Setting
-from agent.planning.design.design_result import Designed, Say, designed
+from agent.planning.design.design_problem import DesignProblem
+from agent.planning.design.design_result import DesignResult, Say, find_design
 from agent.planning.design.variants import Variant
 from drivers.errors import UserError
 from twin.design.goals import Goal, TargetErrorGoal
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class VariantDesign:
     """`design` None: the goal cannot be reached this way, for the `reason` given."""
 
     variant: Variant
-    design: Designed | None
+    design: DesignResult | None
     reason: str = ""
     best: bool = False
 
     @property
-    def found(self) -> Designed:
+    def found(self) -> DesignResult:
         """The design of a choice that has one."""
         if self.design is None:
             raise ValueError(self.reason)
         return self.design
 
 
-def compared(variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say) -> list[Choice]:
+def compare_variants(
+    variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say
+) -> list[VariantDesign]:
     """A choice for each variant, one of them the best. Raises the first variant's error where none reaches the goal."""
-    choices: list[Choice] = []
+    choices: list[VariantDesign] = []
     errors: list[UserError] = []
     for variant in variants:
         try:
-            setting = Setting(variant.jobs, grid_deg)
-            found = designed(setting, goal, verify=verify, with_preflight=not variant.made_up, say=say)
-            choices.append(Choice(variant, found))
+            setting = DesignProblem(variant.jobs, grid_deg)
+            found = find_design(setting, goal, verify=verify, with_preflight=not variant.made_up, say=say)
+            choices.append(VariantDesign(variant, found))
         except UserError as error:
             errors.append(error)
-            choices.append(Choice(variant, None, error.message))
+            choices.append(VariantDesign(variant, None, error.message))
     if len(errors) == len(choices):
         raise errors[0]
     reached = [number for number, choice in enumerate(choices) if choice.design is not None]
@@ -49,6 +51,6 @@ def compared(variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify
     return choices
 
 
-def _rank(found: Designed, goal: Goal) -> tuple[float, float]:
+def _rank(found: DesignResult, goal: Goal) -> tuple[float, float]:
     vce, minutes = found.valuation.after.aligned_mm, found.minutes
     return (minutes, vce) if isinstance(goal, TargetErrorGoal) else (vce, minutes)

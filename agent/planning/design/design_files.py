@@ -8,8 +8,8 @@ from pathlib import Path
 
 from agent.figures.study_style import picture
 from agent.files import write_all_atomically
-from agent.planning.design.design_result import Designed
-from agent.planning.design.pareto_figure import Rival, draw_front
+from agent.planning.design.design_result import DesignResult
+from agent.planning.design.pareto_figure import ReferenceSet, draw_front
 from agent.planning.design.pareto_front import format_front
 from drivers.errors import InputError
 from twin.formats.position_set_file import format_positions
@@ -23,7 +23,7 @@ def check_target(path: Path) -> None:
         raise InputError("a position set is written as CSV", hint=f"call it {path.stem}.csv", key="--out")
 
 
-def write_design(found: Designed, rivals: Sequence[Rival], path: Path) -> list[Path]:
+def write_design(found: DesignResult, rivals: Sequence[ReferenceSet], path: Path) -> list[Path]:
     """Write all files beside `path` or none; their paths, the position set first (one for each tool where there are
     several, since a run has one tool)."""
     contents: dict[str, str | bytes] = {}

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from agent.planning.cycle_time import machine_minutes
-from agent.planning.design.feasibility import Vetting
+from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.job import Job
 from twin.artefact.position_set import Position
 from twin.design.candidates import CandidatePositions, build_candidates, orientation_grid
@@ -23,14 +23,14 @@ _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost car
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class DesignProblem:
     """`jobs`: tool → job with that tool, the tool of the settings first; `refused`: what a preflight has refused;
     `vettings`: by tool, kept while positions are refused."""
 
     jobs: Mapping[str, Job]
     grid_deg: float
     refused: frozenset[Position] = frozenset()
-    vettings: dict[str, Vetting] = field(default_factory=dict, repr=False)
+    vettings: dict[str, FeasibilityCheck] = field(default_factory=dict, repr=False)
 
     @property
     def job(self) -> Job:
@@ -46,14 +46,14 @@ class Setting:
         layouts = {name: job.layout for name, job in self.jobs.items()}
         return replace(self.job.procedure, layouts=layouts)
 
-    def refusing(self, position: Position) -> Setting:
+    def refusing(self, position: Position) -> DesignProblem:
         return replace(self, refused=self.refused | {position})
 
-    def vetting(self, position: Position) -> Vetting:
+    def vetting(self, position: Position) -> FeasibilityCheck:
         """That of the position's tool."""
         name = position.tool or next(iter(self.jobs))
         if name not in self.vettings:
-            self.vettings[name] = Vetting(self.jobs[name])
+            self.vettings[name] = FeasibilityCheck(self.jobs[name])
         return self.vettings[name]
 
     @cached_property

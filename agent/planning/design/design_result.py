@@ -8,7 +8,7 @@ from functools import cached_property
 
 from agent.errors import PlanRefused
 from agent.files import translated
-from agent.planning.design.design_problem import Setting
+from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.pareto_front import FrontPoint, front_of
 from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
@@ -28,11 +28,11 @@ _MARGIN = 1.3  # beyond what a slot was exceeded by, so that one more search doe
 
 
 @dataclass(frozen=True, eq=False)
-class Designed:
+class DesignResult:
     """`chosen` of the setting's candidates, as `positions` in the order of measuring; `minutes` by the run's own plan;
     `held_out`: positions for the proof, if asked for; `preflight_passed`: a preflight was run and passed."""
 
-    setting: Setting
+    setting: DesignProblem
     chosen: tuple[int, ...]
     positions: tuple[Position, ...]
     minutes: float
@@ -51,7 +51,7 @@ class Designed:
         return self.balls * self.setting.job.settings.procedure.touches_per_ball
 
 
-def designed(setting: Setting, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> Designed:
+def find_design(setting: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
     """The best set found for `goal`. A position that the preflight refuses is left out and all is done again.
 
     Raises InputError for a goal that cannot be reached, ConfigurationError for settings that offer nothing.
@@ -72,7 +72,7 @@ def designed(setting: Setting, goal: Goal, *, verify: bool, with_preflight: bool
             if refused is not None:
                 setting = setting.refusing(refused)
                 continue
-        return Designed(
+        return DesignResult(
             setting=setting,
             chosen=chosen,
             positions=positions,
@@ -88,7 +88,7 @@ def designed(setting: Setting, goal: Goal, *, verify: bool, with_preflight: bool
     )
 
 
-def _within(setting: Setting, search: ExchangeSearch, goal: Goal) -> tuple[int, ...]:
+def _within(setting: DesignProblem, search: ExchangeSearch, goal: Goal) -> tuple[int, ...]:
     """The search sums the minutes of its positions; a slot must hold for the plan as a whole, so it is drawn in."""
     asked = goal
     while True:
@@ -103,7 +103,7 @@ def _within(setting: Setting, search: ExchangeSearch, goal: Goal) -> tuple[int, 
         goal = TimeSlotGoal(goal.minutes - _MARGIN * over - _LITTLE_MIN)
 
 
-def _held_out(setting: Setting, candidates: CandidatePositions, chosen: Sequence[int]) -> tuple[Position, ...]:
+def _held_out(setting: DesignProblem, candidates: CandidatePositions, chosen: Sequence[int]) -> tuple[Position, ...]:
     """As many orientations as the settings hold out, each at every station of the verification."""
     job = setting.job
     groups: dict[tuple[float, float], list[int]] = {}
@@ -117,7 +117,7 @@ def _held_out(setting: Setting, candidates: CandidatePositions, chosen: Sequence
     return tuple(candidates.positions[index] for group in telling for index in group)
 
 
-def _refused(setting: Setting, positions: Sequence[Position], held_out: Sequence[Position]) -> Position | None:
+def _refused(setting: DesignProblem, positions: Sequence[Position], held_out: Sequence[Position]) -> Position | None:
     """The position at which the real preflight stops; PlanRefused where it stops at another place."""
     for job, own in setting.by_tool(positions):
         proof = tuple(held_out) or job.held_out

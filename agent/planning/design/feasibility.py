@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.execution.steps import MoveTo, TouchTowards
-from agent.planning.cycle_time import position_minutes, walked
+from agent.planning.cycle_time import position_minutes, walk_plan
 from agent.planning.job import Job
 from agent.probing.ball import point
 from agent.probing.run_plan import MeasuringOrder, measure_positions
@@ -33,7 +33,7 @@ _Key = tuple[float, float, float, float, float, bytes]
 
 
 @dataclass(frozen=True, eq=False)
-class Vetting:
+class FeasibilityCheck:
     """Vets the positions of a job. Stations at the same depth and height, with the same way to the parking place,
     differ only in what is within reach, so what was found at one of them holds at the others."""
 
@@ -69,7 +69,7 @@ class Vetting:
         balls, tool = job.layout.nominal(position), point(job.tool_offset_mm)
         at, touched = point(job.rules.course.parked(balls.mean(axis=0), position.station)), ""
         order = MeasuringOrder(_PREFIX, (position,), position.station)
-        _, timed = walked(job, measure_positions(order, job.layout, job.rules), at)
+        _, timed = walk_plan(job, measure_positions(order, job.layout, job.rules), at)
         for step in (one.step for one in timed):
             if not isinstance(step, (MoveTo, TouchTowards)):
                 continue

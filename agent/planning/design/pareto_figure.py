@@ -12,7 +12,7 @@ from agent.planning.design.pareto_front import FrontPoint
 
 
 @dataclass(frozen=True)
-class Rival:
+class ReferenceSet:
     """A set that is there already, such as that of the settings."""
 
     name: str
@@ -20,7 +20,7 @@ class Rival:
     vce_um: float
 
 
-def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[Rival]) -> None:
+def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[ReferenceSet]) -> None:
     """On an empty figure under the house style."""
     axes = figure.subplots()
     best = [point for point in points if point.best]

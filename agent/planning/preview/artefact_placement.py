@@ -7,31 +7,31 @@ import math
 import numpy as np
 
 from agent.planning.job import Job
-from agent.planning.preview.scene import Placing, PreviewBall
+from agent.planning.preview.scene import ArtefactPlacement, PreviewBall
 from twin.arrays import Array
 from twin.artefact.position_set import Pose, Position, mount_pose
 from twin.collision.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
 from twin.collision.collision import Scene
 from twin.collision.geometry import point, separation
 
-_LOOKED_AT_MM = 25.0
+_SEARCH_RADIUS_MM = 25.0
 """Bodies farther from each other than this are no reason for anything."""
 
 
-def placing_of(job: Job, position: Position, *, held_out: bool) -> Placing:
-    around = standing_bodies(job, position)
+def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> ArtefactPlacement:
+    around = bodies_at(job, position)
     nominal = job.layout.nominal(position)
     centres = nominal + job.tool_offset_mm
     reached = job.layout.reachable(position, nominal)
     scene = Scene(job.layout.probe.bodies(), around)
     balls = tuple(
-        PreviewBall(number, point(centre), "" if within else why_not(job, scene, number, axes))
+        PreviewBall(number, point(centre), "" if within else obstruction_of(job, scene, number, axes))
         for number, (centre, axes, within) in enumerate(zip(centres, nominal, reached.tolist(), strict=True))
     )
-    return Placing(position, held_out, balls, tuple(body for body in around if body.name != TABLE))
+    return ArtefactPlacement(position, held_out, balls, tuple(body for body in around if body.name != TABLE))
 
 
-def standing_bodies(job: Job, position: Position) -> tuple[Body, ...]:
+def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
     """Artefact, mount and table of `position`, where the mount is said to stand."""
     place = job.layout.location(position.station)
     pose = _pose(job, position, place)
@@ -41,7 +41,7 @@ def standing_bodies(job: Job, position: Position) -> tuple[Body, ...]:
     return (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place, pose), *around)
 
 
-def why_not(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
+def obstruction_of(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
     """In words, what keeps the probe from ball `number` whose axis position is `axes_mm` (3,)."""
     layout = job.layout
     ends = zip("XYZ", axes_mm.tolist(), layout.lower_mm.tolist(), layout.upper_mm.tolist(), strict=True)
@@ -66,7 +66,7 @@ def _closest_pair(job: Job, scene: Scene, number: int, axes_mm: Array) -> tuple[
     closest, named = math.inf, None
     for direction in job.rules.probing.directions:
         tip = point(axes_mm + job.tool_offset_mm - away * np.asarray(direction))
-        for i, j in scene.near_pairs(tip, tip, _LOOKED_AT_MM):
+        for i, j in scene.near_pairs(tip, tip, _SEARCH_RADIUS_MM):
             pair = (scene.moving[i].name, scene.obstacles[j].name)
             distance = separation(scene.moving[i].shape.translated(tip), scene.obstacles[j].shape)[0]
             if pair not in meant and distance < closest:

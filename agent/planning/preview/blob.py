@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterable, Sequence
 from itertools import groupby, pairwise
 
-from agent.planning.preview.scene import PathPoint, Placing, Preview, Refusal, Visit
+from agent.planning.preview.scene import ArtefactPlacement, PathPoint, Preview, Refusal, Visit
 from agent.probing.run_plan import position_key
 from twin.collision.bodies import Body
 from twin.collision.geometry import Box, Capsule
@@ -46,7 +46,7 @@ def document(preview: Preview) -> dict[str, object]:
     }
 
 
-def _placing(placing: Placing, names: Sequence[str]) -> dict[str, object]:
+def _placing(placing: ArtefactPlacement, names: Sequence[str]) -> dict[str, object]:
     index = {name: number for number, name in enumerate(names)}
     position = placing.position
     return {

@@ -8,10 +8,10 @@ from itertools import groupby
 
 from agent.errors import PlanRefused
 from agent.planning.job import Job
-from agent.planning.preview.artefact_placement import placing_of, standing_bodies
+from agent.planning.preview.artefact_placement import artefact_placement_of, bodies_at
 from agent.planning.preview.refusal import refusal_of
-from agent.planning.preview.scene import PathPoint, Placing, Preview, Refusal, Visit
-from agent.planning.preview.tip_path import Waypoint, walk
+from agent.planning.preview.scene import ArtefactPlacement, PathPoint, Preview, Refusal, Visit
+from agent.planning.preview.tip_path import Waypoint, walk_waypoints
 from agent.probing.run_plan import position_key
 from twin.artefact.position_set import Position
 from twin.collision.bodies import TABLE
@@ -26,10 +26,10 @@ def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence
     """The plan of `job` to look at; `refused`: what preflight had to say against it. `waypoints`: of a path that has
     been simulated by a preflight already; None: that of the whole calibration."""
     if waypoints is None:
-        waypoints = walk(job, refused)
+        waypoints = walk_waypoints(job, refused)
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))
     held_out = set(job.held_out)
-    placings = tuple(placing_of(job, position, held_out=position in held_out) for position in positions)
+    placings = tuple(artefact_placement_of(job, position, held_out=position in held_out) for position in positions)
     walked = _walked(waypoints, positions)
     visits = (*walked, *_unvisited(placings, walked, refused))
     refusal = refusal_of(job, refused, waypoints, max(len(walked) - 1, 0)) if refused else None
@@ -74,7 +74,9 @@ def _phase_and_position(key: str) -> tuple[str, str]:
     return phase, "/".join(rest[:2])
 
 
-def _unvisited(placings: Sequence[Placing], walked: Sequence[Visit], refused: PlanRefused | None) -> list[Visit]:
+def _unvisited(
+    placings: Sequence[ArtefactPlacement], walked: Sequence[Visit], refused: PlanRefused | None
+) -> list[Visit]:
     """Positions where nothing is measured, each with the reason."""
     seen = {visit.placing for visit in walked}
     end = walked[-1].end if walked else 0
@@ -98,7 +100,7 @@ def _travel(job: Job) -> Box:
 def _table(job: Job) -> Box:
     """The table under the travel and everything that stands on it."""
     travel = _travel(job)
-    bodies = [body for station in job.stations for body in standing_bodies(job, Position(station, 0.0, 0.0))]
+    bodies = [body for station in job.stations for body in bodies_at(job, Position(station, 0.0, 0.0))]
     [table, *_] = [body.shape for body in bodies if body.name == TABLE]
     standing = [body.shape for body in bodies if body.name != TABLE]
     low = [min(travel.lower[i], *(shape.lower[i] for shape in standing)) - MARGIN_MM for i in range(2)]

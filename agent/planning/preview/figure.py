@@ -16,7 +16,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from scipy.spatial import ConvexHull
 
 from agent.figures.study_style import AMBER, BLUE, GREEN, INK, PURPLE, QUIET, SKY, picture
-from agent.planning.preview.scene import Placing, Preview
+from agent.planning.preview.scene import ArtefactPlacement, Preview
 from twin.arrays import Array
 from twin.collision.bodies import Body
 from twin.collision.geometry import Box, Capsule
@@ -227,7 +227,7 @@ def _colour_of(body: Body, preview: Preview) -> str:
     return STEEL if isinstance(body.shape, Box) else "#b7791f"
 
 
-def _segments(placings: Sequence[Placing], names: tuple[str, ...]) -> Array:
+def _segments(placings: Sequence[ArtefactPlacement], names: tuple[str, ...]) -> Array:
     """(n, 2, 3): axes of the bodies whose name begins with one of `names`."""
     return _ends(body for placing in placings for body in placing.bodies if body.name.startswith(names))
 
@@ -237,7 +237,7 @@ def _ends(bodies: Iterable[Body]) -> Array:
     return np.array(ends, dtype=np.float64).reshape(-1, 2, 3)
 
 
-def _centres(placings: Sequence[Placing], *, reachable: bool) -> Array:
+def _centres(placings: Sequence[ArtefactPlacement], *, reachable: bool) -> Array:
     """(n, 3)."""
     kept = [ball.centre_mm for placing in placings for ball in placing.balls if ball.reachable is reachable]
     return np.array(kept, dtype=np.float64).reshape(-1, 3)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from agent.errors import PlanRefused
 from agent.execution.steps import MoveTo, TouchTowards
 from agent.planning.job import Job
-from agent.planning.preview.artefact_placement import standing_bodies
+from agent.planning.preview.artefact_placement import bodies_at
 from agent.planning.preview.scene import Refusal
 from agent.planning.preview.tip_path import Waypoint, lower_end
 from twin.collision.bodies import TIP, Body, ball_name
@@ -22,7 +22,7 @@ def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], vi
     tip = translate_point(lower_end(job), point(job.tool_offset_mm))
     if waypoints:
         last, tip = waypoints[-1], waypoints[-1].tip_mm
-        around = standing_bodies(job, last.standing)
+        around = bodies_at(job, last.standing)
         moving = job.layout.probe.bodies()
         start = waypoints[-2].tip_mm if len(waypoints) > 1 else tip
         hit = _hit(Scene(moving, around), start, _goal(job, last), last)

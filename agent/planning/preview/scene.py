@@ -27,7 +27,7 @@ class PreviewBall:
 
 
 @dataclass(frozen=True)
-class Placing:
+class ArtefactPlacement:
     """The artefact in one position, with the mount that holds it. `bodies`: balls, posts, bar, shaft, pedestal."""
 
     position: Position
@@ -85,7 +85,7 @@ class Preview:
     travel: Box
     table: Box
     probe: tuple[Body, ...]
-    placings: tuple[Placing, ...]
+    placings: tuple[ArtefactPlacement, ...]
     visits: tuple[Visit, ...]
     path: tuple[PathPoint, ...]
     refusal: Refusal | None

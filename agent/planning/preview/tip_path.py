@@ -43,7 +43,7 @@ class Waypoint:
         return int(named.group(1)) if named else None
 
 
-def walk(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
+def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
     """Every step that moves something or takes time, in order; of a refused plan, up to the step that was refused.
 
     Such a plan need not get that far here either: then this is as far as it gets.

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agent.probing.paths.approach_points import Spot
-from agent.probing.paths.free_paths import Stand, Traffic
-from agent.probing.probing_parameters import Probing
+from agent.probing.paths.approach_points import TipLocation
+from agent.probing.paths.free_paths import ArtefactPose, FreePathFinder
+from agent.probing.probing_parameters import ProbingParameters
 from twin.collision.geometry import point
 from twin.collision.travelling_salesman import shortest_tour
 
 
 def measuring_sequence(
-    traffic: Traffic, stand: Stand, probing: Probing, balls: Sequence[int], first: int, last: int
+    traffic: FreePathFinder,
+    stand: ArtefactPose,
+    probing: ProbingParameters,
+    balls: Sequence[int],
+    first: int,
+    last: int,
 ) -> list[int]:
     """`balls` without both ends, in the order that takes least machine time from `last` back to `first`."""
     key = (stand, tuple(balls), first, last)
@@ -22,12 +27,17 @@ def measuring_sequence(
 
 
 def _sequence(
-    traffic: Traffic, stand: Stand, probing: Probing, balls: Sequence[int], first: int, last: int
+    traffic: FreePathFinder,
+    stand: ArtefactPose,
+    probing: ProbingParameters,
+    balls: Sequence[int],
+    first: int,
+    last: int,
 ) -> list[int]:
     """By the times of straight ways: to go round what stands between two neighbours costs about the same everywhere."""
     contact_mm, out_mm = probing.contact_mm, probing.contact_mm + probing.narrow.approach_mm
-    left = [Spot(ball, point(probing.directions[-1]), contact_mm, touching=True) for ball in balls]
-    begun = [Spot(ball, point(probing.directions[0]), out_mm) for ball in balls]
+    left = [TipLocation(ball, point(probing.directions[-1]), contact_mm, touching=True) for ball in balls]
+    begun = [TipLocation(ball, point(probing.directions[0]), out_mm) for ball in balls]
     seconds = traffic.straight_seconds(stand, left, begun).tolist()
     place = {ball: index for index, ball in enumerate(balls)}
 

@@ -15,7 +15,14 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.probing.paths.approach_points import LEAVES_BY_MM, Spot, leaves, leaving, round_the_ball, squared_out
+from agent.probing.paths.approach_points import (
+    LIFT_OFF_MM,
+    TipLocation,
+    detour_corners,
+    lifting_off,
+    lifts_off,
+    rectangular_exit,
+)
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
@@ -35,18 +42,18 @@ from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.motion_law import travel_times
 from twin.collision.swept_volume import CELL_MM, SphereCover, TurnSweep, cover_turning_bodies, turn_sweep
 
-UNCERTAIN_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+UNCERTAINTY_STEPS_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """What a pose is off by is rounded up to one of these, so that few ways serve many."""
 
-NEAR_ENOUGH = 0.95
+WORTHWHILE_RATIO = 0.95
 """A place to wait while the mount turns is not bettered for less than this."""
 
-_TURNING_PLACES_TRIED = 24
+_MAX_WAITING_POINTS = 24
 _GRID_MM = 80.0
 
 
 @dataclass(frozen=True)
-class Stand:
+class ArtefactPose:
     """How the artefact stands: the mount's angles, and depth and height of its place (workpiece frame).
 
     `among`: the station, where something else than this mount stands in the workspace; 0 where all stations are alike.
@@ -60,7 +67,7 @@ class Stand:
 
 
 @dataclass(frozen=True)
-class TurningWay:
+class TurningPath:
     """Out of the old pose, and from where the tip waits while the mount turns, into the new one. Corners and `waiting`
     relative to the place of the mount; `seconds` of both ways."""
 
@@ -71,7 +78,7 @@ class TurningWay:
 
 
 @dataclass(eq=False)
-class _Pose:
+class _PosedBodies:
     """Ball centres (N, 3), also one by one, and all bodies, relative to the place of the mount."""
 
     centres: Array
@@ -80,7 +87,7 @@ class _Pose:
 
 
 @dataclass(frozen=True, eq=False)
-class Roads:
+class FreePathRules:
     """`stylus_axis` (3,): unit vector along which the stylus points. `lower_mm`, `upper_mm` (3,): travel of the axes.
     `clearance_mm`: what every two bodies keep on every way, beside what the pose may be off by: `known_mm` once the end
     balls are found, `unknown_mm` before.
@@ -93,52 +100,54 @@ class Roads:
     clearance_mm: float
     known_mm: float
     unknown_mm: float
-    _traffic: dict[MeasuringLayout, Traffic] = field(default_factory=dict, init=False, repr=False)
+    _traffic: dict[MeasuringLayout, FreePathFinder] = field(default_factory=dict, init=False, repr=False)
 
-    def among(self, layout: MeasuringLayout) -> Traffic:
+    def among(self, layout: MeasuringLayout) -> FreePathFinder:
         """The ways among what stands as `layout` says; the same each time, with all that was found."""
         if layout not in self._traffic:
-            self._traffic[layout] = Traffic(layout, self)
+            self._traffic[layout] = FreePathFinder(layout, self)
         return self._traffic[layout]
 
 
 @dataclass(frozen=True, eq=False)
-class Traffic:
+class FreePathFinder:
     """Every way that was asked for is kept: the same ones are asked for at every station, and again in every proof."""
 
     layout: MeasuringLayout
-    roads: Roads
+    roads: FreePathRules
     estimates: dict[object, float] = field(default_factory=dict, init=False, repr=False)
     sequences: dict[object, list[int]] = field(default_factory=dict, init=False, repr=False)
     _covers: dict[int, SphereCover] = field(default_factory=dict, init=False, repr=False)
-    _poses: dict[Stand, _Pose] = field(default_factory=dict, init=False, repr=False)
+    _poses: dict[ArtefactPose, _PosedBodies] = field(default_factory=dict, init=False, repr=False)
     _sweeps: dict[object, TurnSweep] = field(default_factory=dict, init=False, repr=False)
     _ways: dict[object, FreePath | None] = field(default_factory=dict, init=False, repr=False)
-    _turning: dict[object, TurningWay | None] = field(default_factory=dict, init=False, repr=False)
+    _turning: dict[object, TurningPath | None] = field(default_factory=dict, init=False, repr=False)
 
-    def standing(self, station: int, azimuth_deg: float, elevation_deg: float) -> Stand:
+    def standing(self, station: int, azimuth_deg: float, elevation_deg: float) -> ArtefactPose:
         _, depth, height = point(self.layout.location(station))
         alone = not (self.layout.neighbours or self.layout.own_artefacts)
-        return Stand(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
+        return ArtefactPose(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
 
     def axes_at(self, station: int, corner: Point) -> Array:
         """(3,) axis positions of a tip centre relative to the place of the mount at `station`."""
         return np.asarray(self.layout.location(station) - self.layout.tool_offset_mm + corner)
 
-    def nominal(self, stand: Stand, station: int) -> Array:
+    def nominal(self, stand: ArtefactPose, station: int) -> Array:
         """(N, 3) axis positions of all balls."""
         return np.asarray(self._pose(stand).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
 
-    def at(self, stand: Stand, spot: Spot) -> Point:
+    def at(self, stand: ArtefactPose, spot: TipLocation) -> Point:
         """Tip centre at `spot`, relative to the place of the mount."""
         (x, y, z), (along_x, along_y, along_z) = self._pose(stand).places[spot.ball], spot.direction
         return x - along_x * spot.out_mm, y - along_y * spot.out_mm, z - along_z * spot.out_mm
 
-    def between(self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, place_x_mm: float) -> FreePath | None:
+    def between(
+        self, stand: ArtefactPose, start: TipLocation, end: TipLocation, uncertain_mm: float, place_x_mm: float
+    ) -> FreePath | None:
         """The fastest free way, relative to the place of the mount at `place_x_mm`; None where no way is proved to be
         free. `uncertain_mm`: by so much the artefact may stand off.
         """
-        uncertain_mm = rounded_up(uncertain_mm)
+        uncertain_mm = round_up_uncertainty(uncertain_mm)
         anywhere = self._known_way(stand, start, end, uncertain_mm, (-math.inf, math.inf))
         low, high = self._room(place_x_mm)
         if anywhere is None or all(low <= x <= high for x, _, _ in anywhere.corners):
@@ -146,21 +155,29 @@ class Traffic:
         return self._known_way(stand, start, end, uncertain_mm, (low, high))
 
     def _known_way(
-        self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, room: tuple[float, float]
+        self, stand: ArtefactPose, start: TipLocation, end: TipLocation, uncertain_mm: float, room: tuple[float, float]
     ) -> FreePath | None:
         key = (stand, start, end, uncertain_mm, room)
         if key not in self._ways:
             self._ways[key] = self._sought(*key)
         return self._ways[key]
 
-    def straight_seconds(self, stand: Stand, starts: Sequence[Spot], ends: Sequence[Spot]) -> Array:
+    def straight_seconds(
+        self, stand: ArtefactPose, starts: Sequence[TipLocation], ends: Sequence[TipLocation]
+    ) -> Array:
         """(n, m): no way from one to the other is faster."""
         first, last = (np.array([self.at(stand, spot) for spot in spots]) for spots in (starts, ends))
         return self._straight(first[:, None], last[None])
 
     def turning(
-        self, before: Stand, start: Spot, after: Stand, end: Spot, place_x_mm: float, faster_than_s: float = math.inf
-    ) -> TurningWay | None:
+        self,
+        before: ArtefactPose,
+        start: TipLocation,
+        after: ArtefactPose,
+        end: TipLocation,
+        place_x_mm: float,
+        faster_than_s: float = math.inf,
+    ) -> TurningPath | None:
         """From `start` in one pose to `end` in the next; None where nothing proved to be free was found that takes less
         than `faster_than_s`."""
         (low, high), reach = self._room(place_x_mm), self._reach_mm(after)
@@ -173,7 +190,9 @@ class Traffic:
         way = self._turning[key]
         return way if way is not None and way.seconds < faster_than_s else None
 
-    def least_turning_seconds(self, before: Stand, starts: Sequence[Spot], after: Stand, ends: Sequence[Spot]) -> float:
+    def least_turning_seconds(
+        self, before: ArtefactPose, starts: Sequence[TipLocation], after: ArtefactPose, ends: Sequence[TipLocation]
+    ) -> float:
         """From the best of `starts` to the best of `ends`, as if every way before the turning artefact were free; the
         turn itself not included. What `turning` finds is rarely much slower."""
         reach = self._reach_mm(after)
@@ -193,14 +212,14 @@ class Traffic:
     # ------------------------------------------------------------------ touches and balls
 
     def _sought(
-        self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, room: tuple[float, float]
+        self, stand: ArtefactPose, start: TipLocation, end: TipLocation, uncertain_mm: float, room: tuple[float, float]
     ) -> FreePath | None:
         pose = self._pose(stand)
         first, last = self.at(stand, start), self.at(stand, end)
         groups = self._corners(stand, start, last, end.out_mm - start.out_mm)
         if start.ball == end.ball:
-            groups.append(round_the_ball(pose.centres[start.ball], start, end, self.roads.stylus_axis))
-        candidates = leaving(first, PathCandidates.of(groups), start)
+            groups.append(detour_corners(pose.centres[start.ball], start, end, self.roads.stylus_axis))
+        candidates = lifting_off(first, PathCandidates.of(groups), start)
         low, high = self._travel(stand)
         low[0], high[0] = room
         candidates = candidates.inside(low, high)
@@ -211,19 +230,21 @@ class Traffic:
                 return way
         return None
 
-    def _straight_way(self, pose: _Pose, first: Point, last: Point, start: Spot, apart: Clearances) -> FreePath | None:
+    def _straight_way(
+        self, pose: _PosedBodies, first: Point, last: Point, start: TipLocation, apart: Clearances
+    ) -> FreePath | None:
         """None where it does not leave the surface at once, too."""
-        if not leaves(first, last, start):
+        if not lifts_off(first, last, start):
             return None
         return direct_path(pose.among.scene, self.roads.dynamics, first, last, apart)
 
-    def _corners(self, stand: Stand, start: Spot, last: Point, beside_mm: float) -> list[Array]:
+    def _corners(self, stand: ArtefactPose, start: TipLocation, last: Point, beside_mm: float) -> list[Array]:
         """Candidates (n, k, 3) from `start`, from a touch such as leave the surface by `beside_mm` first if need be."""
         aside = -beside_mm * np.array(start.direction) if start.touching else None
         least = float(self._travel(stand)[0] @ np.abs(self.roads.stylus_axis))
         return retract_candidates(self.at(stand, start), last, -self.roads.stylus_axis, least, aside)
 
-    def _aparts(self, start: Spot, end: Spot, uncertain_mm: float) -> Iterator[Clearances]:
+    def _aparts(self, start: TipLocation, end: TipLocation, uncertain_mm: float) -> Iterator[Clearances]:
         """What is kept from everything; less from the balls at both ends, whose surface the touch is to find, and
         from their holders, which stand by their balls wherever these are."""
         apart_mm = self.roads.clearance_mm + uncertain_mm
@@ -238,31 +259,37 @@ class Traffic:
 
     def _waiting_place(
         self,
-        before: Stand,
-        start: Spot,
-        after: Stand,
-        end: Spot,
+        before: ArtefactPose,
+        start: TipLocation,
+        after: ArtefactPose,
+        end: TipLocation,
         between_mm: tuple[float, float],
         faster_than_s: float,
-    ) -> TurningWay | None:
+    ) -> TurningPath | None:
         """The first of the places, by what they cost at least, to which and from which a way is free."""
         first, last = (np.array([self.at(*one)]) for one in ((before, start), (after, end)))
         (offered,), (clear,) = self._offered(before, after, first, last, between_mm)
         places = offered[clear]
         least = self._by_way_of(places[None], first, last)[0]
-        best: TurningWay | None = None
+        best: TurningPath | None = None
         worth_s = faster_than_s
-        for index in np.argsort(least, kind="stable")[:_TURNING_PLACES_TRIED].tolist():
+        for index in np.argsort(least, kind="stable")[:_MAX_WAITING_POINTS].tolist():
             if least[index] >= worth_s:
                 break
             better = self._waiting_at(point(places[index]), before, start, after, end, faster_than_s)
             if better is not None:
-                best, faster_than_s, worth_s = better, better.seconds, NEAR_ENOUGH * better.seconds
+                best, faster_than_s, worth_s = better, better.seconds, WORTHWHILE_RATIO * better.seconds
         return best
 
     def _waiting_at(
-        self, waiting: Point, before: Stand, start: Spot, after: Stand, end: Spot, faster_than_s: float
-    ) -> TurningWay | None:
+        self,
+        waiting: Point,
+        before: ArtefactPose,
+        start: TipLocation,
+        after: ArtefactPose,
+        end: TipLocation,
+        faster_than_s: float,
+    ) -> TurningPath | None:
         """The way there and on, where both are free and it is faster than that."""
         out = self.to_place(before, start, waiting)
         if out is None or out.seconds + self._straight_s(waiting, self.at(after, end)) >= faster_than_s:
@@ -270,14 +297,14 @@ class Traffic:
         into = self.to_place(after, end, waiting)
         if into is None or out.seconds + into.seconds >= faster_than_s:
             return None
-        return TurningWay(out.corners, waiting, into.corners[::-1], out.seconds + into.seconds)
+        return TurningPath(out.corners, waiting, into.corners[::-1], out.seconds + into.seconds)
 
     def _by_way_of(self, places: Array, first: Array, last: Array) -> Array:
         """(c, n) seconds at the least from `first` (c, 3) to `places` (c, n, 3) and on to `last` (c, 3)."""
         return self._straight(first[:, None], places) + self._straight(places, last[:, None])
 
     def _offered(
-        self, before: Stand, after: Stand, first: Array, last: Array, between_mm: tuple[float, float]
+        self, before: ArtefactPose, after: ArtefactPose, first: Array, last: Array, between_mm: tuple[float, float]
     ) -> tuple[Array, NDArray[np.bool_]]:
         """(c, n, 3) for ends (c, 3): places before everything that turns, a grid and straight before both ends; (c, n)
         whether each is inside the travel."""
@@ -297,7 +324,7 @@ class Traffic:
         every = np.broadcast_to(steps, (len(first), len(steps)))
         return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))
 
-    def to_place(self, stand: Stand, spot: Spot, waiting: Point) -> FreePath | None:
+    def to_place(self, stand: ArtefactPose, spot: TipLocation, waiting: Point) -> FreePath | None:
         """Out from `spot` to a place relative to that of the mount, before the artefact; None where no way is proved
         to be free. The way in is the same backwards."""
         key = (stand, spot, waiting)
@@ -305,7 +332,7 @@ class Traffic:
             self._ways[key] = self._sought_to_place(*key)
         return self._ways[key]
 
-    def _sought_to_place(self, stand: Stand, spot: Spot, waiting: Point) -> FreePath | None:
+    def _sought_to_place(self, stand: ArtefactPose, spot: TipLocation, waiting: Point) -> FreePath | None:
         apart_mm = self.roads.clearance_mm + self.roads.unknown_mm
         near_mm = min(apart_mm, max(spot.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
         names = ball_name(spot.ball), post_name(spot.ball)
@@ -314,11 +341,11 @@ class Traffic:
         way = self._straight_way(pose, first, waiting, spot, apart)
         if way is not None:
             return way
-        groups = [*self._corners(stand, spot, waiting, LEAVES_BY_MM), squared_out(first, waiting, spot)]
-        candidates = leaving(first, PathCandidates.of(groups), spot)
+        groups = [*self._corners(stand, spot, waiting, LIFT_OFF_MM), rectangular_exit(first, waiting, spot)]
+        candidates = lifting_off(first, PathCandidates.of(groups), spot)
         return fastest_path(pose.among, self.roads.dynamics, first, waiting, candidates, apart)
 
-    def _sweep(self, before: Stand, after: Stand) -> TurnSweep:
+    def _sweep(self, before: ArtefactPose, after: ArtefactPose) -> TurnSweep:
         low, high = (
             tuple(choose(a, b) for a, b in zip(_angles(before), _angles(after), strict=True)) for choose in (min, max)
         )
@@ -334,7 +361,7 @@ class Traffic:
             )
         return self._sweeps[key]
 
-    def _standing_still(self, stand: Stand) -> list[Shape]:
+    def _standing_still(self, stand: ArtefactPose) -> list[Shape]:
         """What does not turn with the mount: its pedestal, the table and what else is there."""
         scene = self._pose(stand).among.scene
         carried = self._artefact(stand).count
@@ -348,7 +375,7 @@ class Traffic:
     def _straight_s(self, start: Point, end: Point) -> float:
         return float(self._straight(np.array(start), np.array(end)))
 
-    def _travel(self, stand: Stand) -> tuple[Array, Array]:
+    def _travel(self, stand: ArtefactPose) -> tuple[Array, Array]:
         """Of the tip, relative to the place, along X to the table; less what the artefact may stand off."""
         place = np.array([0.0, stand.depth_mm, stand.height_mm])
         shift, room = self.layout.tool_offset_mm - place, self.roads.unknown_mm
@@ -356,15 +383,15 @@ class Traffic:
 
     # ------------------------------------------------------------------ bodies
 
-    def _cover(self, stand: Stand) -> SphereCover:
+    def _cover(self, stand: ArtefactPose) -> SphereCover:
         if stand.among not in self._covers:
             self._covers[stand.among] = cover_turning_bodies(self._artefact(stand), self.layout.mount)
         return self._covers[stand.among]
 
-    def _artefact(self, stand: Stand) -> Artefact:
+    def _artefact(self, stand: ArtefactPose) -> Artefact:
         return self.layout.artefact_at(stand.among)
 
-    def _reach_mm(self, stand: Stand) -> float:
+    def _reach_mm(self, stand: ArtefactPose) -> float:
         return (
             self._cover(stand).reach_mm + self.layout.probe.ram_half_width_mm + self.roads.unknown_mm + 10.0 * CELL_MM
         )
@@ -379,7 +406,7 @@ class Traffic:
     def _contact_mm(self) -> float:
         return self.layout.contact_mm
 
-    def _pose(self, stand: Stand) -> _Pose:
+    def _pose(self, stand: ArtefactPose) -> _PosedBodies:
         if stand not in self._poses:
             x = float(self.layout.location(stand.among)[0]) if stand.among else 0.0
             centres, scene = measuring_scene(
@@ -392,7 +419,7 @@ class Traffic:
                 other_bodies=self.layout.neighbours.get(stand.among, ()),
             )
             back = (-x, -stand.depth_mm, -stand.height_mm)
-            self._poses[stand] = _Pose(
+            self._poses[stand] = _PosedBodies(
                 centres + back,
                 [point(centre) for centre in centres + back],
                 PrefilteredScene.of(scene.translated(back)),
@@ -400,10 +427,10 @@ class Traffic:
         return self._poses[stand]
 
 
-def rounded_up(uncertain_mm: float) -> float:
-    """To the next of `UNCERTAIN_MM`, beyond the last as it is."""
-    return next((value for value in UNCERTAIN_MM if uncertain_mm <= value), uncertain_mm)
+def round_up_uncertainty(uncertain_mm: float) -> float:
+    """To the next of `UNCERTAINTY_STEPS_MM`, beyond the last as it is."""
+    return next((value for value in UNCERTAINTY_STEPS_MM if uncertain_mm <= value), uncertain_mm)
 
 
-def _angles(stand: Stand) -> tuple[float, float]:
+def _angles(stand: ArtefactPose) -> tuple[float, float]:
     return stand.azimuth_deg, stand.elevation_deg

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.probing.paths.free_paths import Roads
-from agent.probing.probing_parameters import Probing
+from agent.probing.paths.free_paths import FreePathRules
+from agent.probing.probing_parameters import ProbingParameters
 from twin.arrays import Array
 
 
 @dataclass(frozen=True)
-class Course:
+class Retreat:
     """Where it is safe to be, and how to get about.
 
     `retreat_axis` is the axis the stylus points along, `retreat_mm` the axis position on it that no part of
@@ -25,14 +25,14 @@ class Course:
     retreat_mm: float
     station_axis: int
     park_mm: Mapping[int, float]
-    roads: Roads | None = None
+    roads: FreePathRules | None = None
 
     def retreated(self, position: Array) -> Array:
         out = position.copy()
         out[self.retreat_axis] = self.retreat_mm
         return out
 
-    def above(self, centre: Array, probing: Probing) -> Array:
+    def above(self, centre: Array, probing: ProbingParameters) -> Array:
         """Where the tip clears the balls beside: back from a ball along the stylus, inside the travel."""
         out = centre - probing.stylus_axis * (probing.contact_mm + probing.retract_mm)
         towards = np.sign(probing.stylus_axis[self.retreat_axis])

@@ -8,29 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.execution.steps import MoveTo, OrientTo, Plan, Point
-from agent.probing.paths.approach_points import Spot
+from agent.probing.paths.approach_points import TipLocation
 from agent.probing.paths.ball_order import measuring_sequence
-from agent.probing.paths.free_paths import Stand, Traffic, TurningWay
-from agent.probing.paths.path_planner import Orientation, PlainPilot
-from agent.probing.paths.retreat import Course
-from agent.probing.probing_parameters import Probing
-from agent.probing.touch import Begin, TouchWay, before_ball, point
+from agent.probing.paths.free_paths import ArtefactPose, FreePathFinder, TurningPath
+from agent.probing.paths.path_planner import PlainPathPlanner, PlannedPosition
+from agent.probing.paths.retreat import Retreat
+from agent.probing.probing_parameters import ProbingParameters
+from agent.probing.touch import PlannedTouch, TouchPath, before_ball, point
 from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point as Corner
 from twin.collision.measuring_layout import MeasuringLayout
 
-PARKED_ASIDE_MM = ((0.0, 0.0, 0.0), *((0.0, 0.0, height) for height in (150.0, -150.0, 300.0, -300.0)))
+PARK_OFFSETS_MM = ((0.0, 0.0, 0.0), *((0.0, 0.0, height) for height in (150.0, -150.0, 300.0, -300.0)))
 """Other parking places, over and under an end of the bar that reaches into the way."""
-_PLACE = (0.0, 0.0, 0.0)
+_ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(eq=False)
-class _Pose:
+class _CurrentPose:
     """The pose that is being measured. `nominal` and `centres` (N, 3): axis positions of the balls by the drawings and
     as known; `uncertain_mm`: by so much the latter may be off."""
 
-    stand: Stand
+    stand: ArtefactPose
     station: int
     nominal: Array
     centres: Array
@@ -42,23 +42,23 @@ class _Pose:
 
 
 @dataclass(frozen=True, eq=False)
-class _There:
+class _TipState:
     """Where the tip is: at a spot of a ball that was thought `off` (3,) its drawing's place."""
 
-    spot: Spot
+    spot: TipLocation
     off: Array
 
 
-class ShortestPilot:
+class ShortestPathPlanner:
     """Remembers where the tip is; a plan that is rebuilt from the same results makes the same one again."""
 
-    def __init__(self, traffic: Traffic, course: Course, probing: Probing) -> None:
+    def __init__(self, traffic: FreePathFinder, course: Retreat, probing: ProbingParameters) -> None:
         self._traffic = traffic
         self._course = course
         self._probing = probing
-        self._plain = PlainPilot(course, probing)
-        self._pose: _Pose | None = None
-        self._there: _There | None = None
+        self._plain = PlainPathPlanner(course, probing)
+        self._pose: _CurrentPose | None = None
+        self._there: _TipState | None = None
         self._way_in: tuple[Corner, ...] | None = None
         self._here: Array = np.zeros(3)
 
@@ -66,17 +66,17 @@ class ShortestPilot:
         """As if ball 0 had just been measured with the mount at zero; (3,) where the axes stand then."""
         stand = self._traffic.standing(station, 0.0, 0.0)
         nominal = self._traffic.nominal(stand, station)
-        spot = Spot(0, point(self._probing.directions[-1]), self._probing.contact_mm, touching=True)
-        self._pose = _Pose(stand, station, nominal, nominal, self._traffic.roads.known_mm)
-        self._at(_There(spot, np.zeros(3)), self._traffic.axes_at(station, self._traffic.at(stand, spot)))
+        spot = TipLocation(0, point(self._probing.directions[-1]), self._probing.contact_mm, touching=True)
+        self._pose = _CurrentPose(stand, station, nominal, nominal, self._traffic.roads.known_mm)
+        self._at(_TipState(spot, np.zeros(3)), self._traffic.axes_at(station, self._traffic.at(stand, spot)))
         return self._here
 
-    def sequence(self, task: Orientation) -> tuple[int, list[int], int]:
+    def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
         stand = self._stand(task)
         first, last = self._ends(task, stand)
         return first, measuring_sequence(self._traffic, stand, self._probing, task.balls, first, last), last
 
-    def turn(self, task: Orientation, here: Array) -> Plan[None]:
+    def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
         stand = self._stand(task)
         nominal = self._traffic.nominal(stand, task.station)
         first = self._ends(task, stand)[0]
@@ -94,10 +94,10 @@ class ShortestPilot:
             yield MoveTo(f"{task.key}/wait", point(self._here))
             yield OrientTo(f"{task.key}/orient", task.station, task.azimuth_deg, task.elevation_deg)
             self._way_in = way.into
-        self._pose = _Pose(stand, task.station, nominal, task.predicted_mm, self._traffic.roads.unknown_mm)
+        self._pose = _CurrentPose(stand, task.station, nominal, task.predicted_mm, self._traffic.roads.unknown_mm)
         self._there = None
 
-    def enter(self, task: Orientation, ball: int) -> Plan[None]:
+    def enter(self, task: PlannedPosition, ball: int) -> Plan[None]:
         if self._way_in is None:
             self._here = self._course.retreated(task.predicted_mm[ball])
             yield from self._plain.enter(task, ball)
@@ -115,8 +115,8 @@ class ShortestPilot:
     def from_ball(self, key: str, centre: Array) -> Plan[None]:
         yield from ()
 
-    def way_at(self, ball: int) -> TouchWay:
-        return _BallWay(self, ball)
+    def way_at(self, ball: int) -> TouchPath:
+        return _BallTouchPath(self, ball)
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
         """To the parking place beside the station, where no bar reaches however it stands; where no way there is proved
@@ -154,10 +154,10 @@ class ShortestPilot:
         stand = self._traffic.standing(station, position.azimuth_deg, position.elevation_deg)
         nominal = self._traffic.nominal(stand, station)
         off = centre - nominal[ball]
-        self._pose = _Pose(stand, station, nominal, nominal + off, self._traffic.roads.unknown_mm)
+        self._pose = _CurrentPose(stand, station, nominal, nominal + off, self._traffic.roads.unknown_mm)
         out_mm = self._probing.contact_mm + self._probing.narrow.approach_mm
-        spot = Spot(ball, point(self._probing.directions[0]), out_mm)
-        self._at(_There(spot, off), centre - self._probing.directions[0] * out_mm)
+        spot = TipLocation(ball, point(self._probing.directions[0]), out_mm)
+        self._at(_TipState(spot, off), centre - self._probing.directions[0] * out_mm)
         yield MoveTo(f"{key}/off-ball", point(self._here))
 
     def _way_out(self) -> tuple[list[Array], Array] | None:
@@ -166,9 +166,9 @@ class ShortestPilot:
         if there is None or float(np.linalg.norm(there.off)) > traffic.roads.unknown_mm:
             return None
         spot = traffic.axes_at(pose.station, traffic.at(pose.stand, there.spot))
-        for aside in PARKED_ASIDE_MM:
+        for aside in PARK_OFFSETS_MM:
             parked = self._inside(self._course.parked(spot + np.array(aside), pose.station))
-            way = traffic.to_place(pose.stand, there.spot, point(parked - traffic.axes_at(pose.station, _PLACE)))
+            way = traffic.to_place(pose.stand, there.spot, point(parked - traffic.axes_at(pose.station, _ORIGIN)))
             if way is not None:
                 corners = [traffic.axes_at(pose.station, corner) + there.off for corner in way.corners]
                 return [self._inside(corner) for corner in corners], parked
@@ -182,34 +182,34 @@ class ShortestPilot:
 
     # ------------------------------------------------------------------ at a ball
 
-    def to(self, key: str, ball: int, begin: Begin) -> Plan[None]:
+    def to(self, key: str, ball: int, begin: PlannedTouch) -> Plan[None]:
         """To where a touch of `ball` begins."""
         pose, there = self._known_pose, self._there
-        spot = Spot(ball, point(begin.direction), begin.out_mm)
+        spot = TipLocation(ball, point(begin.direction), begin.out_mm)
         off = begin.centre - pose.nominal[ball]
         corners = self._corners(spot, off, begin)
         feed = begin.search.beside_mm_per_s
         beside = there is not None and there.spot.ball == ball
         if feed is not None and not beside:
-            corners = [*corners, _shortly_before(begin, corners[-1] if corners else self._here)]
+            corners = [*corners, _slow_down_point(begin, corners[-1] if corners else self._here)]
         for number, target in enumerate(corners):
             yield MoveTo(f"{key}/via-{number}", point(target), feed if beside else None)
         yield MoveTo(f"{key}/start", point(begin.start), feed)
-        self._at(_There(spot, off), begin.start)
+        self._at(_TipState(spot, off), begin.start)
 
-    def away(self, key: str, ball: int, begin: Begin, latched_mm: Point | None) -> Plan[None]:
+    def away(self, key: str, ball: int, begin: PlannedTouch, latched_mm: Point | None) -> Plan[None]:
         """Nothing, where the surface was found as expected: the next way begins there. Else back where it was begun."""
         there = self._there
         assert there is not None  # noqa: S101  `to` came before
         if latched_mm is not None and begin.search == self._probing.narrow:
             missed_mm = math.dist(latched_mm, begin.surface.tolist())
             if missed_mm <= self._traffic.roads.known_mm:
-                spot = Spot(ball, there.spot.direction, begin.contact_mm, touching=True)
-                self._at(_There(spot, there.off), np.array(latched_mm))
+                spot = TipLocation(ball, there.spot.direction, begin.contact_mm, touching=True)
+                self._at(_TipState(spot, there.off), np.array(latched_mm))
                 return
         yield MoveTo(f"{key}/back", point(begin.start))
 
-    def _corners(self, spot: Spot, off: Array, begin: Begin) -> list[Array]:
+    def _corners(self, spot: TipLocation, off: Array, begin: PlannedTouch) -> list[Array]:
         """Axis positions on the way."""
         pose, there = self._known_pose, self._there
         if there is None:
@@ -222,11 +222,12 @@ class ShortestPilot:
             return self._plain_corners(there, begin)
         first, last = (self._traffic.at(pose.stand, one) for one in (there.spot, spot))
         return [
-            self._traffic.axes_at(pose.station, corner) + _blended(there.off, off, _share(corner, first, last))
+            self._traffic.axes_at(pose.station, corner)
+            + _interpolated(there.off, off, _fraction_along(corner, first, last))
             for corner in way.corners
         ]
 
-    def _plain_corners(self, there: _There, begin: Begin) -> list[Array]:
+    def _plain_corners(self, there: _TipState, begin: PlannedTouch) -> list[Array]:
         """Back to the plane before the ball on the same one; over the retreat plane to another."""
         here = self._here
         beside = here - np.array(there.spot.direction) * (begin.out_mm - there.spot.out_mm)
@@ -240,12 +241,12 @@ class ShortestPilot:
             return [*leaving, back, before]
         return [*leaving, self._course.retreated(beside), self._course.retreated(before)]
 
-    def _at(self, there: _There, here: Array) -> None:
+    def _at(self, there: _TipState, here: Array) -> None:
         self._there, self._here = there, here
 
     # ------------------------------------------------------------------ between positions
 
-    def _ends(self, task: Orientation, stand: Stand) -> tuple[int, int]:
+    def _ends(self, task: PlannedPosition, stand: ArtefactPose) -> tuple[int, int]:
         """First and last ball: whichever end is nearer in time to where the tip is."""
         ends = task.balls[0], task.balls[-1]
         way = self._turning(task, stand, ends[0])
@@ -254,62 +255,66 @@ class ShortestPilot:
         return ends[::-1]
 
     def _turning(
-        self, task: Orientation, stand: Stand, ball: int, faster_than_s: float = math.inf
-    ) -> TurningWay | None:
+        self, task: PlannedPosition, stand: ArtefactPose, ball: int, faster_than_s: float = math.inf
+    ) -> TurningPath | None:
         there, pose = self._there, self._pose
         if there is None or pose is None or pose.station != task.station or self._moved_far(there, task):
             return None
-        pole = Spot(ball, point(self._probing.directions[0]), self._probing.contact_mm + self._probing.wide.approach_mm)
+        pole = TipLocation(
+            ball, point(self._probing.directions[0]), self._probing.contact_mm + self._probing.wide.approach_mm
+        )
         place_x = float(self._traffic.layout.location(task.station)[0])
         return self._traffic.turning(pose.stand, there.spot, stand, pole, place_x, faster_than_s)
 
-    def _moved_far(self, there: _There, task: Orientation) -> bool:
+    def _moved_far(self, there: _TipState, task: PlannedPosition) -> bool:
         """A mount that stands farther off its place than the wide search allows is not met on planned ways."""
         return float(np.linalg.norm(there.off)) > self._traffic.roads.unknown_mm
 
-    def _stand(self, task: Orientation) -> Stand:
+    def _stand(self, task: PlannedPosition) -> ArtefactPose:
         return self._traffic.standing(task.station, task.azimuth_deg, task.elevation_deg)
 
     @property
-    def _known_pose(self) -> _Pose:
+    def _known_pose(self) -> _CurrentPose:
         assert self._pose is not None  # noqa: S101  `turn` came before
         return self._pose
 
 
 @dataclass(frozen=True, eq=False)
-class _BallWay:
+class _BallTouchPath:
     """The ways of one ball."""
 
-    pilot: ShortestPilot
+    pilot: ShortestPathPlanner
     ball: int
 
-    def to(self, key: str, begin: Begin) -> Plan[None]:
+    def to(self, key: str, begin: PlannedTouch) -> Plan[None]:
         yield from self.pilot.to(key, self.ball, begin)
 
-    def away(self, key: str, begin: Begin, latched_mm: Point | None) -> Plan[None]:
+    def away(self, key: str, begin: PlannedTouch, latched_mm: Point | None) -> Plan[None]:
         yield from self.pilot.away(key, self.ball, begin, latched_mm)
 
 
-def pilot_of(course: Course, probing: Probing, layout: MeasuringLayout) -> PlainPilot | ShortestPilot:
+def create_path_planner(
+    course: Retreat, probing: ProbingParameters, layout: MeasuringLayout
+) -> PlainPathPlanner | ShortestPathPlanner:
     """The plain one where no roads are known."""
     if course.roads is None:
-        return PlainPilot(course, probing)
-    return ShortestPilot(course.roads.among(layout), course, probing)
+        return PlainPathPlanner(course, probing)
+    return ShortestPathPlanner(course.roads.among(layout), course, probing)
 
 
-def _shortly_before(begin: Begin, coming_from: Array) -> Array:
+def _slow_down_point(begin: PlannedTouch, coming_from: Array) -> Array:
     """On the last leg, before where the ball may already be: from here on the tip goes slowly."""
     way = coming_from - begin.start
     length = float(np.linalg.norm(way))
     return np.asarray(begin.start + way * min(1.0, 2.0 * begin.search.approach_mm / max(length, 1e-9)))
 
 
-def _share(corner: Corner, first: Corner, last: Corner) -> float:
+def _fraction_along(corner: Corner, first: Corner, last: Corner) -> float:
     """How far along the straight way a corner is, 0 … 1."""
     x, y, z = last[0] - first[0], last[1] - first[1], last[2] - first[2]
     along = (corner[0] - first[0]) * x + (corner[1] - first[1]) * y + (corner[2] - first[2]) * z
     return min(max(along / max(x * x + y * y + z * z, 1e-12), 0.0), 1.0)
 
 
-def _blended(first: Array, last: Array, share: float) -> Array:
+def _interpolated(first: Array, last: Array, share: float) -> Array:
     return np.asarray((1.0 - share) * first + share * last)

@@ -10,8 +10,8 @@ from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.planning.job import Job
 from agent.probing.position import PositionRules
-from agent.probing.publish import FoundState
-from agent.probing.run_plan import Measured, measure_positions
+from agent.probing.publish import ActiveCompensation
+from agent.probing.run_plan import MeasuredPositions, measure_positions
 from agent.results.observations import Correction
 from agent.runs.kinds.drift_check import Judge, Judgement
 from agent.runs.kinds.night_plan import NightPlan
@@ -20,7 +20,7 @@ from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position
 
 
-def require_table_of(last: LastAccepted, found: FoundState) -> None:
+def require_table_of(last: LastAccepted, found: ActiveCompensation) -> None:
     """Raise GateRefused if another table is active than the one last accepted."""
     if found.table is None or table_digest(found.table) != last.accepted.crc32:
         raise GateRefused(
@@ -37,12 +37,12 @@ def measure(
     job: Job,
     rules: PositionRules,
     standings: Mapping[int, MountPoseEstimate] | None = None,
-) -> Measured:
+) -> MeasuredPositions:
     """Measure some of a night's positions, with keys that begin with `prefix`."""
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, standings))
 
 
-def judged(judge: Judge, plan: NightPlan, job: Job, measured: Measured, correction: Correction) -> Judgement:
+def judged(judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction) -> Judgement:
     """Judge all balls `measured`, held-out ones included, against the last accepted night."""
     held = job.balls_of(measured, held_out=True)
     return judge.judged(plan.station, [*held, *job.balls_of(measured, held_out=False)], held, correction)

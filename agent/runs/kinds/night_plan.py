@@ -11,8 +11,8 @@ from agent.errors import PlanRefused
 from agent.execution.steps import Plan, Point
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, Procedure, run_preflight
-from agent.probing.repeated_positions import joined
-from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
+from agent.probing.repeated_positions import join_measured
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.position_choice import Chooser
 from drivers.errors import ConfigurationError
@@ -121,13 +121,13 @@ def night_plan(
 def whole_night(plan: NightPlan) -> Procedure:
     """Return the procedure of a whole night: verification, further positions and proof."""
 
-    def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
+    def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         prepared = yield from job.preparing()
         measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
         if plan.further:
             order = plan.order(FURTHER, plan.further)
             more = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
-            measured = joined(measured, more)
+            measured = join_measured(measured, more)
         again = job.verifying(plan.station)
         verified = yield from measure_positions(again, job.layout, prepared.rules, measured.standings)
         return measured, verified
@@ -138,7 +138,7 @@ def whole_night(plan: NightPlan) -> Procedure:
 def verification_only(plan: NightPlan) -> Procedure:
     """Return the procedure of a verification alone, which judges by its own measurements."""
 
-    def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
+    def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         prepared = yield from job.preparing()
         measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
         return measured, measured
@@ -149,14 +149,14 @@ def verification_only(plan: NightPlan) -> Procedure:
 def only_these(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
     """Return the procedure of additional positions, without another probe check."""
 
-    def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
+    def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         measured = yield from measure_positions(plan.order(prefix, positions), job.layout, job.rules)
         return measured, measured
 
     return procedure
 
 
-def positions_in(measured: Measured) -> tuple[Position, ...]:
+def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:
     """Return the positions that have been measured."""
     first = [position.balls[0] for position in measured.positions if position.balls]
     return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)

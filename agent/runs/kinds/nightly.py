@@ -12,8 +12,8 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, Procedure, run_preflight
 from agent.probing.position import MeasuredBall
-from agent.probing.repeated_positions import joined
-from agent.probing.run_plan import Measured
+from agent.probing.repeated_positions import join_measured
+from agent.probing.run_plan import MeasuredPositions
 from agent.results.estimation import Finding, find
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.results.run_outcome import Decision, NightReport, Proof
@@ -127,11 +127,11 @@ class NightlyRun(CalibrationRun):
         self._tracker.enter(RunState.IDENTIFYING)
         self._fuse(measured, judgement.report)
 
-    def _use_rest(self, measured: Measured, judgement: Judgement) -> tuple[Measured, Judgement]:
+    def _use_rest(self, measured: MeasuredPositions, judgement: Judgement) -> tuple[MeasuredPositions, Judgement]:
         further = self._still_fitting()
         if not further:
             return measured, judgement
-        measured = joined(measured, self._measure(FURTHER, further, measured))
+        measured = join_measured(measured, self._measure(FURTHER, further, measured))
         return measured, self._judged(measured)
 
     def _still_fitting(self) -> tuple[Position, ...]:
@@ -166,11 +166,13 @@ class NightlyRun(CalibrationRun):
         passed = (self._clock.now() - self._began_s) / S_PER_MIN
         return self._slot.minutes - self._slot.reserve - passed
 
-    def _measure(self, prefix: str, positions: Sequence[Position], before: Measured | None = None) -> Measured:
+    def _measure(
+        self, prefix: str, positions: Sequence[Position], before: MeasuredPositions | None = None
+    ) -> MeasuredPositions:
         standings = None if before is None else before.standings
         return measure(self._engine, self._plan, prefix, positions, self._job, self._rules, standings)
 
-    def _judged(self, measured: Measured) -> Judgement:
+    def _judged(self, measured: MeasuredPositions) -> Judgement:
         self.progress.measured = measured
         judgement = judged(self._judge, self._plan, self._job, measured, self._correction)
         self.progress.night = judgement.report
@@ -178,7 +180,7 @@ class NightlyRun(CalibrationRun):
 
     # ------------------------------------------------------------------ out of limits
 
-    def _out_of_limits(self, measured: Measured, judgement: Judgement) -> None:
+    def _out_of_limits(self, measured: MeasuredPositions, judgement: Judgement) -> None:
         """Calibrate in full if that is permitted and fits; otherwise diagnose the change and request a calibration."""
         full = standing(self._judge.job, self._plan.station)
         if self._slot.full_allowed and self._minutes_of(full) <= self._left_minutes:
@@ -192,7 +194,7 @@ class NightlyRun(CalibrationRun):
         record_full_needed(self._journal, report.reason)
         raise refusal_until_full(report.reason)
 
-    def _diagnosed(self, measured: Measured, judgement: Judgement) -> NightReport:
+    def _diagnosed(self, measured: MeasuredPositions, judgement: Judgement) -> NightReport:
         """Use the rest of the slot for positions that discriminate between the suspected errors."""
         done, report = positions_in(measured), judgement.report
         chosen = list(
@@ -210,7 +212,7 @@ class NightlyRun(CalibrationRun):
         if not chosen:
             return report
         self._job = replace(self._job, positions=(*self._job.positions, *chosen))
-        again = self._judged(joined(measured, self._measure(DIAGNOSIS, chosen, measured)))
+        again = self._judged(join_measured(measured, self._measure(DIAGNOSIS, chosen, measured)))
         return again.report if not again.within else replace(again.report, reason=report.reason)
 
     def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
@@ -219,7 +221,7 @@ class NightlyRun(CalibrationRun):
 
     # ------------------------------------------------------------------ fusion
 
-    def _fuse(self, measured: Measured, report: NightReport) -> None:
+    def _fuse(self, measured: MeasuredPositions, report: NightReport) -> None:
         job, judge = self._job, self._judge
         balls = balls_for_estimate(job, measured)
         if len({ball.position for ball in balls}) < FEWEST_FUSED:

@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 
 from agent.files import translated
-from agent.planning.design.feasibility import Vetting
+from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
@@ -32,8 +32,8 @@ class Chooser:
     station: int
 
     @cached_property
-    def vetting(self) -> Vetting:
-        return Vetting(self.job)
+    def vetting(self) -> FeasibilityCheck:
+        return FeasibilityCheck(self.job)
 
     def minutes(self, positions: Sequence[Position]) -> float:
         return sum(self.vetting.minutes(position) for position in positions)

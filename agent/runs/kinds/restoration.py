@@ -14,7 +14,7 @@ from agent.execution.states import RunState
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult
 from agent.probing import publish
-from agent.probing.run_plan import Measured
+from agent.probing.run_plan import MeasuredPositions
 from agent.runs.guarded_run import GuardedRun
 from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.runs.reference_state import TABLE_RESTORED
@@ -25,7 +25,7 @@ from drivers.roles import TableImage
 Role = Literal["backup", "staged", "restored"]
 ROLES: tuple[Role, ...] = ("backup", "staged", "restored")
 
-_NOTHING = Measured((), (), 0, None, {})
+_NOTHING = MeasuredPositions((), (), 0, None, {})
 
 
 @dataclass(frozen=True)

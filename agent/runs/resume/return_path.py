@@ -22,7 +22,7 @@ from agent.execution.steps import (
     Retrace,
     Step,
 )
-from agent.probing.ball import BallLost, measure_ball, point
+from agent.probing.ball import LostBall, measure_ball, point
 from agent.probing.position import PositionRules
 from agent.probing.recovery import WITHDRAW_FEED_MM_PER_S, withdraw
 from agent.runs.resume.step_trace import AxisMove, StepTrace
@@ -68,7 +68,7 @@ class ReturnPath:
         yield MoveTo(f"{key}/enter", point(course.retreated(above)))
         yield MoveTo(f"{key}/approach", point(above))
         found = yield from measure_ball(key, expected, probing, probing.narrow)
-        if isinstance(found, BallLost):
+        if isinstance(found, LostBall):
             raise self._moved(f"was not found: {found.reason}")
         moved_um = UM_PER_MM * (found.centre_mm - expected)
         yield Record(f"{key}/found", "event", {"of": self.trace.datum_key, "moved_um": moved_um})

@@ -9,15 +9,15 @@ import pytest
 from touched_ball import TouchedBall, ended
 
 from agent.execution import steps as s
-from agent.probing.ball import BallFound, BallLost, measure_ball
-from agent.probing.ball_gates import doubtful, pole_error_mm
-from agent.probing.probing_parameters import BallLimits, FindFirst, Probing, Search, Stylus
+from agent.probing.ball import FittedBall, LostBall, measure_ball
+from agent.probing.ball_gates import doubtful_touches, pole_error_mm
+from agent.probing.probing_parameters import BallLimits, FastTouch, ProbingParameters, Search, Stylus
 from twin.artefact.sphere_fit import fit_sphere
 from twin.artefact.touch_pattern import approach_directions, known_radius_covariance
 
 AXIS = np.array([0.0, 1.0, 0.0])
 CENTRE = np.array([1500.0, 700.0, 400.0])
-PROBING = Probing(
+PROBING = ProbingParameters(
     directions=approach_directions(5, AXIS),
     stylus_axis=AXIS,
     ball_radius_mm=12.5,
@@ -34,7 +34,7 @@ PROBING = Probing(
 )
 
 
-def probing(touches: int = 5, **changes: object) -> Probing:
+def probing(touches: int = 5, **changes: object) -> ProbingParameters:
     return replace(PROBING, directions=approach_directions(touches, AXIS), **changes)
 
 
@@ -56,13 +56,13 @@ def gates(player: TouchedBall) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("touches", [5, 9, 13, 25])
-@pytest.mark.parametrize("find", [None, FindFirst(20.0, 1.0)])
-def test_every_pattern_finds_the_centre_in_one_stage_and_in_two(touches: int, find: FindFirst | None) -> None:
+@pytest.mark.parametrize("find", [None, FastTouch(20.0, 1.0)])
+def test_every_pattern_finds_the_centre_in_one_stage_and_in_two(touches: int, find: FastTouch | None) -> None:
     player = TouchedBall(CENTRE, PROBING.contact_mm, clean)
     found = player.run(
         measure_ball("b", CENTRE + np.array([0.1, -0.1, 0.05]), probing(touches, find=find), PROBING.narrow)
     )
-    assert isinstance(found, BallFound)
+    assert isinstance(found, FittedBall)
     assert found.centre_mm == pytest.approx(CENTRE, abs=1e-9)
     assert found.touches == len(player.touched) == touches * (1 if find is None else 2)
     assert player.events == []
@@ -72,7 +72,7 @@ def test_in_two_stages_only_the_slow_touch_counts() -> None:
     """A signal that is late by 2 ms moves a fast touch by 40 µm and a slow one by 1.0 µm."""
     delay_s, slow, fast = 2e-3, 0.5, 20.0
     player = TouchedBall(CENTRE, PROBING.contact_mm, lambda _way, feed, _key: feed * delay_s)
-    two = probing(find=FindFirst(fast, 1.0), feed_mm_per_s=slow)
+    two = probing(find=FastTouch(fast, 1.0), feed_mm_per_s=slow)
     found = player.run(measure_ball("b", CENTRE, two, PROBING.narrow))
     assert found.radius_mm == pytest.approx(PROBING.contact_mm - slow * delay_s, abs=1e-9)
     touch = [step for step in player.steps if step.key.startswith("b/touch-1")]
@@ -107,7 +107,7 @@ def test_dirt_that_stays_leads_to_repeats_and_then_to_the_policy() -> None:
 
     player = TouchedBall(CENTRE, PROBING.contact_mm, dirty)
     lost = player.run(measure_ball("b", CENTRE, probing(9), PROBING.narrow))
-    assert isinstance(lost, BallLost)
+    assert isinstance(lost, LostBall)
     assert "form" in lost.reason
     assert [then for _, then in gates(player)] == [
         "clean-up of touch 7", "repeat the ball", "clean-up of touch 7", "repeat the ball", "clean-up of touch 7",
@@ -142,9 +142,9 @@ def test_radius_is_held_against_the_qualified_one() -> None:
     off_mm = 0.023
     player = TouchedBall(CENTRE, PROBING.contact_mm, lambda *_: -off_mm)
     stylus = Stylus(PROBING.contact_mm + off_mm, 3e-4, fixed=False)
-    assert isinstance(player.run(measure_ball("b", CENTRE, probing().qualified(stylus), PROBING.narrow)), BallFound)
+    assert isinstance(player.run(measure_ball("b", CENTRE, probing().qualified(stylus), PROBING.narrow)), FittedBall)
     player = TouchedBall(CENTRE, PROBING.contact_mm, lambda *_: -off_mm)
-    assert isinstance(player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow)), BallLost)
+    assert isinstance(player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow)), LostBall)
 
 
 def test_pole_against_equator_is_the_distance_from_the_sphere_through_the_rest() -> None:
@@ -160,20 +160,20 @@ def test_pole_against_equator_is_the_distance_from_the_sphere_through_the_rest()
 def test_five_points_say_nothing_of_the_pole() -> None:
     late = TouchedBall(CENTRE, PROBING.contact_mm, lambda way, *_: 0.1 if way[1] > 0.99 else 0.0)
     found = late.run(measure_ball("b", CENTRE, probing(), PROBING.narrow))
-    assert isinstance(found, BallFound)
+    assert isinstance(found, FittedBall)
     assert found.centre_mm[1] - CENTRE[1] == pytest.approx(0.1, rel=0.01)
     assert late.events == []
     oval = 15.5 + 1e-3 * np.array([0.0, 1.0, -1.0, 1.0, -1.0])
     fit = fit_sphere(-probing().directions * oval[:, None], 1e-3)
     assert pole_error_mm(fit, probing()) is None
-    assert doubtful(fit, probing()) == (1, 2, 3, 4)
+    assert doubtful_touches(fit, probing()) == (1, 2, 3, 4)
 
 
 def test_a_miss_is_searched_wider_once() -> None:
     """The ball stands 5 mm farther in than the narrow search goes; from there it is measured again."""
     player = TouchedBall(CENTRE + np.array([0.0, 5.0, 0.0]), PROBING.contact_mm, clean)
     found = player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow))
-    assert isinstance(found, BallFound)
+    assert isinstance(found, FittedBall)
     assert found.centre_mm == pytest.approx(CENTRE + np.array([0.0, 5.0, 0.0]), abs=1e-6)
     assert [event["then"] for event in player.events] == ["search wider", "repeat the ball"]
 

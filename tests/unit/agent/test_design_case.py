@@ -9,10 +9,10 @@ import pytest
 
 from agent.errors import PlanRefused
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.planning.cycle_time import as_listed, machine_minutes
-from agent.planning.design.design_problem import Setting
-from agent.planning.design.design_result import designed
-from agent.planning.design.feasibility import Vetting
+from agent.planning.cycle_time import machine_minutes, without_optimisation
+from agent.planning.design.design_problem import DesignProblem
+from agent.planning.design.design_result import find_design
+from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import variants_of
 from agent.planning.job import Job
@@ -47,7 +47,7 @@ def of_s1_and_s3() -> CandidatePositions:
     return candidates(parse_position_set("S1+S3", 4))
 
 
-def searching(setting: Setting, offered: CandidatePositions) -> ExchangeSearch:
+def searching(setting: DesignProblem, offered: CandidatePositions) -> ExchangeSearch:
     return ExchangeSearch(offered, setting.prices(offered))
 
 
@@ -69,7 +69,7 @@ def test_the_criterion_is_the_predicted_vce_of_an_identification_of_the_set(chos
 
 
 def test_the_value_carried_along_through_a_search_is_that_of_the_identification():
-    setting = Setting({case().settings.tool: case()}, 90.0)
+    setting = DesignProblem({case().settings.tool: case()}, 90.0)
     offered = of_s1_and_s3()
     chosen = PositionCountGoal(6).select(searching(setting, offered))
     raw, aligned = predicted(tuple(offered.positions[index] for index in chosen))
@@ -80,7 +80,7 @@ def test_the_value_carried_along_through_a_search_is_that_of_the_identification(
 def test_the_search_finds_the_best_pair_of_real_positions():
     offered = candidates(parse_position_set("S1+S3", 4)[:10])
     job = case()
-    search = replace(searching(Setting({job.settings.tool: job}, 90.0), offered), min_improvement=0.0)
+    search = replace(searching(DesignProblem({job.settings.tool: job}, 90.0), offered), min_improvement=0.0)
     best = min(combinations(range(offered.count), 2), key=lambda pair: offered.vce(pair).aligned_mm)
     assert set(PositionCountGoal(2).select(search)) == set(best)
 
@@ -110,8 +110,8 @@ PASSED = [(0.0, 0.0), (45.0, 0.0), (90.0, 45.0), (-60.0, 0.0), (0.0, -75.0)]
 
 def test_vetting_gives_the_verdict_of_the_preflight_on_plain_ways():
     """Orientations at which the preflight was seen to stop, and some at which it passes."""
-    job = as_listed(case())
-    vetting = Vetting(job)
+    job = without_optimisation(case())
+    vetting = FeasibilityCheck(job)
     for azimuth, elevation in (*REFUSED, *PASSED):
         position = Position(1, azimuth, elevation)
         assert (
@@ -120,7 +120,7 @@ def test_vetting_gives_the_verdict_of_the_preflight_on_plain_ways():
 
 
 def test_ways_that_are_proved_pass_where_plain_ones_would_hit():
-    vetting = Vetting(case())
+    vetting = FeasibilityCheck(case())
     for azimuth, elevation in (*REFUSED, *PASSED):
         position = Position(1, azimuth, elevation)
         assert vetting.hit(position) == ""
@@ -139,15 +139,19 @@ def test_a_slot_holds_for_the_plan_as_a_whole_and_carries_cost_time():
     settings = case().settings
     timing = settings.timing.model_copy(update={"relocation_minutes": 4.0})
     job = replace(case(), settings=settings.model_copy(update={"timing": timing}))
-    found = designed(
-        Setting({"probe": job}, 45.0), TimeSlotGoal(22.0), verify=True, with_preflight=False, say=lambda _: None
+    found = find_design(
+        DesignProblem({"probe": job}, 45.0), TimeSlotGoal(22.0), verify=True, with_preflight=False, say=lambda _: None
     )
     assert found.minutes == pytest.approx(machine_minutes(job, found.positions).total)
     assert found.minutes <= 22.0
     stations = [position.station for position in found.positions]
     assert stations == sorted(stations)
-    free = designed(
-        Setting({"probe": case()}, 45.0), TimeSlotGoal(22.0), verify=False, with_preflight=False, say=lambda _: None
+    free = find_design(
+        DesignProblem({"probe": case()}, 45.0),
+        TimeSlotGoal(22.0),
+        verify=False,
+        with_preflight=False,
+        say=lambda _: None,
     )
     assert len(set(stations)) <= len({position.station for position in free.positions})
     assert free.valuation.percent > found.valuation.percent > 0.0
@@ -172,8 +176,12 @@ def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on(monkeypatch
             raise PlanRefused("preflight: collision", step=f"measure/{position_key(job.positions[1])}/ball-03/approach")
 
     monkeypatch.setattr("agent.planning.design.design_result.run_preflight", refusing_once)
-    found = designed(
-        Setting({"probe": case()}, 90.0), PositionCountGoal(3), verify=False, with_preflight=True, say=lambda _: None
+    found = find_design(
+        DesignProblem({"probe": case()}, 90.0),
+        PositionCountGoal(3),
+        verify=False,
+        with_preflight=True,
+        say=lambda _: None,
     )
     assert len(seen) == 2
     assert found.preflight_passed
@@ -199,7 +207,7 @@ def test_variants_change_what_they_name_and_nothing_else(tmp_path):
 def test_more_touches_take_longer_and_tell_more(tmp_path):
     few, many = (way.jobs["probe"] for way in variants_of(case(), tmp_path, touches=[5, 13]))
     position = Position(1, 0.0, 0.0)
-    assert Vetting(many).minutes(position) > 1.2 * Vetting(few).minutes(position)
+    assert FeasibilityCheck(many).minutes(position) > 1.2 * FeasibilityCheck(few).minutes(position)
     s3 = parse_position_set("S3", 4)
     assert valuation_of(many, s3).percent > valuation_of(few, s3).percent
 
@@ -219,6 +227,10 @@ def test_variants_that_cannot_be_are_refused(tmp_path, more, message):
 
 def test_an_unreachable_goal_is_the_users_error():
     with pytest.raises(InputError, match="shortest two take"):
-        designed(
-            Setting({"probe": case()}, 90.0), TimeSlotGoal(1.0), verify=False, with_preflight=False, say=lambda _: None
+        find_design(
+            DesignProblem({"probe": case()}, 90.0),
+            TimeSlotGoal(1.0),
+            verify=False,
+            with_preflight=False,
+            say=lambda _: None,
         )

@@ -26,7 +26,7 @@ from agent.execution.steps import (
 )
 from agent.execution.supervisor import Supervisor
 from agent.execution.tip_trace import LastMotion
-from agent.probing.paths.retreat import Course
+from agent.probing.paths.retreat import Retreat
 from agent.runs.guarded_run import GuardedRun
 from agent.runs.run_context import RunContext, RunHooks
 from drivers.clock import VirtualClock
@@ -36,7 +36,7 @@ from drivers.roles import Activation, StoreLimits, TableImage
 TABLE = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((2, 2, 2, 3), dtype=np.int32))
 FOUND, NEW = 1, 2
 RETREAT_Y_MM = -50.0
-COURSE = Course(1, RETREAT_Y_MM, 0, {})
+COURSE = Retreat(1, RETREAT_Y_MM, 0, {})
 JOB = SimpleNamespace(
     rules=SimpleNamespace(course=COURSE, probing=SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=10.0))
 )

@@ -17,8 +17,8 @@ from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.execution.encoding import encode_step
 from agent.planning.job import Job, prepare_job
-from agent.probing.paths.approach_points import Spot
-from agent.probing.paths.shortest_path import ShortestPilot, _There
+from agent.probing.paths.approach_points import TipLocation
+from agent.probing.paths.shortest_path import ShortestPathPlanner, _TipState
 from agent.probing.publish import choose_bank, stage_table
 from agent.probing.recovery import withdraw
 from agent.probing.run_plan import MeasuringOrder, measure_positions
@@ -185,10 +185,10 @@ def test_the_way_out_of_an_artefact_that_stands_off_keeps_inside_the_travel(posi
     reached = [ball for ball, centre in enumerate(centres) if (lower + 50.0 < centre).all() and (centre < upper).all()]
     corners = 0
     for ball, direction in product(reached, probing.directions):
-        pilot = ShortestPilot(traffic, JOB.rules.course, probing)
+        pilot = ShortestPathPlanner(traffic, JOB.rules.course, probing)
         steps = list(pilot.beside("a", position, ball, centres[ball]))
-        last_touch = Spot(ball, point(direction), probing.contact_mm, touching=True)
-        pilot._at(_There(last_touch, np.array(off_mm)), centres[ball] - probing.contact_mm * direction)
+        last_touch = TipLocation(ball, point(direction), probing.contact_mm, touching=True)
+        pilot._at(_TipState(last_touch, np.array(off_mm)), centres[ball] - probing.contact_mm * direction)
         steps += pilot.leave("b", centres[ball])
         corners += sum("away" in step.key for step in steps)
         for step in steps:

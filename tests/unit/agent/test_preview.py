@@ -16,14 +16,14 @@ from agent.execution.steps import MoveTo, OrientTo
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import run_preflight, whole_procedure
-from agent.planning.preview.artefact_placement import standing_bodies
+from agent.planning.preview.artefact_placement import bodies_at
 from agent.planning.preview.blob import document, embedded
 from agent.planning.preview.builder import preview_of
 from agent.planning.preview.figure import draw_png
 from agent.planning.preview.preview_files import render_page
 from agent.planning.preview.refusal import named_in, refusal_of
 from agent.planning.preview.scene import Preview
-from agent.planning.preview.tip_path import Waypoint, walk
+from agent.planning.preview.tip_path import Waypoint, walk_waypoints
 from agent.settings.load import load_settings, with_overrides
 from twin.artefact.position_set import Position
 from twin.collision.bodies import Body
@@ -125,7 +125,7 @@ def refused_at(step: str, message: str = "preflight: collision: ram with bar") -
 
 
 def test_a_refused_plan_ends_at_its_step(at_two_stations: Job) -> None:
-    key = next(w.step.key for w in walk(at_two_stations)[300:] if isinstance(w.step, MoveTo))
+    key = next(w.step.key for w in walk_waypoints(at_two_stations)[300:] if isinstance(w.step, MoveTo))
     preview = preview_of(at_two_stations, refused_at(key))
     refusal = preview.refusal
     assert refusal is not None
@@ -163,7 +163,7 @@ def test_a_refusal_without_a_step_shows_as_much_as_can_be_walked(at_two_stations
 
 
 def test_bodies_are_those_that_the_message_names(at_two_stations: Job) -> None:
-    moving, around = at_two_stations.layout.probe.bodies(), standing_bodies(at_two_stations, Position(1, 0.0, 0.0))
+    moving, around = at_two_stations.layout.probe.bodies(), bodies_at(at_two_stations, Position(1, 0.0, 0.0))
     assert named_in("collision: tip with ball 10", moving, around) == ("tip", "ball 10")
     assert named_in("collision: probe body with post 1", moving, around) == ("probe body", "post 1")
     assert named_in("X 4001.000 mm is outside 0 to 4000 mm", moving, around) == ()
@@ -218,7 +218,7 @@ def test_the_page_is_one_file_without_network_even_for_the_largest_sets() -> Non
 
 
 def test_the_picture_shows_a_refusal(at_two_stations: Job, preview: Preview) -> None:
-    refused = preview_of(at_two_stations, refused_at(walk(at_two_stations)[40].step.key))
+    refused = preview_of(at_two_stations, refused_at(walk_waypoints(at_two_stations)[40].step.key))
     passed, shown = draw_png(preview), draw_png(refused)
     for png in (passed, shown):
         width, height = np.frombuffer(png[16:24], dtype=">u4")

@@ -13,7 +13,7 @@ from touched_ball import TouchedBall, ended
 
 from agent.execution import steps as s
 from agent.planning.job import Job, prepare_job
-from agent.probing.preparation import Prepared, prepare_probe
+from agent.probing.preparation import PreparationResult, prepare_probe
 from agent.probing.probe_check import ProbeCheck, check_repeatability
 from agent.probing.qualification import qualify_stylus
 from agent.probing.run_plan import MeasuringOrder
@@ -98,7 +98,9 @@ def test_a_datum_ball_that_is_no_ball_stops_the_run() -> None:
     assert "could not be measured: form" in end
 
 
-def prepared_at(*positions: Position, job: Job = JOB, standing_at: int | None = 1) -> tuple[TouchedBall, Prepared]:
+def prepared_at(
+    *positions: Position, job: Job = JOB, standing_at: int | None = 1
+) -> tuple[TouchedBall, PreparationResult]:
     """On the first ball of the first position named."""
     centre = job.layout.nominal(positions[-1])[0]
     player = TouchedBall(centre, PROBING.contact_mm, lambda *_: 8e-3)

@@ -30,7 +30,7 @@ from agent.execution.steps import (
     TouchTowards,
 )
 from agent.execution.tip_trace import LastMotion
-from agent.probing.paths.retreat import Course
+from agent.probing.paths.retreat import Retreat
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.return_to_position import ReturnToPosition, reactivation
 from agent.runs.resume.step_trace import StepTrace
@@ -225,7 +225,7 @@ class Tracker:
 
 
 RULES = SimpleNamespace(
-    course=Course(1, -50.0, 0, {}),
+    course=Retreat(1, -50.0, 0, {}),
     probing=SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=10.0),
     drift=SimpleNamespace(fault_mm=0.02),
 )

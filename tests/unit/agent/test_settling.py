@@ -12,7 +12,7 @@ from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.probing.position_drift import DriftLimits, judge_drift
 from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_per_h
-from agent.probing.thermal_settling import SettlingRules, settled
+from agent.probing.thermal_settling import SettlingRules, wait_until_settled
 from agent.settings.temperature import TemperatureSettings
 
 RULES = SettlingRules(max_rate_k_per_h=5.0, max_departure_k=4.0, poll_interval_s=60.0, deadline_s=1800.0)
@@ -39,13 +39,13 @@ def played(plan: s.Plan[Any], bar_c: Callable[[float], float]) -> tuple[list[s.S
 
 
 def test_a_settled_artefact_costs_no_time_and_no_event() -> None:
-    seen, conditions = played(settled("measure/station-1/az0-el0", RULES, ()), lambda _: 20.3)
+    seen, conditions = played(wait_until_settled("measure/station-1/az0-el0", RULES, ()), lambda _: 20.3)
     assert [type(step) for step in seen] == [s.ReadTemperatures, s.ReadClock]
     assert conditions == Conditions(0.0, 20.3)
 
 
 def test_a_run_waits_for_an_artefact_that_is_too_warm_and_says_why() -> None:
-    seen, conditions = played(settled("k", RULES, ()), lambda now: 20.0 + 6.0 * np.exp(-now / 900.0))
+    seen, conditions = played(wait_until_settled("k", RULES, ()), lambda now: 20.0 + 6.0 * np.exp(-now / 900.0))
     told = [step for step in seen if isinstance(step, s.Record)]
     assert len(told) == 1
     assert told[0].payload["note"].startswith("waiting until the artefact has settled: the artefact has 26.00 °C")
@@ -57,16 +57,18 @@ def test_a_run_waits_for_an_artefact_that_is_too_warm_and_says_why() -> None:
 
 def test_at_the_deadline_it_gives_up_and_says_what_to_do() -> None:
     with pytest.raises(MeasurementFault, match=r"has not settled within 30 min.*26\.00 °C") as caught:
-        played(settled("k", RULES, ()), lambda _: 26.0)
+        played(wait_until_settled("k", RULES, ()), lambda _: 26.0)
     assert "leave the artefact on the table" in str(caught.value)
 
 
 def test_the_rate_is_judged_over_the_readings_of_the_position_before() -> None:
     before = [Conditions(-10.0 * k, 20.0 - 0.02 * k) for k in range(12, 0, -1)]  # 7.2 K/h
-    seen, _ = played(settled("k", RULES, before), lambda now: 20.0)
+    seen, _ = played(wait_until_settled("k", RULES, before), lambda now: 20.0)
     assert any(isinstance(step, s.Dwell) for step in seen)
     slow = [Conditions(-10.0 * k, 20.0 - 0.01 * k) for k in range(12, 0, -1)]
-    assert not any(isinstance(step, s.Dwell) for step in played(settled("k", RULES, slow), lambda _: 20.0)[0])
+    assert not any(
+        isinstance(step, s.Dwell) for step in played(wait_until_settled("k", RULES, slow), lambda _: 20.0)[0]
+    )
 
 
 def test_rate_is_the_slope_of_a_straight_line() -> None:

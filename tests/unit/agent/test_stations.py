@@ -13,7 +13,7 @@ from touched_ball import TouchedBall
 
 from agent.execution import steps as s
 from agent.planning.job import Job, prepare_job
-from agent.probing.station_change import Carried, StationChange, change_station, park_mounts
+from agent.probing.station_change import CarriedItem, StationChange, change_station, park_mounts
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
@@ -92,8 +92,8 @@ def test_the_same_node_ids_on_another_bus_are_good(tmp_path: Path) -> None:
 
 def test_how_one_gets_from_station_to_station() -> None:
     own = two_mounts().rules.change
-    assert (own.carried, own.own_mounts, own.parked_deg) == (Carried.NOTHING, (1, 2), (0.0, 90.0))
-    assert two_mounts(without_artefacts).rules.change.carried is Carried.ARTEFACT
+    assert (own.carried, own.own_mounts, own.parked_deg) == (CarriedItem.NOTHING, (1, 2), (0.0, 90.0))
+    assert two_mounts(without_artefacts).rules.change.carried is CarriedItem.ARTEFACT
     case_study = CONFIG.parent / "case-study.toml"
     assert prepare_job(load_settings(case_study), CONFIG.parent).rules.change == StationChange()
 
@@ -131,7 +131,7 @@ def test_one_mount_is_carried_and_nothing_turns() -> None:
 
 
 def test_an_artefact_is_taken_off_a_mount_that_was_parked_with_the_probe_away() -> None:
-    retreat, beside, turn, asked, _ = steps_of(StationChange(Carried.ARTEFACT, (1, 2)), 1)
+    retreat, beside, turn, asked, _ = steps_of(StationChange(CarriedItem.ARTEFACT, (1, 2)), 1)
     assert isinstance(retreat, s.MoveTo)
     assert retreat.target_mm == (5.0, 0.0, 7.0)
     assert isinstance(beside, s.MoveTo)
@@ -143,14 +143,14 @@ def test_an_artefact_is_taken_off_a_mount_that_was_parked_with_the_probe_away() 
 
 
 def test_where_every_station_has_its_own_nobody_is_asked() -> None:
-    own = StationChange(Carried.NOTHING, (1, 2))
+    own = StationChange(CarriedItem.NOTHING, (1, 2))
     assert [type(step) for step in steps_of(own, 1)] == [s.MoveTo, s.MoveTo, s.OrientTo]
     assert steps_of(own, None) == []
 
 
 def test_every_mount_is_parked_before_a_run_in_its_own_station() -> None:
     player = TouchedBall(np.zeros(3), 1.0, lambda *_: 0.0)
-    change = StationChange(Carried.NOTHING, (1, 2, 3))
+    change = StationChange(CarriedItem.NOTHING, (1, 2, 3))
     here = player.run(park_mounts("probe", "mounts", change, Ways(), np.array([5.0, 6.0, 7.0]), change.own_mounts))
     assert here.tolist() == [3000.0, 0.0, 7.0]
     assert [step.station for step in player.steps if isinstance(step, s.OrientTo)] == [1, 2, 3]

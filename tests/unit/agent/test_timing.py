@@ -13,7 +13,7 @@ from agent.cli.main import main
 from agent.errors import Aborted
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
 from agent.planning.case_file import CASE_STUDY
-from agent.planning.cycle_time import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walked
+from agent.planning.cycle_time import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walk_plan
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import run_preflight, whole_procedure
 from agent.planning.time_model import TimeModel
@@ -91,7 +91,7 @@ def at_two_stations() -> Job:
 
 def test_the_walk_agrees_with_the_dry_run_step_by_step(at_two_stations: Job) -> None:
     preflight = run_preflight(at_two_stations)
-    (measured, verified), steps = walked(at_two_stations, whole_procedure(at_two_stations))
+    (measured, verified), steps = walk_plan(at_two_stations, whole_procedure(at_two_stations))
     assert measured.touches + verified.touches == preflight.measured.touches + preflight.verified.touches
     walked_s = np.array([timed.seconds for timed in steps if timed.seconds > 0.0])
     assert walked_s == pytest.approx(np.array([timed.seconds for timed in preflight.steps]), rel=1e-2, abs=1e-3)
@@ -102,7 +102,7 @@ def test_the_walk_agrees_with_the_dry_run_step_by_step(at_two_stations: Job) -> 
 def test_balls_are_found_where_they_stand(at_two_stations: Job) -> None:
     position = Position(2, 30.0, 20.0)
     order = MeasuringOrder("timed", (position,), 2)
-    measured, _ = walked(at_two_stations, measure_positions(order, at_two_stations.layout, at_two_stations.rules))
+    measured, _ = walk_plan(at_two_stations, measure_positions(order, at_two_stations.layout, at_two_stations.rules))
     nominal = at_two_stations.layout.nominal(position)[measured.positions[0].ball_numbers]
     assert measured.positions[0].centres_mm == pytest.approx(nominal, abs=1e-9)
     assert measured.lost == 0
@@ -116,7 +116,7 @@ def test_the_minutes_of_a_set_add_up(at_two_stations: Job) -> None:
 
 
 def test_the_parts_of_the_time_are_the_time(at_two_stations: Job) -> None:
-    _, steps = walked(at_two_stations, whole_procedure(at_two_stations))
+    _, steps = walk_plan(at_two_stations, whole_procedure(at_two_stations))
     by_station = minutes_by_part(steps)
     assert sum(sum(parts.values()) for parts in by_station.values()) == pytest.approx(
         sum(s.seconds for s in steps) / 60
@@ -128,7 +128,7 @@ def test_the_parts_of_the_time_are_the_time(at_two_stations: Job) -> None:
 
 def test_a_latency_costs_as_many_times_as_its_command_is_given() -> None:
     quick, slow = job([1]), job([1], touch_latency_s=1.079)
-    touches = sum(1 for timed in walked(quick, whole_procedure(quick))[1] if isinstance(timed.step, TouchTowards))
+    touches = sum(1 for timed in walk_plan(quick, whole_procedure(quick))[1] if isinstance(timed.step, TouchTowards))
     more = machine_total(slow) - machine_total(quick)
     assert touches > 300
     assert more == pytest.approx(touches / 60.0)
@@ -136,7 +136,7 @@ def test_a_latency_costs_as_many_times_as_its_command_is_given() -> None:
 
 
 def machine_total(of: Job) -> float:
-    return sum(timed.seconds for timed in walked(of, whole_procedure(of))[1]) / 60.0
+    return sum(timed.seconds for timed in walk_plan(of, whole_procedure(of))[1]) / 60.0
 
 
 def test_one_position_costs_about_what_it_costs_in_a_set(at_two_stations: Job) -> None:

@@ -24,9 +24,9 @@ from agent.planning.latency_fit import (
     TOUCH,
     TURN,
     ObservedStep,
-    kinds_of_steps,
     observed_steps,
     refit,
+    step_kind_timings,
     suggested_settings,
 )
 from agent.planning.time_model import TimeModel, time_model
@@ -68,7 +68,7 @@ def test_latencies_are_found_again_whatever_motion_they_are_on_top_of() -> None:
     beyond = np.array([step.observed_s - step.motion_s for step in observed])
     assert found == pytest.approx(np.linalg.lstsq(columns, beyond, rcond=None)[0])
     assert dataclasses.replace(fitted, command_latency_s=0.25, touch_latency_s=0.5, turn_latency_s=2.0) == MODEL
-    assert [kind.rest_s for kind in kinds_of_steps(MODEL, observed)] == pytest.approx([0.01] * 3, rel=0.1)
+    assert [kind.rest_s for kind in step_kind_timings(MODEL, observed)] == pytest.approx([0.01] * 3, rel=0.1)
 
 
 def test_a_machine_quicker_than_its_file_gets_no_negative_latency() -> None:
