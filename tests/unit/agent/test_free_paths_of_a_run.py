@@ -8,8 +8,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from agent.probing.paths.approach_points import Spot
-from agent.probing.paths.free_paths import UNCERTAIN_MM, Roads, Stand, Traffic, rounded_up
+from agent.probing.paths.approach_points import TipLocation
+from agent.probing.paths.free_paths import (
+    UNCERTAINTY_STEPS_MM,
+    ArtefactPose,
+    FreePathFinder,
+    FreePathRules,
+    round_up_uncertainty,
+)
 from twin.artefact.artefact import ball_bar
 from twin.artefact.position_set import MountGeometry, Position
 from twin.collision.accessibility import measuring_scene
@@ -30,14 +36,14 @@ CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM = 2.0, 0.5, 4.0
 ORIENTATIONS = [(45.0, 0.0), (-30.0, -30.0), (90.0, 45.0)]
 
 
-def traffic() -> Traffic:
+def traffic() -> FreePathFinder:
     layout = MeasuringLayout(BAR, MOUNT, PROBE, PLACES, TOOL, LOWER, UPPER, CONTACT_MM, 5.0)
-    roads = Roads(np.array([0.0, 1.0, 0.0]), LOWER, UPPER, DYNAMICS, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
+    roads = FreePathRules(np.array([0.0, 1.0, 0.0]), LOWER, UPPER, DYNAMICS, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
     return roads.among(layout)
 
 
-def before_the_ball(ball: int, out_mm: float = CONTACT_MM + 20.0) -> Spot:
-    return Spot(ball, (0.0, 1.0, 0.0), out_mm)
+def before_the_ball(ball: int, out_mm: float = CONTACT_MM + 20.0) -> TipLocation:
+    return TipLocation(ball, (0.0, 1.0, 0.0), out_mm)
 
 
 def standing_bodies(station: int, azimuth: float, elevation: float) -> Scene:
@@ -64,7 +70,7 @@ def sampled_gap(scene: Scene, stops: list[np.ndarray]) -> float:
 def test_balls_are_where_the_layout_says() -> None:
     roads = traffic()
     stand = roads.standing(2, 45.0, 30.0)
-    assert stand == Stand(45.0, 30.0, 1000.0, 750.0)
+    assert stand == ArtefactPose(45.0, 30.0, 1000.0, 750.0)
     expected = roads.layout.nominal(Position(2, 45.0, 30.0))
     assert roads.nominal(stand, 2) == pytest.approx(expected, abs=1e-9)
     centre = expected[3] + TOOL
@@ -133,5 +139,5 @@ def test_the_tip_waits_clear_of_the_artefact_while_it_turns() -> None:
 
 @pytest.mark.parametrize(("off_by", "allowed"), [(0.0, 0.5), (0.5, 0.5), (0.51, 1.0), (9.0, 16.0), (33.0, 33.0)])
 def test_an_uncertainty_is_rounded_up_to_the_next_step(off_by: float, allowed: float) -> None:
-    assert rounded_up(off_by) == allowed
-    assert rounded_up(off_by) in (*UNCERTAIN_MM, off_by)
+    assert round_up_uncertainty(off_by) == allowed
+    assert round_up_uncertainty(off_by) in (*UNCERTAINTY_STEPS_MM, off_by)
