@@ -24,11 +24,11 @@ from agent.service.owner.owner import Owner
 from agent.service.owner.owner_parts import OwnerParts, here_and_now
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.archive import Archive
-from agent.service.state.event_log import Bulletin
+from agent.service.state.event_log import EventLog
 from agent.service.state.journal_state import JournalState
 from agent.service.state.live_view import Scenes
 from agent.service.state.reports import Reports
-from agent.service.state.status_board import Board
+from agent.service.state.status_board import StatusBoard
 from agent.service.token import make_token, read_token, token_path
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
@@ -53,7 +53,7 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_no
         token = read_token(token_path(settings))
         site = Site(
             owner,
-            parts.bulletin,
+            parts.event_log,
             Archive(directory, parts.reports.path),
             parts.scenes,
             lambda: owner.settings,
@@ -69,7 +69,7 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_no
         with opened([http, *further_doors(settings)], owner):
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
             Life(owner, parts.health, Notifier(), signals, config).live()
-            parts.bulletin.close()
+            parts.event_log.close()
         if not parts.reports.close(REPORT_WITHIN_S):
             log.warning("a report was left unmade; it is made when somebody asks for it")
 
@@ -77,12 +77,12 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_no
 def _owner_parts(
     settings: Settings, config: Path, owned: Ownership, circumstances: Callable[[], Circumstances]
 ) -> OwnerParts:
-    service, bulletin = settings.service, Bulletin()
+    service, event_log = settings.service, EventLog()
     computing_s = S_PER_MIN * service.computation_timeout_minutes
     return OwnerParts(
         config=config,
-        bulletin=bulletin,
-        board=Board(load_machine(settings.machine).name, bulletin),
+        event_log=event_log,
+        board=StatusBoard(load_machine(settings.machine).name, event_log),
         health=Health(RealClock().now, hang_timeout_s=service.hang_timeout_s, computing_s=computing_s),
         ownership=owned,
         journal_state=JournalState(settings.state_directory),

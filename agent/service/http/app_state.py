@@ -11,7 +11,7 @@ from fastapi import Depends, Request
 
 from agent.service.control import Control
 from agent.service.state.archive import Archive
-from agent.service.state.event_log import Bulletin
+from agent.service.state.event_log import EventLog
 from agent.service.state.live_view import Scenes
 from agent.settings.schema import Settings
 
@@ -21,7 +21,7 @@ class Site:
     """`settings`: those that the next run will have; `config`: the file they come from."""
 
     control: Control
-    bulletin: Bulletin
+    event_log: EventLog
     archive: Archive
     scenes: Scenes
     settings: Callable[[], Settings]

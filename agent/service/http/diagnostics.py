@@ -18,7 +18,7 @@ router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED, depend
 def diagnostics(site: SiteHere) -> Response:
     """ZIP: status, events, versions, settings and journal, secrets removed. It needs the token: it is everything that
     is known of the machine."""
-    _, events = site.bulletin.since(0)
+    _, events = site.event_log.since(0)
     content = diagnosis(site.settings(), status_now(site).model_dump(mode="json"), events)
     headers = {"Content-Disposition": 'attachment; filename="volcal-diagnostics.zip"'}
     return Response(content, media_type="application/zip", headers=headers)

@@ -26,12 +26,12 @@ async def events(
     """`status` once at the beginning (and again where events were lost), then every event with its number as id. With
     `Last-Event-ID` those since that number come first. A comment every 15 s keeps the connection."""
     known = last_event_id is not None and last_event_id.isdigit()
-    seen = int(last_event_id or 0) if known else site.bulletin.last_number
+    seen = int(last_event_id or 0) if known else site.event_log.last_number
     yield _status(site)
     loop, news = asyncio.get_running_loop(), asyncio.Event()
-    with site.bulletin.waking(lambda: loop.call_soon_threadsafe(news.set)):
-        while not site.bulletin.closed:
-            lost, happened = site.bulletin.since(seen)
+    with site.event_log.waking(lambda: loop.call_soon_threadsafe(news.set)):
+        while not site.event_log.closed:
+            lost, happened = site.event_log.since(seen)
             if lost:
                 yield _status(site)
             for event in happened:

@@ -93,5 +93,5 @@ def plan(site: SiteHere) -> dict[str, Any]:
 
 def status_now(site: Site) -> StatusView:
     """The event's number is taken first: what happens between the two is told again rather than lost."""
-    number = site.bulletin.last_number
+    number = site.event_log.last_number
     return status_view(site.control.status(), number)

@@ -60,7 +60,7 @@ class Owner:
         return self._board.status()
 
     def subscribe(self) -> AbstractContextManager[Queue[Event]]:
-        return self._parts.bulletin.subscribe()
+        return self._parts.event_log.subscribe()
 
     def start(self, request: RunRequest) -> str:
         with naming(self._parts.config):
@@ -203,7 +203,7 @@ class Owner:
         self._release()
         if isinstance(error, VolcalError):
             text = f"{request.kind} asked for by {request.source} was not started: {error.message}"
-            self._parts.bulletin.publish("note", text, {"hint": error.hint, "source": request.source})
+            self._parts.event_log.publish("note", text, {"hint": error.hint, "source": request.source})
             log.warning(text, hint=error.hint)
 
     def _begin(
@@ -280,7 +280,7 @@ class Owner:
         with self._changed:
             if self._running is not None:
                 action(self._running)
-                self._parts.bulletin.publish("note", text)
+                self._parts.event_log.publish("note", text)
                 log.info(text)
 
 

@@ -13,11 +13,11 @@ from agent.runs.session import RunResult, carry_out
 from agent.service.owner.health import Health
 from agent.service.owner.machine_access import MachineAccess
 from agent.service.owner.unattended import Circumstances
-from agent.service.state.event_log import Bulletin
+from agent.service.state.event_log import EventLog
 from agent.service.state.journal_state import JournalState
 from agent.service.state.live_view import Scenes
 from agent.service.state.reports import Reports
-from agent.service.state.status_board import Board
+from agent.service.state.status_board import StatusBoard
 from drivers.clock import RealClock
 from twin.units import S_PER_MIN
 
@@ -33,8 +33,8 @@ class OwnerParts:
     `agent.runs.session` and `agent.runs.resume.resume`."""
 
     config: Path
-    bulletin: Bulletin
-    board: Board
+    event_log: EventLog
+    board: StatusBoard
     health: Health
     ownership: Ownership
     journal_state: JournalState

@@ -18,7 +18,7 @@ KEPT = 2000
 QUEUED = 1000
 
 
-class Bulletin:
+class EventLog:
     """Any thread may publish and read."""
 
     def __init__(self, kept: int = KEPT, queued: int = QUEUED) -> None:

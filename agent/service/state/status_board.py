@@ -17,7 +17,7 @@ from agent.runs.run_request import Source
 from agent.service.alarms import alarm_of
 from agent.service.allowed_requests import AT_REST, may
 from agent.service.control import Alarm, Question, Status
-from agent.service.state.event_log import Bulletin
+from agent.service.state.event_log import EventLog
 from agent.service.state.status_text import doing
 from drivers.clock import utc_timestamp
 from drivers.errors import StoreError
@@ -37,11 +37,11 @@ class IdleStatus:
 
 
 @dataclass
-class Board:
+class StatusBoard:
     """Written by the run's thread, read by everybody. Every change of state is published."""
 
     machine: str
-    bulletin: Bulletin
+    event_log: EventLog
     _status: Status = field(init=False)
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class Board:
     def reconciled(self, result: Reconciliation) -> None:
         """Take over the bank that the controller reports; an instruction to a person becomes an alarm."""
         self._change(active_bank=result.active_bank, written_not_active=result.waiting_bank)
-        self.bulletin.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
+        self.event_log.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
         log.info("reconciled", text=result.text)
         if result.instruction:
             self.alarm(alarm_of(StoreError(result.state.value, hint=result.instruction)))
@@ -114,7 +114,7 @@ class Board:
                 self._change(fraction=data["fraction"], minutes_left=data["minutes_left"])
             case _:
                 log.info(announcement.text, **data)
-        self.bulletin.publish(announcement.kind, announcement.text, data)
+        self.event_log.publish(announcement.kind, announcement.text, data)
 
     def see(self, step: Step, result: object) -> None:
         """The engine's observer: at every step, so it must take microseconds."""
@@ -125,7 +125,7 @@ class Board:
             case Record():
                 self._see_record(step)
             case ReadTemperatures():
-                self.bulletin.publish("temperature", step.key, _mapping(result))
+                self.event_log.publish("temperature", step.key, _mapping(result))
             case ReadActiveBank():
                 self._change(active_bank=result)
             case ActivateBank():
@@ -137,35 +137,35 @@ class Board:
         """A question is open, or no longer; `text` then says how it ended."""
         self._change(question=question)
         data = {} if question is None else {"number": question.number, "station": question.station}
-        self.bulletin.publish("question", text, {"open": question is not None, **data})
+        self.event_log.publish("question", text, {"open": question is not None, **data})
         log.info("question", open=question is not None, text=text)
 
     def ended(self, outcome: Outcome) -> None:
         self._change(active_bank=outcome.table_bank, minutes_left=None)
-        self.bulletin.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
+        self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
     def alarm(self, alarm: Alarm) -> None:
         """The first one stays in front: it is the cause."""
         self._change(alarms=(*self._status.alarms, alarm))
         data = {"code": alarm.code, "hint": alarm.hint, "where": dict(alarm.where)}
-        self.bulletin.publish("alarm", alarm.text, data)
+        self.event_log.publish("alarm", alarm.text, data)
         log.error(alarm.text, **data)
 
     def enter(self, state: RunState, text: str) -> None:
         former = self._status.state
         self._change(state=state, packml=PACKML[state])
-        self.bulletin.publish("state", text, {"state": state.value, "packml": PACKML[state]})
+        self.event_log.publish("state", text, {"state": state.value, "packml": PACKML[state]})
         log.info("state", state=state.value, former=former.value, text=text)
 
     # ------------------------------------------------------------------
 
     def _see_record(self, step: Record) -> None:
         if step.key.endswith("/lost"):
-            self.bulletin.publish("lost", step.key, step.payload)
+            self.event_log.publish("lost", step.key, step.payload)
         if step.kind != "ball":
             return
         self._change(step=step.key, balls=self._status.balls + 1)
-        self.bulletin.publish("ball", step.key, step.payload)
+        self.event_log.publish("ball", step.key, step.payload)
 
     def _change(self, **values: Any) -> None:
         with self._lock:

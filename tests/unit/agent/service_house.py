@@ -29,10 +29,10 @@ from agent.service.owner.machine_access import MachineAccess
 from agent.service.owner.owner import Owner
 from agent.service.owner.owner_parts import OwnerParts
 from agent.service.owner.unattended import Circumstances
-from agent.service.state.event_log import Bulletin
+from agent.service.state.event_log import EventLog
 from agent.service.state.journal_state import JournalState
 from agent.service.state.reports import Reports
-from agent.service.state.status_board import Board
+from agent.service.state.status_board import StatusBoard
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import VolcalError
@@ -168,8 +168,8 @@ class House:
     puppet: Puppet
 
     @property
-    def bulletin(self) -> Bulletin:
-        return self.parts.bulletin
+    def event_log(self) -> EventLog:
+        return self.parts.event_log
 
 
 @contextmanager
@@ -182,11 +182,11 @@ def house(
 ) -> Iterator[House]:
     settings = Settings.model_validate(settings_document(state, **sections))
     with capture_logs(), ownership(state, "the service (process 1)") as owned:
-        bulletin, puppet = Bulletin(), Puppet()
+        event_log, puppet = EventLog(), Puppet()
         parts = OwnerParts(
             config=state / "volcal.toml",
-            bulletin=bulletin,
-            board=Board("case-study", bulletin),
+            event_log=event_log,
+            board=StatusBoard("case-study", event_log),
             health=Health(VirtualClock().now, hang_timeout_s=30.0, computing_s=900.0),
             ownership=owned,
             journal_state=JournalState(state),

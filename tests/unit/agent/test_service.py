@@ -34,7 +34,7 @@ from agent.service.owner.questions import Questions, ServiceOperator
 from agent.service.owner.run_hooks import RunHooksFactory
 from agent.service.owner.run_mailbox import RunMailbox
 from agent.service.owner.unattended import Circumstances, minutes_until_end, require_warm
-from agent.service.state.event_log import Bulletin
+from agent.service.state.event_log import EventLog
 from agent.service.state.status_text import doing
 from agent.service.token import make_token, read_token, token_path
 from agent.settings.schema import Settings
@@ -282,22 +282,22 @@ def test_a_service_whose_engine_hangs_is_no_longer_fed(tmp_path: Path, silent_s:
 
 
 def test_a_lagging_reader_loses_the_oldest_progress_first() -> None:
-    bulletin = Bulletin(kept=3, queued=4)
-    with bulletin.subscribe() as queue:
+    event_log = EventLog(kept=3, queued=4)
+    with event_log.subscribe() as queue:
         for number in range(3):
-            bulletin.publish("progress", str(number))
+            event_log.publish("progress", str(number))
         for name in ("state", "alarm", "note"):
-            bulletin.publish(name, name)
+            event_log.publish(name, name)
         assert [queue.get_nowait().text for _ in range(queue.qsize())] == ["2", "state", "alarm", "note"]
         for name in "abcde":
-            bulletin.publish("note", name)
+            event_log.publish("note", name)
         assert [queue.get_nowait().text for _ in range(queue.qsize())] == ["b", "c", "d", "e"]
-    assert bulletin.since(9) == (False, bulletin.since(9)[1])
-    assert [event.number for event in bulletin.since(9)[1]] == [10, 11]
-    lost, events = bulletin.since(2)
+    assert event_log.since(9) == (False, event_log.since(9)[1])
+    assert [event.number for event in event_log.since(9)[1]] == [10, 11]
+    lost, events = event_log.since(2)
     assert lost
     assert [event.number for event in events] == [9, 10, 11]
-    assert bulletin.since(500)[0]  # of another life of the service
+    assert event_log.since(500)[0]  # of another life of the service
 
 
 # ---------------------------------------------------------------------- questions
