@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming linuxcnc gcode schema reference deb deb-test clean
+.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming linuxcnc gcode schema reference deb deb-test clean
 
 setup: $(STAMP)
 
@@ -19,12 +19,19 @@ run: setup
 test: setup
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
+# What tells most in a minute: unit, contract, property and golden tests without those of tests/slow.txt, few examples of
+# each property.
+quick: setup
+	$(BIN)/python -m pytest -m "not slow" --hypothesis-profile=quick --numprocesses auto --dist loadfile \
+		tests/unit tests/contract tests/property tests/golden
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
 types: setup
 	$(BIN)/mypy
+	$(BIN)/mypy --config-file tests/mypy.ini --cache-dir .mypy_cache/tests
 
 contracts: setup
 	$(BIN)/lint-imports

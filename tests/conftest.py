@@ -7,6 +7,7 @@ on the same tree; at a desk they are drawn anew each time, to find what is left.
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is first imported; see agent/cli/main.py
 
@@ -18,6 +19,19 @@ settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCh
 settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
 settings.register_profile("quick", parent=settings.get_profile("check"), max_examples=10)
 settings.load_profile("check" if os.environ.get("CI") else "desk")
+
+
+SLOW = Path(__file__).with_name("slow.txt")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the tests listed in slow.txt, so that `make quick` can leave them out."""
+    listed = {line for line in SLOW.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")}
+    for item in items:
+        path = item.path.relative_to(config.rootpath).as_posix()
+        function = item.nodeid.partition("[")[0].rpartition("/")[2].partition("::")[2]
+        if not listed.isdisjoint((path, f"{path}::{function}")):
+            item.add_marker(pytest.mark.slow)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -142,10 +142,12 @@ class TestBadInput:
 
     def test_both_kinds_of_workers(self, tmp_path: Path) -> None:
         both = ["--workers", "2", "--cluster", "tcp://127.0.0.1:8786"]
-        refused(here(*SMALL, *both, "--out", tmp_path), 2, "--workers are those of this computer")
+        refused(here(*SMALL, *both, "--out", tmp_path), 2, "--workers counts processes on this computer")
 
     def test_an_address_that_is_none(self, tmp_path: Path) -> None:
-        refused(here(*SMALL, "--cluster", "there", "--out", tmp_path), 2, "'there' is no address", "tcp://HOST:PORT")
+        refused(
+            here(*SMALL, "--cluster", "there", "--out", tmp_path), 2, "'there' is not an address", "tcp://HOST:PORT"
+        )
 
     def test_a_cluster_that_is_not_there(self, tmp_path: Path) -> None:
         refused(here(*SMALL, "--cluster", "tcp://127.0.0.1:9", "--out", tmp_path), 3, "no Dask scheduler answers")

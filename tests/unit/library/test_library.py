@@ -70,7 +70,7 @@ def test_using_it_loads_neither_agent_nor_simulators_nor_matplotlib() -> None:
 
 def test_an_unknown_name_is_refused() -> None:
     with pytest.raises(AttributeError, match="no attribute 'calibrate'"):
-        _ = volcal.calibrate  # type: ignore[attr-defined]
+        _ = volcal.calibrate
 
 
 def test_the_shipped_balls_are_those_of_the_simulation() -> None:
