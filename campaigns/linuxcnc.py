@@ -104,8 +104,8 @@ def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) 
         {
             "bridge_command": machine.bridge_command,
             "motion_margin_s": 120.0,
-            "answer_within_s": ANSWER_WITHIN_S,
-            "compensation": {"way": "external-offsets", "directory": str(trial.work / "tables")},
+            "response_timeout_s": ANSWER_WITHIN_S,
+            "compensation": {"method": "external-offsets", "directory": str(trial.work / "tables")},
         }
     )
     device = LinuxCnc(options, DeviceContext("cnc", ScaledClock(trial.speed), trial.work))
@@ -138,7 +138,7 @@ def largest_applied_difference_um(device: LinuxCnc, machine: LinuxCncProcess, im
     limits = device.limits()
     rng = np.random.default_rng(5)
     worst = 0.0
-    link = BridgeLink(machine.bridge_command, answer_within_s=5.0, watch_s=0.0, device="motors")
+    link = BridgeLink(machine.bridge_command, response_timeout_s=5.0, watchdog_timeout_s=0.0, device="motors")
     link.open()
     try:
         for x in rng.uniform(limits.lower_mm[0] + 1.0, limits.upper_mm[0] - 1.0, POINTS):
@@ -168,7 +168,7 @@ def _write_changed_copy(example: Path, path: Path, changes: dict[str, str]) -> P
 SHORT_CHANGES = {
     # other tests may keep the computer busy
     "motion_margin_s = 120.0": f"motion_margin_s = 600.0\nanswer_within_s = {ANSWER_WITHIN_S}",
-    "watch_s = 2.0": "watch_s = 20.0",
+    "watchdog_timeout_s = 2.0": "watchdog_timeout_s = 20.0",
     # one touch per point, at the feed of the search
     "touch_stages = 2": "touch_stages = 1",
     "touch_feed_mm_per_min = 60.0": "touch_feed_mm_per_min = 180.0",

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError
+from drivers.options import find_former_key, rename_former_keys
 from drivers.roles import Device
 
 ENTRY_POINT_GROUP = "volcal.drivers"
@@ -67,6 +68,18 @@ def check_options(driver: str, options: Mapping[str, object], name: str) -> Mapp
     return plugin.claims(_validated(plugin, options, name))
 
 
+def current_options(driver: str, options: Mapping[str, object]) -> dict[str, object]:
+    """Return options that an earlier version has stored, with former keys replaced by the current ones.
+
+    Options of a driver that cannot be loaded are returned unchanged; creating the device raises the error.
+    """
+    try:
+        plugin = _plugin(driver, driver)
+    except ConfigurationError:
+        return dict(options)
+    return rename_former_keys(options, plugin.settings)
+
+
 def has_several_mounts(driver: str, name: str) -> bool:
     """Return True if one device of `driver` serves a mount at each station."""
     return _plugin(driver, name).several_mounts
@@ -100,6 +113,14 @@ def _entries() -> tuple[EntryPoint, ...]:
 
 
 def _validated(plugin: DriverPlugin, options: Mapping[str, object], name: str) -> BaseModel:
+    renamed = find_former_key(options, plugin.settings)
+    if renamed is not None:
+        path, current = renamed
+        raise ConfigurationError(
+            f"option '{path[-1]}' has been renamed",
+            key=".".join(["devices", name, "options", *path]),
+            hint=f"write '{current}' instead; its meaning is the same",
+        )
     try:
         return plugin.settings.model_validate(dict(options))
     except ValidationError as error:

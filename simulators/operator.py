@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import socket
+from collections.abc import Mapping
 from contextlib import suppress
+from typing import ClassVar
 
 import structlog
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.errors import CommandRejected, LinkLost, LinkTimeout, ProtocolError
+from drivers.options import DriverOptions
 from drivers.registry import DeviceContext, DriverPlugin
 from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask
 
@@ -17,14 +20,14 @@ LONGEST_ANSWER = 65536
 log = structlog.get_logger()
 
 
-class SimulatedOperatorSettings(BaseModel):
+class SimulatedOperatorSettings(DriverOptions):
     """Address on which `volcal simulate` listens for control requests, as given in its ready line."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    former_keys: ClassVar[Mapping[str, str]] = {"answer_within_s": "response_timeout_s"}
 
     host: str = "127.0.0.1"
     port: int = Field(ge=1, le=65535)
-    answer_within_s: float = Field(default=5.0, gt=0.0, le=60.0)
+    response_timeout_s: float = Field(default=5.0, gt=0.0, le=60.0)
 
 
 class SimulatedOperator:
@@ -39,7 +42,7 @@ class SimulatedOperator:
         self.close()
         try:
             self._socket = socket.create_connection(
-                (self._settings.host, self._settings.port), timeout=self._settings.answer_within_s
+                (self._settings.host, self._settings.port), timeout=self._settings.response_timeout_s
             )
         except OSError as error:
             raise self._lost(f"no answer at {self._address}: {error}") from error
@@ -86,7 +89,7 @@ class SimulatedOperator:
         except TimeoutError as error:
             self.close()
             raise LinkTimeout(
-                f"no answer within {self._settings.answer_within_s:g} s", device=self._name, link=self._address
+                f"no answer within {self._settings.response_timeout_s:g} s", device=self._name, link=self._address
             ) from error
         except OSError as error:
             self.close()

@@ -17,10 +17,9 @@ from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.kinds.nightly import Night
 from agent.runs.kinds.verify import Verification
 from agent.runs.planned_run import Kind, StartConditions
-from agent.settings.load import POSITION_FILES
+from agent.settings.load import POSITION_FILES, current_settings_document
 from agent.settings.schema import Settings
 from drivers.errors import InputError
-from twin.formats.toml_reading import with_current_keys
 
 KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
 
@@ -72,7 +71,7 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
     x, y, z = record["start_mm"]
     return Origin(
         run_id=row.run_id,
-        settings=Settings.model_validate(with_current_keys(json.loads(row.settings_text), Settings)),
+        settings=Settings.model_validate(current_settings_document(json.loads(row.settings_text))),
         kind=_kind(record["kind"], record["options"]),
         base=Path(record["base"]),
         start=StartConditions(run, record["at"], (x, y, z)),

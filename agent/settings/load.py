@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from agent.files import read_text, translated
 from agent.settings.schema import Settings, parse_settings
 from drivers.errors import ConfigurationError, UserError
-from drivers.registry import check_options
-from twin.formats.toml_reading import validate_document
+from drivers.registry import check_options, current_options
+from twin.formats.toml_reading import validate_document, with_current_keys
 
 POSITION_FILES = (".csv", ".toml")
 
@@ -66,6 +67,16 @@ def with_overrides(
         document["identification"]["formulation"] = formulation
     with translated(ConfigurationError):
         return validate_document(document, "command line", Settings)
+
+
+def current_settings_document(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a settings document stored by an earlier version with former keys replaced by the current ones."""
+    document = with_current_keys(stored, Settings)
+    document["devices"] = {
+        name: {**device, "options": current_options(device["driver"], device.get("options", {}))}
+        for name, device in document.get("devices", {}).items()
+    }
+    return document
 
 
 def _check_devices(settings: Settings) -> None:

@@ -6,16 +6,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.canopen_mount.scale import INT32_MAX, AxisScale
+from drivers.options import DriverOptions
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class HomingSettings(_Strict):
+class HomingSettings(DriverOptions):
     """CiA 402 homing mode, for encoders that lose their position at power-off."""
 
     method: int = Field(ge=1, le=127, description="object 0x6098, for example 37: present position is zero")
@@ -28,7 +25,7 @@ class HomingSettings(_Strict):
 ComparedFactor = Literal["encoder", "gear", "feed", "polarity"]
 
 
-class UnitSettings(_Strict):
+class UnitSettings(DriverOptions):
     """Position unit of the drive, and its own objects that must agree with it (CiA 402-2, factors)."""
 
     position: Literal["increments", "feed"] = Field(
@@ -63,7 +60,7 @@ class UnitSettings(_Strict):
         return self
 
 
-class AxisSettings(_Strict):
+class AxisSettings(DriverOptions):
     """Settings of one axis: the drive, and the gear between its motor and the mount."""
 
     node_id: int = Field(ge=1, le=127)
@@ -111,7 +108,7 @@ class AxisSettings(_Strict):
         return self
 
 
-class CanopenMountSettings(_Strict):
+class CanopenMountSettings(DriverOptions):
     """Settings of the driver: bus, drives and time-outs."""
 
     interface: str = Field(min_length=1, description="python-can interface: socketcan, slcan, socketcand, ...")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.errors import PermissionMissing
+from drivers.options import DriverOptions
 from drivers.registry import DeviceContext, DriverPlugin
 from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask
 
@@ -19,10 +20,8 @@ _AGREES = {"d", "done", "y", "yes"}
 _DECLINES = {"n", "no"}
 
 
-class ConsoleOperatorSettings(BaseModel):
+class ConsoleOperatorSettings(DriverOptions):
     """Settings of driver `console-operator`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     attempts: int = Field(default=5, ge=1, le=100, description="unrecognised answers until the reply counts as no")
 

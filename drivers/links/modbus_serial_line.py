@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from drivers.options import DriverOptions
 
 FAST_BAUD = 19200
 FAST_GAP_S = 0.00175
@@ -17,10 +19,8 @@ ADDRESS_AND_CRC = 3
 SHORTEST_FRAME = 4
 
 
-class SerialLine(BaseModel):
+class SerialLine(DriverOptions):
     """Port and format of a serial line. The defaults are those of the standard (19200 baud, 8E1)."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     port: str = Field(min_length=1, description="device file, for example /dev/ttyUSB0 or /dev/serial/by-id/…")
     baud: int = Field(default=19200, ge=1200, le=921600)

@@ -38,10 +38,12 @@ class BridgeLink:
     Implements `drivers.linuxcnc.pins.Pins`.
     """
 
-    def __init__(self, command: Sequence[str], *, answer_within_s: float, watch_s: float, device: str) -> None:
+    def __init__(
+        self, command: Sequence[str], *, response_timeout_s: float, watchdog_timeout_s: float, device: str
+    ) -> None:
         self._command = [*command, str(BRIDGE)]
-        self._within_s = answer_within_s
-        self._watch_s = watch_s
+        self._within_s = response_timeout_s
+        self._watchdog_timeout_s = watchdog_timeout_s
         self.where = {"device": device, "link": "linuxcnc bridge"}
         self._bridge: _Bridge | None = None
         self._buffered = b""
@@ -66,7 +68,7 @@ class BridgeLink:
             self._bridge = self._start_process()
             try:
                 self._answer(0)
-                self.hello = self.ask("hello", watch_s=self._watch_s)
+                self.hello = self.ask("hello", watch_s=self._watchdog_timeout_s)
             except BaseException:
                 self.close()
                 raise

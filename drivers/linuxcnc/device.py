@@ -38,8 +38,8 @@ class LinuxCnc:
     def __init__(self, settings: LinuxCncSettings, context: DeviceContext) -> None:
         link = BridgeLink(
             settings.bridge_command,
-            answer_within_s=settings.answer_within_s,
-            watch_s=settings.watch_s,
+            response_timeout_s=settings.response_timeout_s,
+            watchdog_timeout_s=settings.watchdog_timeout_s,
             device=context.name,
         )
         self._session = LinuxCncSession(link, context.clock, settings)
@@ -152,7 +152,7 @@ class LinuxCnc:
         if self._store is None:
             raise ConfigurationError(
                 "no compensation is configured for this LinuxCNC",
-                hint="set compensation.way and compensation.directory",
+                hint="set compensation.method and compensation.directory",
                 key="compensation",
                 **self._session.where,
             )

@@ -250,7 +250,7 @@ class LinuxCncMotion:
                     return ended, messages + self._late_messages(ended, messages)
             self._require_still_permitted(kind, snapshot)
             if snapshot.paused:
-                held = held or Deadline.after(clock, settings.held_at_most_s)
+                held = held or Deadline.after(clock, settings.max_hold_s)
                 self._require_resumed(held)
                 deadline = Deadline.after(clock, allowed_s)
             else:
@@ -291,7 +291,7 @@ class LinuxCncMotion:
     def _require_resumed(self, held: Deadline) -> None:
         if held.expired:
             raise MotionFault(
-                f"motion held at the machine for more than {self._session.settings.held_at_most_s:g} s",
+                f"motion held at the machine for more than {self._session.settings.max_hold_s:g} s",
                 hint="release the hold and start the run again",
                 **self._session.where,
             )

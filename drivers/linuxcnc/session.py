@@ -85,7 +85,7 @@ class LinuxCncSession:
     def home(self) -> None:
         """Home all joints in the sequence of the INI file and return when they are homed; this may move the axes."""
         self.link.ask("home")
-        deadline = Deadline.after(self.clock, self.settings.homing_within_s)
+        deadline = Deadline.after(self.clock, self.settings.homing_timeout_s)
         messages: tuple[str, ...] = ()
         try:
             while True:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.linuxcnc.compensation.settings import CompensationSettings
+from drivers.options import DriverOptions
 from drivers.roles import Permission
 
 PinName = Annotated[str, Field(min_length=1, max_length=47, pattern=r"^[A-Za-z0-9_.:-]+$")]
@@ -14,13 +16,11 @@ PinName = Annotated[str, Field(min_length=1, max_length=47, pattern=r"^[A-Za-z0-
 Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
-class PermissionPins(BaseModel):
+class PermissionPins(DriverOptions):
     """HAL bits that are true while the machine may be moved.
 
     Without a bit, LinuxCNC's own state decides, or the permission is taken as granted.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     automatic: PinName | None = Field(default=None, description="if unset: the machine is on")
     doors_closed: PinName | None = Field(default=None, description="if unset: taken as granted")
@@ -32,10 +32,15 @@ class PermissionPins(BaseModel):
         return {Permission[name.upper()]: pin for name, pin in self if pin is not None}
 
 
-class LinuxCncSettings(BaseModel):
+class LinuxCncSettings(DriverOptions):
     """Settings of driver `linuxcnc`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "answer_within_s": "response_timeout_s",
+        "watch_s": "watchdog_timeout_s",
+        "held_at_most_s": "max_hold_s",
+        "homing_within_s": "homing_timeout_s",
+    }
 
     bridge_command: tuple[str, ...] = Field(
         default=("/usr/bin/python3",),
@@ -43,18 +48,20 @@ class LinuxCncSettings(BaseModel):
         description="Python interpreter with the modules linuxcnc and hal, preceded by a wrapper command if needed",
     )
     machine_name: str | None = Field(default=None, description="expected [EMC]MACHINE; any other is refused")
-    answer_within_s: Annotated[float, Field(gt=0.0, le=60.0)] = 3.0
-    watch_s: float = Field(default=2.0, ge=0.0, le=60.0, description="silence after which the bridge stops a motion")
+    response_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)] = 3.0
+    watchdog_timeout_s: float = Field(
+        default=2.0, ge=0.0, le=60.0, description="silence after which the bridge stops a motion"
+    )
 
     poll_interval_s: float = Field(
         default=0.02, gt=0.0, le=0.5, description="between two status queries during a motion"
     )
     motion_margin_s: Seconds = Field(default=5.0, description="on top of 1.5 times the predicted duration")
-    held_at_most_s: Seconds = Field(default=600.0, description="longest wait for the release of a hold")
+    max_hold_s: Seconds = Field(default=600.0, description="longest wait for the release of a hold")
     homing: Literal["refuse", "absolute-encoders"] = Field(
         default="refuse", description="absolute-encoders: home on opening if that moves nothing"
     )
-    homing_within_s: Seconds = 120.0
+    homing_timeout_s: Seconds = 120.0
 
     permissions: PermissionPins = PermissionPins()
     probe_tool: int | None = Field(default=None, ge=0, description="number of the probe in the tool table")

@@ -50,8 +50,8 @@ class BankReader:
         """
         blocks, clock = self._session.settings.blocks, self._session.clock
         selector = bank.to_bytes(2, "big") + number.to_bytes(2, "big")
-        deadline = Deadline.after(clock, self._session.settings.table_within_s)
-        seen_by_then = Deadline.after(clock, self._session.settings.acknowledge_within_s)
+        deadline = Deadline.after(clock, self._session.settings.table_timeout_s)
+        seen_by_then = Deadline.after(clock, self._session.settings.acknowledge_timeout_s)
         while True:
             window = self._session.link.exchange(
                 blocks.read_selector, selector, blocks.read_window, READ_WINDOW_REGISTERS, idempotent=True

@@ -114,7 +114,7 @@ class ModbusMotion:
         fine_s = settings.fine_poll_interval_s
         while _is_under_way(status):
             if status.state is MotionState.HELD:
-                held_deadline = held_deadline or Deadline.after(clock, settings.held_at_most_s)
+                held_deadline = held_deadline or Deadline.after(clock, settings.max_hold_s)
                 self._require_resumed(held_deadline)
                 deadline = Deadline.after(clock, allowed_s)
                 pause_s = slice_s
@@ -144,7 +144,7 @@ class ModbusMotion:
     def _require_resumed(self, held_deadline: Deadline) -> None:
         if held_deadline.expired:
             raise MotionFault(
-                f"motion held at the machine for more than {self._session.settings.held_at_most_s:g} s",
+                f"motion held at the machine for more than {self._session.settings.max_hold_s:g} s",
                 hint="release the feed hold and start the run again",
                 **self._session.where,
             )

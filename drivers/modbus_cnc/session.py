@@ -42,10 +42,10 @@ class ModbusSession:
         self.settings = settings
         self.where: Mapping[str, str] = link.where
         self.layouts = BlockLayouts(
-            NumberFormat(settings.number, settings.number_scale, settings.word_order, settings.byte_order)
+            NumberFormat(settings.number_format, settings.number_scale, settings.word_order, settings.byte_order)
         )
         self._heartbeat = 0
-        self._peer = PeerHeartbeat(clock, settings.heartbeat_lost_after_s, link.where)
+        self._peer = PeerHeartbeat(clock, settings.heartbeat_timeout_s, link.where)
         self._sequence = 0
         self._results: dict[int, int] = {}
         self._unacknowledged = 0
@@ -95,7 +95,7 @@ class ModbusSession:
         """Send as `command` does, and also return the sequence number, which identifies the outcome."""
         sequence = self._next_sequence()
         status = self._send(command, sequence)
-        allowed_s = within_s or self.settings.acknowledge_within_s
+        allowed_s = within_s or self.settings.acknowledge_timeout_s
         deadline = Deadline.after(self.clock, allowed_s)
         pause_s = self.settings.fine_poll_interval_s
         while sequence not in self._results:

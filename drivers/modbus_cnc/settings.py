@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.links.modbus_serial_line import SerialLine
+from drivers.options import DriverOptions
 
 STATUS_REGISTERS = 70
 LIMITS_REGISTERS = 63
@@ -29,10 +31,8 @@ Address = Annotated[int, Field(ge=0, le=65535)]
 Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
-class BlockAddresses(BaseModel):
+class BlockAddresses(DriverOptions):
     """First register of each block, as transmitted (0-based)."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     status: Address = 1000
     limits: Address = 1100
@@ -73,10 +73,16 @@ class BlockAddresses(BaseModel):
         return self
 
 
-class ModbusCncSettings(BaseModel):
+class ModbusCncSettings(DriverOptions):
     """Settings of driver `modbus-cnc`: over TCP with `host`, over a serial line (Modbus RTU) with `serial`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "number": "number_format",
+        "acknowledge_within_s": "acknowledge_timeout_s",
+        "heartbeat_lost_after_s": "heartbeat_timeout_s",
+        "held_at_most_s": "max_hold_s",
+        "table_within_s": "table_timeout_s",
+    }
 
     host: str | None = Field(default=None, min_length=1, description="host name or address of the controller")
     port: int = Field(default=502, ge=1, le=65535)
@@ -92,7 +98,7 @@ class ModbusCncSettings(BaseModel):
     combined_function: bool = Field(default=True, description="use function 23 (write and read in one)")
 
     blocks: BlockAddresses = BlockAddresses()
-    number: Literal["float64", "int32"] = "float64"
+    number_format: Literal["float64", "int32"] = "float64"
     number_scale: float = Field(default=1e-5, gt=0.0, description="unit of an int32 number")
     word_order: Literal["high-first", "low-first"] = "high-first"
     byte_order: Literal["high-first", "low-first"] = Field(
@@ -105,13 +111,11 @@ class ModbusCncSettings(BaseModel):
         default=0.2, gt=0.0, le=0.5, description="the same during a touch, whose end cannot be predicted"
     )
     fine_poll_interval_s: float = Field(default=0.01, gt=0.0, le=0.5, description="near the end of a wait")
-    acknowledge_within_s: Seconds = 1.0
-    heartbeat_lost_after_s: Seconds = 1.0
+    acknowledge_timeout_s: Seconds = 1.0
+    heartbeat_timeout_s: Seconds = 1.0
     motion_margin_s: Seconds = Field(default=5.0, description="on top of 1.5 times the predicted duration")
-    held_at_most_s: Seconds = Field(
-        default=600.0, description="longest wait for the release of a feed hold at the panel"
-    )
-    table_within_s: Seconds = Field(default=10.0, description="for one step of a table transfer")
+    max_hold_s: Seconds = Field(default=600.0, description="longest wait for the release of a feed hold at the panel")
+    table_timeout_s: Seconds = Field(default=10.0, description="for one step of a table transfer")
     latch_tolerance_mm: float = Field(
         default=1.0, gt=0.0, description="largest distance of a latched position from the commanded path"
     )

@@ -150,7 +150,7 @@ class ModbusStore:
 
     def _table_command(self, command: CommandBlock) -> StatusImage:
         try:
-            return self._session.command(command, within_s=self._session.settings.table_within_s)
+            return self._session.command(command, within_s=self._session.settings.table_timeout_s)
         except CommandRejected as refusal:
             kind = ChecksumMismatch if refusal.where.get("result") == str(CRC_DIFFERS) else StoreError
             raise kind(
@@ -162,7 +162,7 @@ class ModbusStore:
 
     def _await(self, status: StatusImage, reached: Callable[[StatusImage], bool], awaited: str) -> None:
         clock, settings = self._session.clock, self._session.settings
-        deadline = Deadline.after(clock, settings.table_within_s)
+        deadline = Deadline.after(clock, settings.table_timeout_s)
         pause_s = settings.fine_poll_interval_s
         while not reached(status):
             deadline.raise_if_expired(awaited, **self._session.where)

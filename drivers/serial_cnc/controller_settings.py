@@ -104,7 +104,7 @@ class ControllerSettings:
             return "steps, rates, accelerations and travels ($100 to $132) must be positive"
         return ""
 
-    def findings(self, *, referenced_by_hand: bool) -> Iterator[DiagnosticFinding]:
+    def findings(self, *, manual_referencing: bool) -> Iterator[DiagnosticFinding]:
         """Yield one finding for each group of settings; a bad one says which value to set."""
         fatal = self.fatal()
         if fatal:
@@ -112,9 +112,9 @@ class ControllerSettings:
         if self.missing:
             return
         yield self._reports()
-        homes = self.homes or referenced_by_hand
+        homes = self.homes or manual_referencing
         text = "homes with switches" if self.homes else "$22=0: the machine does not home"
-        yield DiagnosticFinding("homing", ok=homes, text=text + (" (referenced by hand)" if referenced_by_hand else ""))
+        yield DiagnosticFinding("homing", ok=homes, text=text + (" (referenced by hand)" if manual_referencing else ""))
         soft = bool(self.values[SOFT_LIMITS])
         yield DiagnosticFinding(
             "soft limits",

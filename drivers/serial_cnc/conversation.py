@@ -84,7 +84,7 @@ class Conversation:
         self.line.close()
 
     def _first_report(self) -> StatusReport:
-        deadline_s = wall_seconds() + self.settings.boot_within_s
+        deadline_s = wall_seconds() + self.settings.boot_timeout_s
         before, garbled = self._reports, ""
         while True:
             self.line.write(QUERY)
@@ -101,7 +101,7 @@ class Conversation:
                 f"this is not a GRBL controller: {garbled}", hint="check baud and the connected device", **self.where
             )
         raise LinkTimeout(
-            f"no status report within {self.settings.boot_within_s:g} s",
+            f"no status report within {self.settings.boot_timeout_s:g} s",
             hint="check port and baud, and that the controller is on",
             **self.where,
         )
@@ -112,7 +112,7 @@ class Conversation:
         Late answers to lines of a previous user are discarded: the refusal of our own invalid line is the last answer.
         """
         self.line.write(SYNCHRONISE.encode() + b"\n")
-        deadline_s = wall_seconds() + self.settings.answer_within_s
+        deadline_s = wall_seconds() + self.settings.response_timeout_s
         while wall_seconds() < deadline_s:
             line = self._next_line_or_raw(deadline_s - wall_seconds())
             if isinstance(line, AnswerLine) and line.error is not None:
@@ -141,11 +141,11 @@ class Conversation:
     def report(self) -> StatusReport:
         """Query the status. A status query is idempotent, so it is repeated after a lost or garbled answer."""
         last: ProtocolError | None = None
-        for _ in range(self.settings.repeats + 1):
+        for _ in range(self.settings.retries + 1):
             before = self._reports
             self.line.write(QUERY)
             try:
-                self._read_for(self.settings.answer_within_s / (self.settings.repeats + 1), before)
+                self._read_for(self.settings.response_timeout_s / (self.settings.retries + 1), before)
             except ProtocolError as error:
                 if "garbled" not in error.where:
                     raise
@@ -155,7 +155,7 @@ class Conversation:
         if last is not None:
             raise last
         raise LinkTimeout(
-            f"no status report within {self.settings.answer_within_s:g} s",
+            f"no status report within {self.settings.response_timeout_s:g} s",
             hint="check whether the controller is off, hangs, or is homing",
             **self.where,
         )
@@ -163,7 +163,7 @@ class Conversation:
     def send(self, line: str) -> SentLine:
         """Send a line without waiting for its answer. Waits while the controller's receive buffer has no room."""
         sent = SentLine(line)
-        deadline_s = wall_seconds() + self.settings.answer_within_s
+        deadline_s = wall_seconds() + self.settings.response_timeout_s
         while self._pending and self._buffered(line) >= self.settings.receive_buffer:
             if not self._read_one(deadline_s):
                 raise LinkTimeout("the controller accepts no further line: its buffer is full", **self.where)
@@ -183,14 +183,14 @@ class Conversation:
         return list(self._messages)
 
     def await_answer(self, sent: SentLine) -> None:
-        deadline_s = wall_seconds() + self.settings.answer_within_s
+        deadline_s = wall_seconds() + self.settings.response_timeout_s
         restarts = self.restarts
         while not sent.answered:
             if self.restarts != restarts:
                 raise ProtocolError(f"the controller has restarted instead of answering {sent.line!r}", **self.where)
             if not self._read_one(deadline_s):
                 raise LinkTimeout(
-                    f"no answer to {sent.line!r} within {self.settings.answer_within_s:g} s", **self.where
+                    f"no answer to {sent.line!r} within {self.settings.response_timeout_s:g} s", **self.where
                 )
 
     def require_accepted(self, sent: SentLine) -> None:
@@ -210,7 +210,7 @@ class Conversation:
         restarts = self.restarts
         self.alarm = None
         self.line.write(SOFT_RESET)
-        deadline_s = wall_seconds() + self.settings.answer_within_s
+        deadline_s = wall_seconds() + self.settings.response_timeout_s
         while self.restarts == restarts:
             if not self._read_one(deadline_s):
                 raise LinkTimeout(

@@ -57,12 +57,12 @@ class SerialCnc:
         try:
             self._store.open()
             self._conversation.open()
-            await_rest(self._conversation, self._clock, self._settings.left_moving_s)
+            await_rest(self._conversation, self._clock, self._settings.initial_motion_timeout_s)
             identity = read_identity(self._conversation)
             fatal = identity.settings.fatal()
             if fatal:
                 raise ConfigurationError(fatal, hint="`volcal doctor` lists every setting that matters", **self._where)
-            tracker = StatusTracker(self._conversation, identity.settings, by_hand=self._settings.referenced_by_hand)
+            tracker = StatusTracker(self._conversation, identity.settings, by_hand=self._settings.manual_referencing)
             tracker.set_work_offset(identity.parameters, identity.modes)
             tracker.read_status()
         except BaseException:
@@ -147,13 +147,13 @@ class SerialCnc:
 
     def temperatures_c(self) -> Mapping[str, float]:
         """Return the temperatures entered in the settings, in °C."""
-        if not self._settings.stated_temperatures_c:
+        if not self._settings.declared_temperatures_c:
             raise DeviceError(
                 "this controller has no thermometer and no temperature is stated",
-                hint="assign the role to another device, or set stated_temperatures_c",
+                hint="assign the role to another device, or set declared_temperatures_c",
                 **self._where,
             )
-        return dict(self._settings.stated_temperatures_c)
+        return dict(self._settings.declared_temperatures_c)
 
     def _require_rest(self) -> None:
         if self._parts is not None and self._parts.control.read_status().state is MotionState.MOVING:

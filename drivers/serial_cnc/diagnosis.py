@@ -43,7 +43,7 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
     identity = read_identity(conversation)
     controller = identity.settings
     yield DiagnosticFinding("link", ok=True, text=f"{conversation.where['link']}, version {controller.version}")
-    yield from controller.findings(referenced_by_hand=settings.referenced_by_hand)
+    yield from controller.findings(manual_referencing=settings.manual_referencing)
     if controller.fatal():
         yield _latency(conversation.report)
         return
@@ -52,7 +52,7 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
         f"{axis} {low:g} … {high:g} mm" for axis, low, high in zip("XYZ", limits.lower_mm, limits.upper_mm, strict=True)
     )
     yield DiagnosticFinding("travel", ok=True, text=travel)
-    tracker = StatusTracker(conversation, controller, by_hand=settings.referenced_by_hand)
+    tracker = StatusTracker(conversation, controller, by_hand=settings.manual_referencing)
     tracker.set_work_offset(identity.parameters, identity.modes)
     yield _latency(tracker.read_status)  # enough reports to contain every occasional field
     status = tracker.read_status()
@@ -70,7 +70,7 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
     yield DiagnosticFinding("work offset", ok=True, text=f"{offset} mm")
     feed, rapid = status.overrides
     yield DiagnosticFinding("overrides", ok=(feed, rapid) == (100, 100), text=f"feed {feed} %, rapids {rapid} %")
-    stated = settings.stated_temperatures_c
+    stated = settings.declared_temperatures_c
     if stated:
         named = ", ".join(f"{name} {value:g} °C" for name, value in stated.items())
         yield DiagnosticFinding("temperatures", ok=True, text=f"stated, not measured: {named}")

@@ -140,7 +140,7 @@ class SerialMotion:
             if sent.answered:
                 return status
             if status.state is MotionState.HELD:
-                held = held or Deadline.after(self._clock, self._settings.held_at_most_s)
+                held = held or Deadline.after(self._clock, self._settings.max_hold_s)
                 self._require_resumed(held, status)
                 schedule.restart()
             else:
@@ -180,7 +180,7 @@ class SerialMotion:
             raise PermissionMissing("the door was opened in motion", hint="close it and start again", **self.where)
         if held.expired:
             raise MotionFault(
-                f"motion held at the machine for more than {self._settings.held_at_most_s:g} s",
+                f"motion held at the machine for more than {self._settings.max_hold_s:g} s",
                 hint="release the feed hold and start the run again",
                 **self.where,
             )

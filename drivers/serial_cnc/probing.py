@@ -77,7 +77,7 @@ class SerialProbing:
             )
 
     def _back_off(self, status: TrackedStatus, goal: Vector, feed_mm_per_s: float | None) -> TrackedStatus:
-        """Move towards the goal until the probe comes free; MotionFault if it does not within `free_within_mm`."""
+        """Move towards the goal until the probe comes free; MotionFault if it does not within `release_distance_mm`."""
         start, path = status.position_mm, goal - status.position_mm
         length = float(np.linalg.norm(path))
         if length < SHORTEST_MM:
@@ -86,7 +86,7 @@ class SerialProbing:
             raise CommandRejected(
                 "the probe is deflected and the move would press it further", hint="move it free", **self._motion.where
             )
-        share = min(1.0, self._settings.free_within_mm / length)
+        share = min(1.0, self._settings.release_distance_mm / length)
         free_target = start + share * path
         ended = self._cycle(
             UNTIL_FREE, "move to free the probe", start, free_target, self._feed(start, free_target, feed_mm_per_s)
@@ -95,7 +95,7 @@ class SerialProbing:
             self._press_direction = None
         elif share < 1.0:
             raise MotionFault(
-                f"the probe is still deflected after {self._settings.free_within_mm:g} mm",
+                f"the probe is still deflected after {self._settings.release_distance_mm:g} mm",
                 hint="check the stylus and the probe's wiring ($6), and move it free by hand",
                 **self._motion.where,
             )

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from drivers.options import DriverOptions
 
 Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 Triple = tuple[float, float, float]
 
 
-class BankSettings(BaseModel):
+class BankSettings(DriverOptions):
     """Files of the compensation tables, since the controller has none. `directory` is relative to the settings file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     directory: Path = Path("banks")
     resolution_mm: float = Field(default=1e-4, ge=1e-6, le=1e-2)
@@ -23,10 +24,19 @@ class BankSettings(BaseModel):
     max_total_nodes: Annotated[int, Field(ge=8, le=1_000_000)] = 100_000
 
 
-class SerialCncSettings(BaseModel):
+class SerialCncSettings(DriverOptions):
     """Settings of driver `serial-cnc`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "referenced_by_hand": "manual_referencing",
+        "answer_within_s": "response_timeout_s",
+        "boot_within_s": "boot_timeout_s",
+        "repeats": "retries",
+        "left_moving_s": "initial_motion_timeout_s",
+        "held_at_most_s": "max_hold_s",
+        "free_within_mm": "release_distance_mm",
+        "stated_temperatures_c": "declared_temperatures_c",
+    }
 
     port: str = Field(
         min_length=1, description="for example /dev/serial/by-id/…, which does not change if others are plugged in"
@@ -36,17 +46,17 @@ class SerialCncSettings(BaseModel):
         default=(0.0, 0.0, 0.0),
         description="machine coordinates (MPos) at which the axes of the machine file read 0",
     )
-    referenced_by_hand: bool = Field(
+    manual_referencing: bool = Field(
         default=False, description="without homing switches: a person sets the axes to their marks and is responsible"
     )
 
-    answer_within_s: Annotated[float, Field(gt=0.0, le=30.0)] = Field(
+    response_timeout_s: Annotated[float, Field(gt=0.0, le=30.0)] = Field(
         default=2.0, description="wall time for an answer that comes at once"
     )
-    boot_within_s: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
+    boot_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
         default=6.0, description="wall time for the first answer; many boards restart when the port is opened"
     )
-    repeats: int = Field(default=2, ge=0, le=10, description="status queries sent again after a lost or garbled one")
+    retries: int = Field(default=2, ge=0, le=10, description="status queries sent again after a lost or garbled one")
     receive_buffer: int = Field(
         default=128, ge=80, le=65536, description="size of the controller's receive buffer in bytes"
     )
@@ -54,16 +64,18 @@ class SerialCncSettings(BaseModel):
     touch_poll_interval_s: float = Field(default=0.2, gt=0.0, le=0.5)
     fine_poll_interval_s: float = Field(default=0.01, gt=0.0, le=0.5, description="near the end of a wait")
     motion_margin_s: Seconds = Field(default=5.0, description="on top of 1.5 times the predicted duration")
-    left_moving_s: Seconds = Field(default=30.0, description="for a motion still in progress when the device opens")
-    held_at_most_s: Seconds = Field(default=600.0, description="longest wait for the release of a feed hold")
+    initial_motion_timeout_s: Seconds = Field(
+        default=30.0, description="for a motion still in progress when the device opens"
+    )
+    max_hold_s: Seconds = Field(default=600.0, description="longest wait for the release of a feed hold")
     latch_tolerance_mm: float = Field(
         default=1.0, gt=0.0, description="largest distance of a latched position from its path"
     )
     position_tolerance_mm: float = Field(default=0.02, gt=0.0, description="largest distance of the axes from a target")
-    free_within_mm: float = Field(
+    release_distance_mm: float = Field(
         default=5.0, gt=0.0, le=50.0, description="distance within which a deflected probe must come free on withdrawal"
     )
-    stated_temperatures_c: dict[str, Annotated[float, Field(ge=-50.0, le=100.0)]] = Field(
+    declared_temperatures_c: dict[str, Annotated[float, Field(ge=-50.0, le=100.0)]] = Field(
         default_factory=dict, description="entered by a person; the controller has no sensor"
     )
     banks: BankSettings = BankSettings()

@@ -27,7 +27,7 @@ TOOL = np.array([0.0, 250.0, 0.0])
 REACH = 15.5
 """Sum of the radii of the ball and the tip."""
 ANY = ("127.0.0.1", 0)
-MORE_OPTIONS: dict[str, dict[str, Any]] = {"serial": {"stated_temperatures_c": {"artefact": 20.0}}}
+MORE_OPTIONS: dict[str, dict[str, Any]] = {"serial": {"declared_temperatures_c": {"artefact": 20.0}}}
 channels = itertools.count()
 
 

@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
 SPEED = 5.0
 TOOL = np.array([0.0, 250.0, 0.0])
-PATIENCE = {"answer_within_s": ANSWER_WITHIN_S, "motion_margin_s": 60.0}
+PATIENCE = {"response_timeout_s": ANSWER_WITHIN_S, "motion_margin_s": 60.0}
 """Generous time limits, since the computer may be busy with other tests."""
 REACH_MM = 15.5
 """Sum of the radii of the ball and the tip."""
@@ -40,7 +40,7 @@ class Live:
     def device(self, *, interrupt: Any = lambda: None, **options: Any) -> LinuxCnc:
         """Return a driver that is not yet open."""
         clock = InterruptibleClock(ScaledClock(SPEED), interrupt)
-        given = {"bridge_command": self.process.bridge_command, "watch_s": 0.0, **PATIENCE, **options}
+        given = {"bridge_command": self.process.bridge_command, "watchdog_timeout_s": 0.0, **PATIENCE, **options}
         device = create_device("linuxcnc", given, DeviceContext("cnc", clock, self.process.work))
         assert isinstance(device, LinuxCnc)
         return device
@@ -55,10 +55,13 @@ class Live:
             device.close()
 
     @contextmanager
-    def bystander(self, watch_s: float = 0.0) -> Iterator[BridgeLink]:
+    def bystander(self, watchdog_timeout_s: float = 0.0) -> Iterator[BridgeLink]:
         """Open the link of another user to the same LinuxCNC."""
         link = BridgeLink(
-            self.process.bridge_command, answer_within_s=ANSWER_WITHIN_S, watch_s=watch_s, device="bystander"
+            self.process.bridge_command,
+            response_timeout_s=ANSWER_WITHIN_S,
+            watchdog_timeout_s=watchdog_timeout_s,
+            device="bystander",
         )
         link.open()
         try:

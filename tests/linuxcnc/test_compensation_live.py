@@ -31,7 +31,7 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def store_in(work: Path, controller: Controller, way: str) -> LinuxCncStore:
-    settings = CompensationSettings.model_validate({"way": way, "directory": "tables"})
+    settings = CompensationSettings.model_validate({"method": way, "directory": "tables"})
     return create_store(settings, controller, RealClock(), base_path=work, device="linuxcnc")
 
 
@@ -285,7 +285,7 @@ def without_loader(rig: Rig) -> None:
     rig.controller("run", "pkill", "-KILL", "-x", "volcal_tables")
     rig.controller.at(*PLACE)
     assert rig.shift() == pytest.approx(expected(ONE, PLACE)[0], abs=REST_MM[rig.way])
-    settings = CompensationSettings.model_validate({"way": rig.way, "directory": "tables", "within_s": 0.3})
+    settings = CompensationSettings.model_validate({"method": rig.way, "directory": "tables", "timeout_s": 0.3})
     store = create_store(settings, rig.controller, RealClock(), base_path=rig.work, device="linuxcnc")
     assert [finding.ok for finding in store.diagnose()] == [False]
     with pytest.raises(StoreError, match="no longer runs"):

@@ -18,7 +18,7 @@ from drivers.linuxcnc.device import LinuxCnc
 
 OPTIONS = {
     "temperatures": {"artefact": "volcal-plant.temperature-0"},
-    "compensation": {"way": "external-offsets", "directory": "tables", "within_s": 60.0},
+    "compensation": {"method": "external-offsets", "directory": "tables", "timeout_s": 60.0},
 }
 
 pytestmark = [

@@ -176,7 +176,7 @@ class TestProbe:
 
     def test_touch_is_displayed_without_the_correction(self, live: Live) -> None:
         """The table adds 0.2 mm in Y, so the displayed Y is 0.2 mm smaller when the tip touches the ball."""
-        options = {"compensation": {"way": "external-offsets", "directory": "tables"}}
+        options = {"compensation": {"method": "external-offsets", "directory": "tables"}}
         with live.opened(**options) as device:
             ball = before(live, device)
             counts = np.zeros((2, 2, 2, 3), dtype=np.int32)
@@ -233,7 +233,7 @@ class TestFaults:
 
     def test_motion_without_status_queries_is_stopped_by_the_bridge(self, live: Live, device: LinuxCnc) -> None:
         start_away(device)
-        with live.bystander(watch_s=0.3) as other:
+        with live.bystander(watchdog_timeout_s=0.3) as other:
             other.ask("mdi", line="G21 G90 G53 G1 X100 F6000")
             until(lambda: device.status().state is MotionState.IDLE)
             assert device.position()[0] > 200.0

@@ -116,10 +116,10 @@ class TestControllerSettings:
         assert limits.lower_mm == (0.0, 0.0, 0.0)
 
     def test_grbl_hal_must_report_pins_offset_and_probe(self) -> None:
-        findings = {f.subject: f for f in self.told("[FIRMWARE:grblHAL]", "$10=1").findings(referenced_by_hand=False)}
+        findings = {f.subject: f for f in self.told("[FIRMWARE:grblHAL]", "$10=1").findings(manual_referencing=False)}
         assert not findings["reports"].ok
         assert "set $10=177" in findings["reports"].text
-        fine = self.told("[FIRMWARE:grblHAL]", "$10=511").findings(referenced_by_hand=False)
+        fine = self.told("[FIRMWARE:grblHAL]", "$10=511").findings(manual_referencing=False)
         assert all(finding.ok for finding in fine)
 
     def test_setting_that_is_not_told_is_named(self) -> None:

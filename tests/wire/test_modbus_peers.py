@@ -147,7 +147,7 @@ def cnc(request: pytest.FixtureRequest) -> Iterator[ModbusCnc]:
         return
     int32 = "int32" in kind
     registers = IdealRegisters(1e-5 if int32 else None, low_word=low_word, low_byte=low_byte)
-    options = {"number": "int32" if int32 else "float64"}
+    options = {"number_format": "int32" if int32 else "float64"}
     options |= {"word_order": "low-first"} if low_word else {}
     options |= {"byte_order": "low-first"} if low_byte else {}
     with py_modbus_tcp(registers, **options) as device:

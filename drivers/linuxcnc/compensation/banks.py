@@ -28,7 +28,7 @@ class Banks:
             max_nodes=MAX_NODES,
             max_total_nodes=MAX_TOTAL_NODES,
             resolution_mm=settings.resolution_um * 1e-3,
-            max_correction_mm=settings.largest_correction_mm,
+            max_correction_mm=settings.max_correction_mm,
             activation=activation,
         )
         self._device = device

@@ -30,8 +30,8 @@ def create_store(
     A relative directory is relative to `base_path`; `device` is the device's name in errors.
     """
     directory = base_path / settings.directory
-    if settings.way == "comp-files":
+    if settings.method == "comp-files":
         banks = Banks(settings, directory, Activation.POWER_CYCLE, device)
         return CompFileStore(pins, banks, settings.accepted_loss_um * 1e-3)
     banks = Banks(settings, directory, Activation.IMMEDIATE, device)
-    return LiveStore(pins, banks, clock, settings.within_s)
+    return LiveStore(pins, banks, clock, settings.timeout_s)

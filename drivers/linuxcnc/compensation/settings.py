@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from drivers.options import DriverOptions
 
 
-class CompensationSettings(BaseModel):
+class CompensationSettings(DriverOptions):
     """Compensation method for which the machine's INI and HAL files are set up, and its tables."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "way": "method",
+        "largest_correction_mm": "max_correction_mm",
+        "within_s": "timeout_s",
+    }
 
-    way: Literal["external-offsets", "kinematics", "comp-files"] = Field(
+    method: Literal["external-offsets", "kinematics", "comp-files"] = Field(
         description="method whose HAL and INI fragments the machine loads"
     )
     directory: Path = Field(description="[VOLCAL]DIRECTORY of the INI file; a local directory shared with LinuxCNC")
     resolution_um: Annotated[float, Field(ge=0.001, le=10.0)] = Field(default=0.1, description="one count of a table")
-    largest_correction_mm: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    max_correction_mm: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     accepted_loss_um: Annotated[float, Field(ge=0.0, le=1000.0)] = Field(
         default=0.0,
         description="comp-files: largest part of a correction that may be lost at any node",
     )
-    within_s: Annotated[float, Field(gt=0.0, le=600.0)] = Field(
+    timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = Field(
         default=10.0, description="for one step: a table loaded, a bank active and settled"
     )

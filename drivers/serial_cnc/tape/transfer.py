@@ -56,8 +56,8 @@ class PunchRead:
         text = MARK
         while text.count(MARK) < 2:
             text += self._next_text(characters, text)
-            if len(text) > self._settings.longest_tape:
-                self._refuse(f"no second {MARK} within {self._settings.longest_tape} characters")
+            if len(text) > self._settings.max_tape_length:
+                self._refuse(f"no second {MARK} within {self._settings.max_tape_length} characters")
         try:
             return parse_tape(text)
         except TapeError as error:
@@ -111,7 +111,7 @@ class PunchRead:
 
     def _from_first_mark(self) -> list[Character]:
         """Discard the leader up to the first mark, and return the characters received after the mark."""
-        deadline = Deadline.after(self._clock, self._settings.operator_within_s)
+        deadline = Deadline.after(self._clock, self._settings.operator_timeout_s)
         while True:
             characters = self._received()
             for place, character in enumerate(characters):
@@ -121,13 +121,13 @@ class PunchRead:
 
     def _next_text(self, held: list[Character], text: str) -> str:
         """Return the text received, starting with the characters in `held`; wait if there is none."""
-        deadline = Deadline.after(self._clock, self._settings.silent_within_s)
+        deadline = Deadline.after(self._clock, self._settings.character_timeout_s)
         while not held:
             held.extend(self._received())
             if not held and deadline.expired:
                 raise LinkTimeout(
                     f"the punched tape breaks off after {text.count(chr(10))} blocks: silent for "
-                    f"{self._settings.silent_within_s:g} s",
+                    f"{self._settings.character_timeout_s:g} s",
                     hint="check whether RESET was pressed or the cable unplugged, then punch again",
                     **self.where,
                 )
@@ -149,19 +149,19 @@ class PunchRead:
     # ------------------------------------------------------------------ read: the controller receives
 
     def _await_start(self) -> None:
-        deadline = Deadline.after(self._clock, self._settings.operator_within_s)
+        deadline = Deadline.after(self._clock, self._settings.operator_timeout_s)
         while DeviceControl.READER_START not in self._received():
             self._require_pressed(deadline, "READ")
 
     def _obey_flow_control(self, sent: int, *, ended: bool = False) -> None:
         """Return at once unless the controller has sent DC3; then wait for DC1, except at the end of the tape."""
         stopped = self._last_flow_control(self._received()) is DeviceControl.READER_STOP
-        deadline = Deadline.after(self._clock, self._settings.stopped_within_s)
+        deadline = Deadline.after(self._clock, self._settings.max_pause_s)
         while stopped and not ended:
             if deadline.expired:
                 raise LinkTimeout(
                     f"the controller has stopped the transfer (DC3) after {sent} characters and not resumed it "
-                    f"within {self._settings.stopped_within_s:g} s",
+                    f"within {self._settings.max_pause_s:g} s",
                     hint="check its alarm: memory full, write protection, unknown format",
                     **self.where,
                 )
@@ -185,7 +185,7 @@ class PunchRead:
     def _require_pressed(self, deadline: Deadline, key: str) -> None:
         if deadline.expired:
             raise DeadlineExpired(
-                f"{key} was not pressed within {self._settings.operator_within_s:g} s",
+                f"{key} was not pressed within {self._settings.operator_timeout_s:g} s",
                 hint="press it, or check the wiring and settings: baud, stop bits, ISO code, device number",
                 **self.where,
             )

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from acme_volcal.device import AcmeCnc
+from drivers.options import DriverOptions
 from drivers.registry import DeviceContext, DriverPlugin
 
 
-class AcmeSettings(BaseModel):
+class AcmeSettings(DriverOptions):
     """Options of `driver = "acme-cnc"`. Unknown keys are refused, so that misspellings are reported."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     host: str = Field(min_length=1)
     port: int = Field(default=7000, ge=1, le=65535)

@@ -116,7 +116,7 @@ def rig(
     port.start()
     virtual = VirtualClock()
     virtual.subscribe(shared.advance_to)
-    values = {**port.agent_settings, "answer_within_s": 0.9, "boot_within_s": 1.2, **options}
+    values = {**port.agent_settings, "response_timeout_s": 0.9, "boot_timeout_s": 1.2, **options}
     device = PLUGIN.create(PLUGIN.settings.model_validate(values), DeviceContext("cnc", clock or virtual, base))
     assert isinstance(device, SerialCnc)
     try:

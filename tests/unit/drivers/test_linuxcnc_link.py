@@ -100,7 +100,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
         file = tmp_path / f"{len(made)}.json"
         file.write_text(json.dumps(told), encoding="utf-8")
         command = (sys.executable, str(FAKE), str(file))
-        settings = LinuxCncSettings(bridge_command=command, answer_within_s=5.0, **options)
+        settings = LinuxCncSettings(bridge_command=command, response_timeout_s=5.0, **options)
         device = LinuxCnc(settings, DeviceContext("cnc", VirtualClock(), tmp_path))
         made.append(device)
         device.open()
@@ -120,7 +120,7 @@ def link(tmp_path: Path) -> Iterator[Callable[..., BridgeLink]]:
         file = tmp_path / "script.json"
         file.write_text(json.dumps(script(ask=list(answers))), encoding="utf-8")
         command = (sys.executable, str(FAKE), str(file))
-        made.append(BridgeLink(command, answer_within_s=within_s, watch_s=0.0, device="cnc"))
+        made.append(BridgeLink(command, response_timeout_s=within_s, watchdog_timeout_s=0.0, device="cnc"))
         made[-1].open()
         return made[-1]
 
@@ -174,12 +174,12 @@ class TestLink:
             link({"error": error, "text": "the reason"}).ask("ask")
 
     def test_missing_program(self) -> None:
-        absent = BridgeLink(["/no/such/python3"], answer_within_s=1.0, watch_s=0.0, device="cnc")
+        absent = BridgeLink(["/no/such/python3"], response_timeout_s=1.0, watchdog_timeout_s=0.0, device="cnc")
         with pytest.raises(LinkLost, match="cannot be started"):
             absent.open()
 
     def test_program_that_ends_without_output(self) -> None:
-        mute = BridgeLink(["true"], answer_within_s=5.0, watch_s=0.0, device="cnc")
+        mute = BridgeLink(["true"], response_timeout_s=5.0, watchdog_timeout_s=0.0, device="cnc")
         with pytest.raises(LinkLost, match="ended with 0"):
             mute.open()
 
@@ -253,7 +253,7 @@ class TestDevice:
     def test_wait_for_the_end_of_a_hold_is_bounded(self, make: Make) -> None:
         told = script(status=[look(), look(state="exec", idle=False, paused=True)])
         with pytest.raises(MotionFault, match="more than 30 s"):
-            make(told, held_at_most_s=30.0).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+            make(told, max_hold_s=30.0).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
 
     def test_machine_busy_with_a_program_is_not_disturbed(self, make: Make) -> None:
         told = script(
@@ -271,7 +271,7 @@ class TestDevice:
             device.move_to(TARGET, feed_mm_per_s=None, guarded=True)
 
     def test_store_that_is_not_configured(self, make: Make) -> None:
-        with pytest.raises(ConfigurationError, match=r"compensation\.way"):
+        with pytest.raises(ConfigurationError, match=r"compensation\.method"):
             make(script()).active_bank()
 
 
@@ -321,11 +321,11 @@ class TestDoctor:
     "options",
     [
         {"bridge_command": []},
-        {"watch_s": -1.0},
+        {"watchdog_timeout_s": -1.0},
         {"temperatures": {"artefact": "not a pin"}},
         {"permissions": {"doors": "x"}},
         {"homing": "yes"},
-        {"compensation": {"way": "wishes", "directory": "x"}},
+        {"compensation": {"method": "wishes", "directory": "x"}},
     ],
 )
 def test_settings_are_bounded(options: dict[str, Any]) -> None:

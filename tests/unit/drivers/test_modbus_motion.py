@@ -235,7 +235,7 @@ def test_a_hold_at_the_panel_is_waited_for_and_then_named(plc: FakePlc, clock: V
 
     clock.subscribe(hold_at)
     held_too_long = pytest.raises(MotionFault, match="held at the machine for more than 20 s")
-    with opened(plc, clock, held_at_most_s=20.0) as cnc, held_too_long:
+    with opened(plc, clock, max_hold_s=20.0) as cnc, held_too_long:
         cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
     assert plc.commands[-1] == 23
 

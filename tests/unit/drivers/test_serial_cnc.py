@@ -181,7 +181,7 @@ class TestFaultsOnTheLine:
 
     def test_never_more_sent_than_the_receive_buffer_holds(self, grbl: Rig) -> None:
         grbl.device.close()
-        settings = SerialCncSettings(port=grbl.port.line.device_path, answer_within_s=1.0)
+        settings = SerialCncSettings(port=grbl.port.line.device_path, response_timeout_s=1.0)
         conversation = Conversation(SerialPort(SerialAddress(settings.port, settings.baud)), settings)
         conversation.open()
         conversation.synchronise()
@@ -207,7 +207,7 @@ class TestTheControllerIntervenes:
             grbl.device.reset()
 
     def test_reboot_of_a_machine_that_cannot_home_is_detected(self, tmp_path: Path) -> None:
-        with rig(tmp_path, settings={22: 0}, referenced_by_hand=True) as grbl:
+        with rig(tmp_path, settings={22: 0}, manual_referencing=True) as grbl:
             grbl.device.open()
             assert not grbl.device.status().missing
             grbl.port.controller.reboot()
@@ -229,7 +229,7 @@ class TestTheControllerIntervenes:
         assert grbl.clock.now() > 50.0
 
     def test_hold_that_is_never_released_ends(self, tmp_path: Path) -> None:
-        with rig(tmp_path, held_at_most_s=30.0) as grbl:
+        with rig(tmp_path, max_hold_s=30.0) as grbl:
             grbl.device.open()
             grbl.at(3.0, lambda: grbl.type(b"!"))
             with pytest.raises(MotionFault, match="held at the machine for more than 30 s"):

@@ -1,0 +1,54 @@
+"""Options of a driver plugin: base class, and renamed keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, get_args
+
+from pydantic import BaseModel, ConfigDict
+
+
+class DriverOptions(BaseModel):
+    """Base class of a driver's options and of their sections: frozen values; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    former_keys: ClassVar[Mapping[str, str]] = {}
+    """Renamed keys: old to new. A settings file with an old key is refused, and the message names the new one."""
+
+
+def rename_former_keys(options: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
+    """Return `options` with the former keys of `kind` and of its sections replaced by the current ones."""
+    former = _former_keys(kind)
+    current = {former.get(name, name): value for name, value in options.items()}
+    for name, value in current.items():
+        section = _section(kind, name)
+        if section is not None and isinstance(value, Mapping):
+            current[name] = rename_former_keys(value, section)
+    return current
+
+
+def find_former_key(options: Mapping[str, Any], kind: type[BaseModel]) -> tuple[tuple[str, ...], str] | None:
+    """Return the path of the first former key in `options`, and the current key; None if there is none."""
+    former = _former_keys(kind)
+    for name, value in options.items():
+        if name in former:
+            return (name,), former[name]
+        section = _section(kind, name)
+        if section is not None and isinstance(value, Mapping):
+            inner = find_former_key(value, section)
+            if inner is not None:
+                return (name, *inner[0]), inner[1]
+    return None
+
+
+def _former_keys(kind: type[BaseModel]) -> Mapping[str, str]:
+    return kind.former_keys if issubclass(kind, DriverOptions) else {}
+
+
+def _section(kind: type[BaseModel], name: str) -> type[BaseModel] | None:
+    """Return the model of the section `name`, also if the section is optional; None if it is not a section."""
+    field = kind.model_fields.get(name)
+    if field is None:
+        return None
+    annotations = (field.annotation, *get_args(field.annotation))
+    return next((one for one in annotations if isinstance(one, type) and issubclass(one, BaseModel)), None)
