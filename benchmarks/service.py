@@ -29,7 +29,7 @@ from simulated import COMMAND, SCENARIO, wait_for
 
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import open_journal
-from agent.execution.steps import ACTING
+from agent.execution.steps import STEPS_WITH_EFFECT
 from benchmarks.service_wire import RecordingProxy, recording_proxy
 
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
@@ -137,7 +137,7 @@ def measure_run(running: Service, seconds: float) -> dict[str, float]:
     with open_journal(running.state) as reader:
         steps = reader.steps(reader.require_run(run_id).run, procedure_only=True)
     rows = [(step.begun_s, step.finished_s, step.kind) for step in steps if step.finished_s is not None]
-    moving = {kind.__name__ for kind in ACTING}
+    moving = {kind.__name__ for kind in STEPS_WITH_EFFECT}
     gaps = sorted(after[0] - before[1] for before, after in pairwise(rows) if after[2] in moving)
     return {
         "bare_commit_ms_median": 1e3 * commits[len(commits) // 2],

@@ -11,7 +11,7 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.cli.printing import columns_table, results_console
-from agent.execution.device_assembly import assemble, closed_after, make_clock
+from agent.execution.device_assembly import assemble, closing_clock, make_clock
 from agent.planning.job import prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
@@ -42,7 +42,7 @@ def doctor_command(config: Path, as_json: bool) -> None:
 def examine(settings: Settings, base: Path) -> dict[str, list[DiagnosticFinding]]:
     """Return the findings of every device; a device that cannot be opened gives a finding, and the others are still
     examined."""
-    with closed_after(make_clock(settings.clock)) as clock:
+    with closing_clock(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)
         return {name: _examined(device) for name, device in rig.devices.items()}
 

@@ -115,12 +115,12 @@ def identify(
 
 
 def _show(result: IdentificationResult, seconds: float) -> None:
-    estimate, finding = result.finding.estimate, result.finding
+    estimate, estimation = result.estimation.estimate, result.estimation
     table = Table(title=f"{result.material.machine.name}: {result.position_set}", title_justify="left")
     table.add_column("")
     table.add_column("aligned", justify="right")
     table.add_column("as defined", justify="right")
-    before, after = finding.volumetric.before, finding.volumetric.after
+    before, after = estimation.volumetric.before, estimation.volumetric.after
     rows = (("volumetric error, estimated", before), ("predicted after compensation", after))
     for name, value in rows:
         table.add_row(name, f"{value.aligned_um:.2f} µm", f"{value.raw_um:.2f} µm")

@@ -20,7 +20,7 @@ from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
 from agent.probing.run_plan import position_key
-from agent.results.predicted_accuracy import Expectation, expect
+from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
 from agent.settings.load import load_settings, naming, with_overrides
 from twin.design.valuation import Valuation
 from twin.units import S_PER_MIN
@@ -63,7 +63,7 @@ def plan_command(
         raise
     listed = without_optimisation(job)
     before_minutes = sum(timed.seconds for timed in walk_plan(listed, whole_procedure(listed))[1]) / S_PER_MIN
-    expectation = expect(job, preflight.measured)
+    expectation = predict_accuracy(job, preflight.measured)
     valuation = valuation_of(job, job.positions)
     files = draw(None) if draw else []
     if as_json:
@@ -96,7 +96,7 @@ def _document(
     job: Job,
     preflight: PreflightResult,
     before_minutes: float,
-    expectation: Expectation,
+    expectation: PredictedAccuracy,
     valuation: Valuation,
     files: list[Path],
 ) -> dict[str, object]:
@@ -129,7 +129,7 @@ def _document(
 
 
 def _table(
-    job: Job, preflight: PreflightResult, before_minutes: float, expectation: Expectation, valuation: Valuation
+    job: Job, preflight: PreflightResult, before_minutes: float, expectation: PredictedAccuracy, valuation: Valuation
 ) -> Table:
     measured = preflight.measured
     rows = [

@@ -16,11 +16,11 @@ from agent.cli.printing import results_console
 from agent.cli.progress import watching
 from agent.cli.service_commands.requests import resumed_by_service
 from agent.errors import MeasurementFault
-from agent.execution.device_assembly import assemble, closed_after, make_clock
+from agent.execution.device_assembly import assemble, closing_clock, make_clock
 from agent.execution.run_lock import run_lock
 from agent.results.run_outcome import Decision
 from agent.runs.reconcile_result import ReconcileAction
-from agent.runs.resume.abandon import give_up as abandon_run
+from agent.runs.resume.abandon import abandon as abandon_run
 from agent.runs.resume.resume import resume
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult
@@ -34,7 +34,7 @@ from drivers.errors import StoreError
 @click.option("--give-up", is_flag=True, help="Do not resume: reactivate the previous table and end the run.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
-def resume_command(config: Path, give_up: bool, as_json: bool) -> None:
+def resume_command(config: Path, abandon: bool, as_json: bool) -> None:
     """Resume the interrupted run; completed measurements are not repeated.
 
     If the service is running, it resumes the run, also after a hold; otherwise the run resumes in this process. The run
@@ -42,7 +42,7 @@ def resume_command(config: Path, give_up: bool, as_json: bool) -> None:
     only name the state directory with the journal.
     """
     settings = load_settings(config)
-    if give_up:
+    if abandon:
         _give_up(settings, config.resolve().parent, as_json=as_json)
         return
     if resumed_by_service(settings):
@@ -75,7 +75,7 @@ def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
 def _give_up(settings: Settings, base: Path, *, as_json: bool) -> None:
     with (
         run_lock(settings.state_directory, "to be given up"),
-        closed_after(make_clock(settings.clock)) as clock,
+        closing_clock(make_clock(settings.clock)) as clock,
     ):
         rig = assemble(settings, clock, base)
         rig.open()

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent.execution.device_assembly import assemble, closed_after, make_clock
+from agent.execution.device_assembly import assemble, closing_clock, make_clock
 from agent.execution.rig import Rig
 from agent.planning.job import Job, prepare_job
 from agent.settings.load import load_settings, naming
@@ -19,7 +19,7 @@ def connected(config: Path) -> Iterator[tuple[Job, Rig]]:
     base = config.resolve().parent
     with naming(config):
         job = prepare_job(settings, base)
-    with closed_after(make_clock(settings.clock)) as clock:
+    with closing_clock(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)
         rig.open()
         try:

@@ -15,7 +15,7 @@ from agent.cli.service_commands.start import conclude, waited_for
 from agent.cli.store_connection import connected
 from agent.cli.table_export import export
 from agent.execution.encoding import table_digest
-from agent.runs.kinds.restoration import ROLES
+from agent.runs.kinds.restoration import TABLE_ROLES
 from agent.service.client import Client
 from agent.settings.load import load_settings
 from drivers.clock import RealClock
@@ -58,7 +58,7 @@ table_group.add_command(export)
 @click.argument("run", metavar="RUN")
 @click.option(
     "--role",
-    type=click.Choice(ROLES),
+    type=click.Choice(TABLE_ROLES),
     default="backup",
     show_default=True,
     help="Role under which the run stored the table.",

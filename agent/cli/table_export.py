@@ -21,7 +21,7 @@ from agent.results.controller_export import (
     TableExportResult,
     TableToExport,
     export_table,
-    table_in_files,
+    load_table_to_export,
 )
 from agent.results.table_image import table_of
 from drivers.errors import InputError
@@ -121,7 +121,7 @@ def export(
     if table_path is not None and bank is not None:
         raise click.UsageError("--table and --bank name two tables: give one of the two")
     chosen = _chosen(format_name, format_options)
-    source = _from_bank(config, bank, estimate) if table_path is None else table_in_files(table_path, estimate)
+    source = _from_bank(config, bank, estimate) if table_path is None else load_table_to_export(table_path, estimate)
     if format_name is None:
         if points or opposite_sign or as_json:
             raise click.UsageError("--points, --opposite-sign and --json need --format")

@@ -46,7 +46,7 @@ def make_clock(settings: ClockSettings) -> Clock:
                 ) from error
 
 
-def slice_of(clock: Clock) -> float:
+def longest_wait_s(clock: Clock) -> float:
     """Longest machine time in one piece of a wait."""
     match clock:
         case LockstepClock():
@@ -58,7 +58,7 @@ def slice_of(clock: Clock) -> float:
 
 
 @contextmanager
-def closed_after(clock: Clock) -> Iterator[Clock]:
+def closing_clock(clock: Clock) -> Iterator[Clock]:
     """`clock` for the block; a connection to a simulator's time server ends with it."""
     try:
         yield clock

@@ -43,7 +43,7 @@ def table_digest(table: TableImage) -> int:
     return zlib.crc32(table.counts.astype(">i4").tobytes())
 
 
-def table_from(origin_mm: str, step_mm: str, resolution_mm: float, shape: str, counts: bytes) -> TableImage:
+def decode_table(origin_mm: str, step_mm: str, resolution_mm: float, shape: str, counts: bytes) -> TableImage:
     """Return a table from the columns of the journal's `tables`."""
     values = np.frombuffer(counts, ">i4").astype(np.int32).reshape(*json.loads(shape), 3)
     return TableImage(_triple(json.loads(origin_mm)), _triple(json.loads(step_mm)), resolution_mm, values)

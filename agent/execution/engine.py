@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar
 
-from agent.execution.steps import ACTING, Plan, Step
+from agent.execution.steps import STEPS_WITH_EFFECT, Plan, Step
 from drivers.errors import VolcalError
 
 T = TypeVar("T")
@@ -89,7 +89,7 @@ class Engine:
     def _do_durably(self, step: Step) -> Any:
         journal = self._journal
         assert journal is not None  # noqa: S101  chosen in `run`
-        begun = isinstance(step, ACTING)
+        begun = isinstance(step, STEPS_WITH_EFFECT)
         if begun:
             journal.begin(step)
         try:

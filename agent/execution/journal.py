@@ -19,7 +19,7 @@ from agent.errors import Busy, JournalFailed
 from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
 from agent.execution.journal_reader import JournalReader
 from agent.execution.journal_schema import FILE_NAME, prepare
-from agent.execution.replay_log import ReplayLog, comparable, read_replay_log
+from agent.execution.replay_log import ReplayLog, comparable_estimate, read_replay_log
 from agent.execution.states import RunState
 from agent.execution.steps import ReadTemperatures, Record, Step
 from drivers.clock import Clock, utc_timestamp
@@ -69,7 +69,7 @@ class Journal:
         recorded = read_replay_log(JournalReader(self._connection), run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
-    def close_dead(self, before_run: int, reason: str) -> None:
+    def close_unresumable(self, before_run: int, reason: str) -> None:
         """Close the runs before `before_run` whose process died and which can no longer be resumed."""
         self._connection.execute(
             "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
@@ -177,18 +177,18 @@ class RunJournal:
 
     def decision(self, kind: str, record: Mapping[str, Any]) -> None:
         text = to_json(record)
-        if not self._recorded.takes("decisions", kind, text):
+        if not self._recorded.consume("decisions", kind, text):
             values = (self._run, utc_timestamp(), kind, text, self._aside)
             self._execute("INSERT INTO decisions VALUES (?,?,?,?,?)", values)
 
     def estimate(self, record: str) -> None:
         """`record` is the estimate file's JSON text."""
-        if not self._recorded.takes("estimates", comparable(record)):
+        if not self._recorded.consume("estimates", comparable_estimate(record)):
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
         """Store a whole table: ``backup`` before anything is written, ``staged``, ``restored``."""
-        if self._recorded.takes("tables", role, str(bank), "" if image is None else str(table_digest(image))):
+        if self._recorded.consume("tables", role, str(bank), "" if image is None else str(table_digest(image))):
             return
         values: tuple[object, ...] = (None,) * 6
         if image is not None:
@@ -222,13 +222,13 @@ class RunJournal:
 
     def _write_record(self, step: Record) -> None:
         if step.kind == "ball":
-            if not self._recorded.takes("balls", step.key, to_json(step.payload)):
+            if not self._recorded.consume("balls", step.key, to_json(step.payload)):
                 self._insert_keyed("balls", step.key, step.payload)
         elif step.kind == "decision":
             self.decision(step.key, step.payload)
         else:
             record = {"step": step.key, **step.payload}
-            if not self._recorded.takes("events", step.kind, to_json(record)):
+            if not self._recorded.consume("events", step.kind, to_json(record)):
                 self._insert_event(step.kind, record)
 
     def _write_reading(self, step: Step, result: object) -> None:

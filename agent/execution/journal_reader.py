@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from agent.execution import journal_queries as queries
-from agent.execution.encoding import table_from
+from agent.execution.encoding import decode_table
 from agent.execution.journal_rows import (
     BallRow,
     DecisionRow,
@@ -239,7 +239,7 @@ class JournalReader:
 
     def _image(self, where: str, **values: int) -> TableImage | None:
         row = self._one(queries.IMAGE + where + " LIMIT 1", **values)
-        return None if row is None or row[-1] is None else table_from(*row)
+        return None if row is None or row[-1] is None else decode_table(*row)
 
     def _rows(self, row_type: Callable[..., Row], query: str, **values: str | int | None) -> tuple[Row, ...]:
         return tuple(row_type(*row) for row in self._all(query, **values))

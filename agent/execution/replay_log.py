@@ -47,7 +47,7 @@ class ReplayLog:
     ordinal: int = 0
     resumptions: int = 0
 
-    def takes(self, table: str, *entry: str) -> bool:
+    def consume(self, table: str, *entry: str) -> bool:
         """Return True if the journal already has this entry. Raise PlanDiverged if it has another one in its place."""
         waiting = self.entries.get(table)
         if not waiting:
@@ -75,7 +75,7 @@ def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
     )
 
 
-def comparable(estimate: str) -> str:
+def comparable_estimate(estimate: str) -> str:
     """Return an estimate's text without the time at which it was written."""
     document: dict[str, Any] = json.loads(estimate)
     provenance: Mapping[str, Any] = document.get("provenance", {})
@@ -97,7 +97,7 @@ def _entries(reader: JournalReader, run: int) -> dict[str, deque[tuple[str, ...]
         "balls": deque((ball.key, ball.record_text) for ball in reader.balls(run)),
         "events": deque((one.kind, one.record_text) for one in events if one.kind not in _PROCESS_EVENTS),
         "decisions": deque((one.kind, one.record_text) for one in decisions if one.kind not in _UNREPLAYED_DECISIONS),
-        "estimates": deque((comparable(text),) for text in reader.estimates(run)),
+        "estimates": deque((comparable_estimate(text),) for text in reader.estimates(run)),
         "tables": deque((one.role, str(one.bank), "" if one.crc32 is None else str(one.crc32)) for one in tables),
     }
 

@@ -33,13 +33,13 @@ from drivers.roles import (
 
 Role = TypeVar("Role")
 
-AFTER = {
+ACTIVATED_AFTER = {
     Activation.IMMEDIATE: "the controller has taken it over",
     Activation.RESET: "a reset of the controller",
     Activation.POWER_CYCLE: "the controller has been switched off and on",
     Activation.REFERENCE: "the axes have been referenced",
 }
-DO = {
+ACTIVATION_INSTRUCTION = {
     Activation.IMMEDIATE: "look at the controller",
     Activation.RESET: "reset the controller",
     Activation.POWER_CYCLE: "switch the controller off and on",
@@ -155,14 +155,14 @@ class Rig:
         return tell if traced else _nobody
 
     def _move(self, step: s.MoveTo) -> None:
-        self.last_motion.begins(step.target_mm, touch=False)
+        self.last_motion.begin(step.target_mm, touch=False)
         self.machine.move_to(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s, guarded=step.guarded)
-        self.last_motion.ends(step.target_mm)
+        self.last_motion.end(step.target_mm)
 
     def _touch(self, step: s.TouchTowards) -> Touch | Miss:
-        self.last_motion.begins(step.target_mm, touch=True)
+        self.last_motion.begin(step.target_mm, touch=True)
         result = self.probe.touch_towards(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s)
-        self.last_motion.ends(result.position_mm)
+        self.last_motion.end(result.position_mm)
         return result
 
     def _orient(self, step: s.OrientTo) -> Orientation:
@@ -170,7 +170,7 @@ class Rig:
 
     def _read_position(self, _: s.ReadPosition) -> s.Point:
         x, y, z = self.machine.position().tolist()
-        self.last_motion.stands((x, y, z))
+        self.last_motion.set_position((x, y, z))
         return x, y, z
 
     def _check_permissions(self, _: s.CheckPermissions) -> None:
@@ -197,8 +197,8 @@ class Rig:
         if self.store.pending_bank() == step.bank:
             event = self.store.store_limits().activation
             raise NotActiveYet(
-                f"bank {step.bank} is written and acts only after {AFTER[event]}",
-                hint=f"{DO[event]}, then `volcal resume` goes on",
+                f"bank {step.bank} is written and acts only after {ACTIVATED_AFTER[event]}",
+                hint=f"{ACTIVATION_INSTRUCTION[event]}, then `volcal resume` goes on",
                 bank=step.bank,
             )
 

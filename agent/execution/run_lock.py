@@ -37,7 +37,7 @@ def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
             ) from None
         owned = Ownership(handle, owner)
         yield owned
-        owned.named("")
+        owned.set_owner("")
 
 
 class Ownership:
@@ -46,18 +46,18 @@ class Ownership:
     def __init__(self, handle: TextIO, owner: str) -> None:
         self._handle = handle
         self._owner = owner
-        self.named(owner)
+        self.set_owner(owner)
 
     @contextmanager
     def for_run(self, _: Path, run_id: str) -> Iterator[None]:
         """In place of `run_lock` for a run of whoever holds the lock already."""
-        self.named(f"run {run_id}")
+        self.set_owner(f"run {run_id}")
         try:
             yield
         finally:
-            self.named(self._owner)
+            self.set_owner(self._owner)
 
-    def named(self, owner: str) -> None:
+    def set_owner(self, owner: str) -> None:
         self._handle.truncate(0)
         self._handle.write(owner)
         self._handle.flush()

@@ -193,7 +193,7 @@ T = TypeVar("T")
 Plan: TypeAlias = Generator[Step, Any, T]
 """Yields steps, is sent their results, returns its conclusion."""
 
-ACTING = (
+STEPS_WITH_EFFECT = (
     MoveTo,
     Retrace,
     TouchTowards,

@@ -22,26 +22,26 @@ class Supervisor:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._wanted: tuple[type[VolcalError], str] | None = None
+        self._stop_request: tuple[type[VolcalError], str] | None = None
         self._hold = threading.Event()
         self._lock = threading.Lock()
         self._shielded = False
         self._holding = False
         self.on_hold: Callable[[], None] = _nothing
         self.on_resume: Callable[[], None] = _nothing
-        self.alive: Callable[[], None] = _nothing
+        self.heartbeat: Callable[[], None] = _nothing
 
     def request_abort(self, reason: str) -> None:
         """Somebody wants the run to end. The first reason stays."""
-        self._want(Aborted, f"aborted: {reason}")
+        self._request_stop(Aborted, f"aborted: {reason}")
 
     def request_interruption(self, reason: str) -> None:
         """The program must end; left as by an abort, but the run can be gone on with. The first reason stays."""
-        self._want(Interrupted, f"interrupted: {reason}")
+        self._request_stop(Interrupted, f"interrupted: {reason}")
 
-    def _want(self, kind: type[VolcalError], text: str) -> None:
+    def _request_stop(self, kind: type[VolcalError], text: str) -> None:
         with self._lock:
-            self._wanted = self._wanted or (kind, text)
+            self._stop_request = self._stop_request or (kind, text)
 
     def request_hold(self) -> None:
         self._hold.set()
@@ -51,18 +51,18 @@ class Supervisor:
 
     def check(self) -> None:
         """Raise `Aborted` or `Interrupted`, or block while held. Inert while shielded and while itself holding."""
-        self.alive()
+        self.heartbeat()
         if self._shielded or self._holding:
             return
-        self._raise_if_wanted()
+        self._raise_stop_request()
         if self._hold.is_set():
             self._wait_for_resume()
 
-    def look(self) -> None:
+    def check_stop_request(self) -> None:
         """While the run computes and nothing moves that could be held: raise as `check`."""
-        self.alive()
+        self.heartbeat()
         if not self._shielded:
-            self._raise_if_wanted()
+            self._raise_stop_request()
 
     def shield(self) -> None:
         """From here on the way out runs (retract, restore, close): it must not be interrupted again."""
@@ -73,16 +73,16 @@ class Supervisor:
         try:
             self.on_hold()
             while self._hold.is_set():
-                self.alive()
-                self._raise_if_wanted()
+                self.heartbeat()
+                self._raise_stop_request()
                 self._clock.sleep(HOLD_POLL_S)
             self.on_resume()
         finally:
             self._holding = False
 
-    def _raise_if_wanted(self) -> None:
-        if self._wanted is not None:
-            kind, text = self._wanted
+    def _raise_stop_request(self) -> None:
+        if self._stop_request is not None:
+            kind, text = self._stop_request
             raise kind(text)
 
 

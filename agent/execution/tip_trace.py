@@ -9,9 +9,9 @@ import numpy as np
 from twin.arrays import Array
 from twin.collision.geometry import Point
 
-FREED_MM = 3.0
+WITHDRAWAL_MM = 3.0
 """By so much a stylus that may be deflected is taken off what it touches before anything else moves."""
-ON_THE_LINE_MM = 2.0
+TOUCH_LINE_TOLERANCE_MM = 2.0
 """Nearer than this to a touch the stylus may still be deflected by it."""
 
 
@@ -24,21 +24,21 @@ class LastMotion:
     _touch: tuple[Point, Point] | None = None
     _touching: bool = False
 
-    def stands(self, at: Point) -> None:
+    def set_position(self, at: Point) -> None:
         """Somebody has asked the machine."""
         self._at = at
 
-    def begins(self, target: Point, *, touch: bool) -> None:
+    def begin(self, target: Point, *, touch: bool) -> None:
         self._begun, self._touching = self._at, touch
         if touch:
             self._touch = None if self._at is None else (self._at, target)
 
-    def ends(self, at: Point) -> None:
+    def end(self, at: Point) -> None:
         if not self._touching:
             self._touch = None
         self._at, self._begun = at, None
 
-    def out(self, here: Array) -> Array:
+    def exit_point(self, here: Array) -> Array:
         """(3,): where the axes go first from `here`, out along the last approach direction: `here` where nothing can be
         touching.
 
@@ -50,11 +50,11 @@ class LastMotion:
             way = (target - start) / max(float(np.linalg.norm(target - start)), 1e-9)
             along = float((here - start) @ way)
             beside = float(np.linalg.norm(here - start - along * way))
-            if beside <= ON_THE_LINE_MM and along > 0.0:
+            if beside <= TOUCH_LINE_TOLERANCE_MM and along > 0.0:
                 return np.asarray(here - along * way)
             return here
         if self._begun is None:
             return here
         back = np.array(self._begun) - here
         length = float(np.linalg.norm(back))
-        return np.asarray(here + back * (min(FREED_MM, length) / length)) if length > 0.0 else here
+        return np.asarray(here + back * (min(WITHDRAWAL_MM, length) / length)) if length > 0.0 else here

@@ -24,7 +24,7 @@ def withdraw(
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))
-    out = here if came is None else came.out(here)
+    out = here if came is None else came.exit_point(here)
     if np.abs(out - here).max() > 0.0:
         yield MoveTo("recover/out", point(out), WITHDRAW_FEED_MM_PER_S)
     retreated = course.retreated(out)

@@ -97,7 +97,7 @@ class TableExportResult:
         }
 
 
-def table_in_files(path: Path, estimate: Path | None) -> TableToExport:
+def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
     """Return the table of a run's folder or of a CSV file, with the named estimate or the one beside it."""
     if path.is_dir():
         path = path / "table.csv"

@@ -15,7 +15,7 @@ from agent.probing.position import MeasuredBall
 from agent.results.facts import VolumetricSummary
 from agent.results.observations import Correction, no_correction, observations_of
 from agent.results.run_outcome import Proof
-from agent.results.thermal_drift import observed, options_of
+from agent.results.thermal_drift import identification_options, observations_with_drift
 from agent.results.volumetric_summary import volumetric_summary
 from agent.settings.schema import Order, TableSettings
 from drivers.clock import utc_timestamp
@@ -30,7 +30,7 @@ from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)
-class Finding:
+class EstimationResult:
     """Estimate from `observations`, VE and VCE that it predicts, its compensation table."""
 
     observations: Observations
@@ -39,7 +39,7 @@ class Finding:
     table: CompensationTable
 
 
-def find(
+def estimate_with_table(
     machine: MachineDescription,
     artefact: Artefact,
     tool: str,
@@ -47,7 +47,7 @@ def find(
     options: Options,
     table: TableSettings,
     order: Order,
-) -> Finding:
+) -> EstimationResult:
     """Identify and build the table for `tool`. Raises TwinError."""
     offset = machine.tool(tool)
     estimate = estimate_machine(machine, artefact, observations, options, order)
@@ -55,7 +55,7 @@ def find(
     nodes = regular_nodes(model.ranges_mm, table.step_mm)
     wanted = table.anchor_mm or (0.0, 0.0, 0.0)
     anchor = Anchor(np.array([np.clip(w, low, high) for w, (low, high) in zip(wanted, model.ranges_mm, strict=True)]))
-    return Finding(
+    return EstimationResult(
         observations,
         estimate,
         volumetric_summary(estimate, offset),
@@ -95,15 +95,17 @@ def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
     return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
 
 
-def find_machine(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Finding:
-    """`find` for a run: `correction` is what the table that acted while measuring added. Raises TwinError."""
+def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> EstimationResult:
+    """Estimate from the balls of a run. `correction`: what the table active while measuring added. Raises TwinError."""
     settings = job.settings
-    observations, order = observed(job, balls, correction), settings.identification.order
-    options = options_of(settings.identification, settings.temperature, observations)
-    return find(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
+    observations, order = observations_with_drift(job, balls, correction), settings.identification.order
+    options = identification_options(settings.identification, settings.temperature, observations)
+    return estimate_with_table(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
 
 
-def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
+def prove(
+    job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
+) -> Proof:
     """Hold the balls measured with the table active against those before and against the prediction.
 
     Raises MeasurementFault where too few of them were found to say anything.
@@ -111,17 +113,17 @@ def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Seq
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:
             raise MeasurementFault(f"no ball of a held-out position was measured {when}")
-    table = finding.table
+    table = estimation.table
     with translated(MeasurementFault):
-        observed = observations_of(after, job.tool_offset_mm, table.at)
-        result = _left(job, after)
+        observations_with_drift = observations_of(after, job.tool_offset_mm, table.at)
+        result = _displayed_residuals(job, after)
         expected = held_out_test(
-            observed,
+            observations_with_drift,
             result,
             job.artefact,
-            residual_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm),
+            residual_covariance(estimation.estimate, observations_with_drift.axis_positions, job.tool_offset_mm),
         )
-        before_um, after_um = UM_PER_MM * _left(job, before).rms_mm, UM_PER_MM * result.rms_mm
+        before_um, after_um = UM_PER_MM * _displayed_residuals(job, before).rms_mm, UM_PER_MM * result.rms_mm
     limits = job.settings.verification
     reason = _judgement(after_um / before_um, limits.max_remaining_fraction, expected.chi2_normalised, limits.max_chi2)
     return Proof(
@@ -160,7 +162,7 @@ def _judgement(share: float, max_remaining_fraction: float, chi2: float, max_chi
     return ""
 
 
-def _left(job: Job, balls: Sequence[MeasuredBall]) -> HeldOutResiduals:
+def _displayed_residuals(job: Job, balls: Sequence[MeasuredBall]) -> HeldOutResiduals:
     """What the controller's own display makes of the artefact, as it was compensated while measuring."""
     displayed = observations_of(balls, job.tool_offset_mm, no_correction)
     points: Array = displayed.axis_positions + job.tool_offset_mm

@@ -119,7 +119,7 @@ def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
     )
 
 
-def consented(gates: Sequence[Gate]) -> list[Gate]:
+def with_consent(gates: Sequence[Gate]) -> list[Gate]:
     """Return the gates with that on the change passed, because the operator has consented."""
     return [
         replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
@@ -127,7 +127,7 @@ def consented(gates: Sequence[Gate]) -> list[Gate]:
     ]
 
 
-def require(gates: Sequence[Gate]) -> None:
+def require_passed(gates: Sequence[Gate]) -> None:
     """Raise GateRefused naming every gate that did not pass."""
     failed = [gate for gate in gates if not gate.passed]
     if failed:

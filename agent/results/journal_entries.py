@@ -19,7 +19,7 @@ from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.probing.preparation import PreparationResult
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, OUTCOME, PROBE
-from agent.results.estimation import Finding, order_text
+from agent.results.estimation import EstimationResult, order_text
 from agent.results.facts import ArtefactFacts, TableFacts
 from agent.results.observations import no_correction, observations_of
 from agent.results.probe_facts import probe_facts
@@ -56,20 +56,20 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
         journal.decision(PROBE, {"facts": asdict(facts), "warnings": warnings})
 
 
-def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], finding: Finding) -> None:
+def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
     """The finding as far as the estimate file does not hold it. `balls`: those observed, in the observations' order."""
-    estimate = finding.estimate
+    estimate = estimation.estimate
     places = dict.fromkeys((ball.position, ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in balls)
     journal.decision(
         IDENTIFIED,
         {
             "positions": [list(place[1:]) for place in places],
-            "observations": vars(finding.observations),
+            "observations": vars(estimation.observations),
             "residuals_mm": estimate.residuals_mm,
             "unresolved_mm2": 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2,
             "order": order_text(estimate),
-            "volumetric": asdict(finding.volumetric),
-            "table": asdict(TableFacts.of(finding.table, checksum(format_table(finding.table)))),
+            "volumetric": asdict(estimation.volumetric),
+            "table": asdict(TableFacts.of(estimation.table, checksum(format_table(estimation.table)))),
         },
     )
 

@@ -15,7 +15,10 @@ Correction = Callable[[Array], Array]
 
 
 def observations_of(
-    balls: Sequence[MeasuredBall], tool_offset_mm: Array, correction: Correction, course: Array | None = None
+    balls: Sequence[MeasuredBall],
+    tool_offset_mm: Array,
+    correction: Correction,
+    thermal_regressors: Array | None = None,
 ) -> Observations:
     """Observations in bare axis positions: what the acting table added is added back to what was displayed.
 
@@ -32,7 +35,7 @@ def observations_of(
         temperature_c=np.array([ball.temperature_c for ball in balls]),
         elevation_rad=np.array([math.radians(ball.elevation_deg) for ball in balls]),
         tool_offsets=tool_offset_mm.reshape(1, 3),
-        thermal_regressors=np.zeros((len(balls), 0)) if course is None else course,
+        thermal_regressors=np.zeros((len(balls), 0)) if thermal_regressors is None else thermal_regressors,
     )
 
 

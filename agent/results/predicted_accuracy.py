@@ -14,13 +14,13 @@ from twin.machine.volumetric import VolumetricRms, evaluation_grid
 
 
 @dataclass(frozen=True)
-class Expectation:
+class PredictedAccuracy:
     rank: int
     parameters: int
     vce: VolumetricRms
 
 
-def expect(job: Job, measured: MeasuredPositions) -> Expectation:
+def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy:
     """Rank and predicted VCE of the set as measured in a preflight, without the held-out positions.
 
     Raises ConfigurationError where the set cannot identify the machine.
@@ -28,7 +28,7 @@ def expect(job: Job, measured: MeasuredPositions) -> Expectation:
     estimate = preflight_estimate(job, measured)
     grid = evaluation_grid(job.machine.model.ranges_mm)
     vce = predicted_vce(estimate, grid, job.tool_offset_mm)
-    return Expectation(estimate.rank, estimate.model.size, vce)
+    return PredictedAccuracy(estimate.rank, estimate.model.size, vce)
 
 
 def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:

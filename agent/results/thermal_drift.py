@@ -39,7 +39,7 @@ def change_k(temperature: TemperatureSettings, balls: Sequence[MeasuredBall]) ->
     return machine_change_k([ball.conditions for ball in balls], temperature.declared_change_k)
 
 
-def observed(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Observations:
+def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Observations:
     """Return the observations; if the machine drifted, with its thermal regressors relative to the last of them."""
     if not is_drifting(job.settings.temperature, balls):
         return observations_of(balls, job.tool_offset_mm, correction)
@@ -52,7 +52,9 @@ def observed(job: Job, balls: Sequence[MeasuredBall], correction: Correction) ->
     return replace(seen, temperature_c=smooth_readings(instants_s, seen.temperature_c))
 
 
-def options_of(identification: IdentificationSettings, temperature: TemperatureSettings, seen: Observations) -> Options:
+def identification_options(
+    identification: IdentificationSettings, temperature: TemperatureSettings, seen: Observations
+) -> Options:
     """Return the options with which a run identifies from the family; the estimate is of the last observation's
     instant."""
     return replace(

@@ -13,16 +13,16 @@ from agent.probing import publish
 from agent.probing.position import MeasuredBall
 from agent.probing.repeated_positions import measure_with_repeats
 from agent.probing.run_plan import MeasuredPositions, measure_positions
-from agent.results.estimation import Finding, find_machine, prove, provenance
-from agent.results.gates import Gate, change_gate, consented, estimate_gates, require, table_gates
+from agent.results.estimation import EstimationResult, estimate_from_balls, prove, provenance
+from agent.results.gates import Gate, change_gate, estimate_gates, require_passed, table_gates, with_consent
 from agent.results.journal_entries import record_held_out, record_identified
 from agent.results.run_outcome import Proof
 from agent.results.table_image import image_of
 from agent.results.thermal_drift import balls_for_estimate
 from agent.runs.change_since_reference import change_since
-from agent.runs.consent import Consent, asked, granted
+from agent.runs.consent import Consent, ask_consent, opens_by_consent
 from agent.runs.guarded_run import GuardedRun
-from agent.runs.reference_state import Accepted, LastAccepted, record_accepted
+from agent.runs.reference_state import AcceptedTable, ReferenceState, record_accepted
 from agent.runs.run_context import RunContext
 from drivers.errors import NotActiveYet
 from drivers.roles import TableImage
@@ -36,12 +36,12 @@ class CalibrationRun(GuardedRun):
         self,
         job: Job,
         context: RunContext,
-        last: LastAccepted | None = None,
+        reference: ReferenceState | None = None,
         nights: float = 0.0,
         consent: Consent = Consent.ASK,
     ) -> None:
         super().__init__(job, context)
-        self._last = last
+        self._reference = reference
         self._nights = nights
         self._consent = consent
 
@@ -58,40 +58,40 @@ class CalibrationRun(GuardedRun):
         self._tracker.enter(RunState.IDENTIFYING)
         balls = balls_for_estimate(job, progress.measured)
         with translated(MeasurementFault):
-            finding = find_machine(job, balls, self._correction)
-        self._keep_estimate(finding, balls)
-        gates = table_gates(finding.table, self._rig.store.store_limits(), job.gate_limits)
-        self._pass_gates((*self._estimate_gates(finding), *gates))
-        self._write_and_prove(finding, progress.measured)
+            estimation = estimate_from_balls(job, balls, self._correction)
+        self._store_estimate(estimation, balls)
+        gates = table_gates(estimation.table, self._rig.store.store_limits(), job.gate_limits)
+        self._pass_gates((*self._estimate_gates(estimation), *gates))
+        self._write_and_prove(estimation, progress.measured)
 
-    def _keep_estimate(self, finding: Finding, balls: Sequence[MeasuredBall]) -> None:
-        self.progress.finding = finding
-        record_identified(self._journal, balls, finding)
-        self._journal.estimate(format_estimate(finding.estimate, provenance(self._job, self._journal.run_id)))
+    def _store_estimate(self, estimation: EstimationResult, balls: Sequence[MeasuredBall]) -> None:
+        self.progress.estimation = estimation
+        record_identified(self._journal, balls, estimation)
+        self._journal.estimate(format_estimate(estimation.estimate, provenance(self._job, self._journal.run_id)))
 
-    def _estimate_gates(self, finding: Finding) -> tuple[Gate, ...]:
-        predicted, before = finding.volumetric.after, finding.volumetric.before
-        gates = estimate_gates(finding.estimate, predicted, before, self._job.gate_limits)
-        if self._last is None:
+    def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:
+        predicted, before = estimation.volumetric.after, estimation.volumetric.before
+        gates = estimate_gates(estimation.estimate, predicted, before, self._job.gate_limits)
+        if self._reference is None:
             return gates
-        change = change_since(self._job, self._last, self._nights, finding.estimate)
+        change = change_since(self._job, self._reference, self._nights, estimation.estimate)
         return (*gates, change_gate(change.found_um, change.expected_um, self._job.gate_limits))
 
     def _pass_gates(self, gates: Sequence[Gate]) -> None:
         """Journal every gate. GateRefused if one stays closed; the gate of the change opens by consent."""
         self.progress.gates += gates
-        given = any(granted(gate, self._consent) for gate in gates)
-        if given or (self._consent is Consent.ASK and self._engine.run(asked(gates))):
-            self.progress.gates = consented(self.progress.gates)
+        given = any(opens_by_consent(gate, self._consent) for gate in gates)
+        if given or (self._consent is Consent.ASK and self._engine.run(ask_consent(gates))):
+            self.progress.gates = with_consent(self.progress.gates)
         for gate in self.progress.gates:
             self._journal.decision("gate", vars(gate))
-        require(self.progress.gates)
+        require_passed(self.progress.gates)
 
-    def _write_and_prove(self, finding: Finding, measured: MeasuredPositions) -> None:
+    def _write_and_prove(self, estimation: EstimationResult, measured: MeasuredPositions) -> None:
         """Stage, activate, measure the held-out positions again; if they disagree, the former bank is reactivated."""
         progress, enter = self.progress, self._tracker.enter
         assert progress.found is not None  # noqa: S101  read before anything is measured
-        image = image_of(finding.table, self._rig.store.store_limits())
+        image = image_of(estimation.table, self._rig.store.store_limits())
         enter(RunState.STAGING)
         bank = publish.choose_bank(self._rig.store.store_limits().banks, progress.found.bank)
         self._engine.run(publish.stage_table(bank, image))
@@ -106,28 +106,30 @@ class CalibrationRun(GuardedRun):
             enter(RunState.WRITTEN, str(waiting))
             return
         enter(RunState.VERIFYING)
-        self._verify(finding, measured, image)
+        self._verify(estimation, measured, image)
 
-    def _verify(self, finding: Finding, measured: MeasuredPositions, image: TableImage) -> None:
+    def _verify(self, estimation: EstimationResult, measured: MeasuredPositions, image: TableImage) -> None:
         job, progress = self._job, self.progress
         order = job.verifying(measured.standing_at)
         progress.verified = self._engine.run(measure_positions(order, job.layout, self._rules, measured.standings))
         before = job.balls_of(measured, held_out=True)
         after = job.balls_of(progress.verified, held_out=True)
-        progress.proof = self._proof(finding, before, after)
+        progress.proof = self._proof(estimation, before, after)
         self._journal.decision("proof", vars(progress.proof))
         record_held_out(self._journal, job, before, after)
         if progress.proof.accepted:
-            self._accept(finding, image)
+            self._accept(estimation, image)
             self._tracker.enter(RunState.COMPLETE, progress.proof.reason)
             return
         self._tracker.enter(RunState.RESTORING, progress.proof.reason)
         self._restore(after_fault=False)
         self._tracker.enter(RunState.COMPLETE, f"restored: {progress.proof.reason}")
 
-    def _proof(self, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
-        return prove(self._job, finding, before, after)
+    def _proof(
+        self, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
+    ) -> Proof:
+        return prove(self._job, estimation, before, after)
 
-    def _accept(self, finding: Finding, image: TableImage) -> None:
+    def _accept(self, estimation: EstimationResult, image: TableImage) -> None:
         """Record the result as the reference with which later runs compare the machine."""
-        record_accepted(self._journal, Accepted.of(self._job, finding.estimate.parameters, image))
+        record_accepted(self._journal, AcceptedTable.of(self._job, estimation.estimate.parameters, image))

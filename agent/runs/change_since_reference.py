@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.planning.job import Job
-from agent.runs.reference_state import LastAccepted
+from agent.runs.reference_state import ReferenceState
 from twin.arrays import Array
 from twin.identification import CarriedOverPrior, Estimate, process_noise
 from twin.machine.error_model import ErrorModel
@@ -37,18 +37,20 @@ def night_noise(job: Job, model: ErrorModel) -> Array:
     return noise
 
 
-def known_tonight(job: Job, last: LastAccepted, nights: float) -> CarriedOverPrior:
+def prior_tonight(job: Job, reference: ReferenceState, nights: float) -> CarriedOverPrior:
     """What the last accepted night knows, grown older by `nights`."""
-    return last.known.carried_over().after(night_noise(job, last.known.model), nights)
+    return reference.estimate.carried_over().after(night_noise(job, reference.estimate.model), nights)
 
 
-def change_since(job: Job, last: LastAccepted, nights: float, estimate: Estimate, *, fused: bool = False) -> Change:
+def change_since(
+    job: Job, reference: ReferenceState, nights: float, estimate: Estimate, *, fused: bool = False
+) -> Change:
     """From what the last accepted night knew to `estimate`, which has taken that for its prior (`fused`) or nothing.
 
     What an estimate learns beyond its prior is as large as the prior's covariance less its own; two estimates that know
     nothing of each other differ by the sum of theirs.
     """
-    offset, old = job.tool_offset_mm, last.known
+    offset, old = job.tool_offset_mm, reference.estimate
     grid = evaluation_grid(old.model.ranges_mm)
     difference = _field(estimate.model, estimate.parameters, grid, offset)
     difference = difference - _field(old.model, old.parameters, grid, offset)

@@ -16,12 +16,12 @@ class Consent(Enum):
     REFUSED = "refused"
 
 
-def granted(gate: Gate, consent: Consent) -> bool:
+def opens_by_consent(gate: Gate, consent: Consent) -> bool:
     """Return True if a closed gate opens without a question."""
     return gate.name == CHANGE and not gate.passed and consent is Consent.GIVEN
 
 
-def asked(gates: Sequence[Gate]) -> Plan[bool]:
+def ask_consent(gates: Sequence[Gate]) -> Plan[bool]:
     """Ask the operator for consent if only the gate of the change is closed. True if consent was given.
 
     In any other case nobody is asked. A no ends the run as an abort does.

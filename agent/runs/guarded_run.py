@@ -17,7 +17,7 @@ from agent.probing.position import PositionRules
 from agent.probing.preparation import PreparationResult
 from agent.probing.recovery import withdraw
 from agent.probing.run_plan import MeasuredPositions
-from agent.results.estimation import Finding
+from agent.results.estimation import EstimationResult
 from agent.results.gates import Gate
 from agent.results.journal_entries import record_probe
 from agent.results.observations import Correction, no_correction
@@ -29,7 +29,7 @@ from drivers.roles import Activation
 
 
 @dataclass
-class Progress:
+class RunProgress:
     """Results of a run so far, filled in while it runs, so that a fault loses nothing.
 
     `job`: what `measured` was measured for, where it is not the job that the run began with.
@@ -38,7 +38,7 @@ class Progress:
     found: publish.ActiveCompensation | None = None
     prepared: PreparationResult | None = None
     measured: MeasuredPositions | None = None
-    finding: Finding | None = None
+    estimation: EstimationResult | None = None
     gates: list[Gate] = field(default_factory=list)
     verified: MeasuredPositions | None = None
     proof: Proof | None = None
@@ -59,13 +59,13 @@ class GuardedRun(ABC):
         self._tracker = context.tracker
         self._supervisor = context.supervisor
         self._clock = context.clock
-        self.progress = Progress()
+        self.progress = RunProgress()
 
     @abstractmethod
     def _work(self) -> None:
         """Do everything from permission to a final state. GateRefused if the run itself refuses to continue."""
 
-    def carry_out(self) -> Progress:
+    def carry_out(self) -> RunProgress:
         """Run to a final state. A `VolcalError` ends in `progress.error`, never in a traceback."""
         try:
             self._work_or_refuse()
@@ -146,8 +146,10 @@ class GuardedRun(ABC):
 
     def _withdraw(self) -> None:
         probing = self._job.rules.probing
-        came = self._rig.last_motion
-        self._engine.run(withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, came))
+        last_motion = self._rig.last_motion
+        self._engine.run(
+            withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, last_motion)
+        )
 
     def _attempt_restore(self) -> list[str]:
         """Activate the former bank; if the journal fails, do so without it. Return complaints, empty on success."""

@@ -12,7 +12,7 @@ import numpy as np
 from agent.files import check_folder, read_text, translated, write_all_atomically
 from agent.model_files import load_artefact, load_balls, load_machine
 from agent.reports.page import Header, Identified, ReportData, name_of_positions
-from agent.results.estimation import Finding, find, order_text, scale_warnings
+from agent.results.estimation import EstimationResult, estimate_with_table, order_text, scale_warnings
 from agent.results.facts import ArtefactFacts, TableFacts, triple
 from agent.results.gates import Gate, estimate_gates, table_gates
 from agent.settings.schema import GateSettings, Order, TableSettings
@@ -67,13 +67,13 @@ class IdentificationResult:
     timestamp: str
     position_set: str
     material: IdentificationInput
-    finding: Finding
+    estimation: EstimationResult
     gates: tuple[Gate, ...]
     report: Path
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
         """Return the keys that every command ends with; None for values that only a machine can give."""
-        estimate, volumetric = self.finding.estimate, self.finding.volumetric
+        estimate, volumetric = self.estimation.estimate, self.estimation.volumetric
         return {
             "state": "complete",
             "run_id": self.run_id,
@@ -107,13 +107,13 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
     check_folder(request.out)
     material = read_material(request)
     with translated(file=str(request.balls)):
-        finding, gates = _gated(material, request)
+        estimation, gates = _gated(material, request)
     result = IdentificationResult(
         run_id=f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z",
         timestamp=timestamp,
         position_set=name_of_positions(material.balls.positions),
         material=material,
-        finding=finding,
+        estimation=estimation,
         gates=gates,
         report=request.out / "report.html",
     )
@@ -148,9 +148,9 @@ def _carried_over(path: Path, machine: MachineDescription, tool: str, process_no
         return known.after(process_noise(family, MM_PER_UM * process_noise_um, machine.tool(tool)))
 
 
-def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[Finding, tuple[Gate, ...]]:
+def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[EstimationResult, tuple[Gate, ...]]:
     """Return estimate and table, and the verdicts of the gates that a run has. Raises TwinError."""
-    finding = find(
+    estimation = estimate_with_table(
         material.machine,
         material.artefact,
         material.tool,
@@ -160,10 +160,10 @@ def _gated(material: IdentificationInput, request: IdentificationRequest) -> tup
         request.order,
     )
     gates = (
-        *estimate_gates(finding.estimate, finding.volumetric.after, finding.volumetric.before, request.gates),
-        *table_gates(finding.table, NO_STORE, request.gates),
+        *estimate_gates(estimation.estimate, estimation.volumetric.after, estimation.volumetric.before, request.gates),
+        *table_gates(estimation.table, NO_STORE, request.gates),
     )
-    return finding, gates
+    return estimation, gates
 
 
 def _table_tool(request: IdentificationRequest, machine: MachineDescription, balls: BallFile) -> str:
@@ -180,11 +180,11 @@ def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict
     """Return the four result files by name."""
     from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib
 
-    table = format_table(result.finding.table)
+    table = format_table(result.estimation.table)
     return {
-        "estimate.json": format_estimate(result.finding.estimate, _provenance(result, request)),
+        "estimate.json": format_estimate(result.estimation.estimate, _provenance(result, request)),
         "table.csv": table,
-        "table.json": format_side_file(result.finding.table),
+        "table.json": format_side_file(result.estimation.table),
         "report.html": render_report(_report_data(result, request, checksum(table))),
     }
 
@@ -212,11 +212,11 @@ def _prior_text(request: IdentificationRequest) -> str:
 
 
 def _report_data(result: IdentificationResult, request: IdentificationRequest, crc32: str) -> ReportData:
-    material, finding, options = result.material, result.finding, request.options
+    material, estimation, options = result.material, result.estimation, request.options
     settings = {
         "Prior": _prior_text(request),
         "Weights": "full covariances" if options.weights == "full" else "all alike",
-        "Legendre order": order_text(finding.estimate),
+        "Legendre order": order_text(estimation.estimate),
         "Ball centres from": request.balls.name,
     }
     header = Header(
@@ -236,28 +236,28 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
         tool_offset=triple(material.machine.tool(material.tool)),
         found=Identified.of(
             material.balls.observations,
-            finding.estimate,
+            estimation.estimate,
             material.balls.positions,
-            finding.volumetric,
-            TableFacts.of(finding.table, crc32),
+            estimation.volumetric,
+            TableFacts.of(estimation.table, crc32),
         ),
         gates=result.gates,
         gates_enforced=False,
-        warnings=_warnings(material, finding, options),
+        warnings=_warnings(material, estimation, options),
     )
 
 
-def _warnings(material: IdentificationInput, finding: Finding, options: Options) -> tuple[str, ...]:
+def _warnings(material: IdentificationInput, estimation: EstimationResult, options: Options) -> tuple[str, ...]:
     """Return notes to read before the table is loaded into a machine."""
     notes = ["Nothing was measured with the table active: values after compensation are predictions."]
-    share = float(np.mean(finding.table.extrapolated))
+    share = float(np.mean(estimation.table.extrapolated))
     if share > 0.0:
         notes.append(f"{100.0 * share:.0f} % of the table's nodes lie outside the measured region.")
     if material.tool not in _used_tools(material):
         notes.append(f"The table is made for the tool {material.tool}, but nothing was measured with this tool.")
     if not options.use_prior:
         notes.append("Without the family, unseen directions count as zero: the stated uncertainties leave them out.")
-    return (*notes, *scale_warnings(finding.estimate))
+    return (*notes, *scale_warnings(estimation.estimate))
 
 
 def _used_tools(material: IdentificationInput) -> set[str]:

@@ -13,7 +13,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
-from agent.execution.rig import AFTER, DO, Rig
+from agent.execution.rig import ACTIVATED_AFTER, ACTIVATION_INSTRUCTION, Rig
 from agent.execution.steps import CheckPermissions, Plan
 from agent.probing import publish
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
@@ -101,7 +101,7 @@ def _waiting(
     """The controller accepted the activation but has not carried it out: its restart and the next start complete it."""
     event = rig.store.store_limits().activation
     former = waiting == last.former.number
-    instruction = f"{DO[event]}: bank {waiting} becomes active only after {AFTER[event]}"
+    instruction = f"{ACTIVATION_INSTRUCTION[event]}: bank {waiting} becomes active only after {ACTIVATED_AFTER[event]}"
     if not former and unfinished is not None:
         instruction += f"; then resume run {last.run_id}, which proves the table"
     action = ReconcileAction.RESTORE_WAITS if former else ReconcileAction.LEFT

@@ -36,7 +36,7 @@ ACTIVATING_DECISIONS = frozenset({_ACCEPTED, TABLE_RESTORED})
 
 
 @dataclass(frozen=True, eq=False)
-class Accepted:
+class AcceptedTable:
     """`written` (p,) mm or rad: parameters in the active table; `crc32` of its image; `tool` for which it holds."""
 
     machine: str
@@ -52,13 +52,13 @@ class Accepted:
 
 
 @dataclass(frozen=True, eq=False)
-class LastAccepted:
-    """`known`: the estimate of that night, all that is carried over; `since`: UTC time of acceptance."""
+class ReferenceState:
+    """`estimate`: that of that night, all that is carried over; `since`: UTC time of acceptance."""
 
     run_id: str
     since: str
-    accepted: Accepted
-    known: StoredEstimate
+    table: AcceptedTable
+    estimate: StoredEstimate
 
     def nights_until(self, now: str) -> float:
         """Return nights from the acceptance until `now` (UTC, ISO 8601); 0 or more."""
@@ -67,7 +67,7 @@ class LastAccepted:
 
 
 @dataclass(frozen=True)
-class FullNeeded:
+class FullCalibrationNeed:
     """Durable decision that the next permitted slot is for a full calibration."""
 
     run_id: str
@@ -75,12 +75,12 @@ class FullNeeded:
     reason: str
 
 
-def record_accepted(journal: RunJournal, accepted: Accepted) -> None:
+def record_accepted(journal: RunJournal, accepted: AcceptedTable) -> None:
     """Make the run's estimate the last accepted one; durable when it returns."""
     journal.decision(_ACCEPTED, {**vars(accepted), "written": accepted.written.tolist()})
 
 
-def record_full_needed(journal: RunJournal, reason: str) -> None:
+def record_full_calibration_need(journal: RunJournal, reason: str) -> None:
     """Request a full calibration in the next permitted slot; durable when it returns."""
     journal.decision(_FULL_NEEDED, {"reason": reason})
 
@@ -93,7 +93,7 @@ def write_copy(directory: Path, run_id: str) -> None:
         write_atomically(directory / COPY_NAME, estimate)
 
 
-def last_accepted(directory: Path, before_run: int = ANY_RUN) -> LastAccepted | None:
+def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState | None:
     """Return the last accepted night from the journal in the state directory, of runs numbered below `before_run`; None
     if no night has been accepted yet. Raise InputError if the journal cannot be read."""
     decision, estimate = _accepted(directory, before_run)
@@ -102,11 +102,11 @@ def last_accepted(directory: Path, before_run: int = ANY_RUN) -> LastAccepted | 
     source = f"estimate of run {decision.run_id} in {directory / FILE_NAME}"
     if estimate is None:
         raise InputError("the accepted run has no estimate", file=str(directory / FILE_NAME), run=decision.run_id)
-    accepted = Accepted(**{**decision.record, "written": np.array(decision.record["written"], dtype=np.float64)})
-    return LastAccepted(decision.run_id, decision.at, accepted, parse_estimate(estimate, source))
+    accepted = AcceptedTable(**{**decision.record, "written": np.array(decision.record["written"], dtype=np.float64)})
+    return ReferenceState(decision.run_id, decision.at, accepted, parse_estimate(estimate, source))
 
 
-def full_needed(directory: Path, before_run: int = ANY_RUN) -> FullNeeded | None:
+def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCalibrationNeed | None:
     """Return the last decision that a full calibration is needed, unless a later night was accepted."""
     if not has_journal(directory):
         return None
@@ -115,39 +115,39 @@ def full_needed(directory: Path, before_run: int = ANY_RUN) -> FullNeeded | None
         accepted = reader.last_decision(_ACCEPTED, before_run)
     if needed is None or (accepted is not None and accepted.number > needed.number):
         return None
-    return FullNeeded(needed.run_id, needed.at, needed.record["reason"])
+    return FullCalibrationNeed(needed.run_id, needed.at, needed.record["reason"])
 
 
-def accepted_for(job: Job, before_run: int = ANY_RUN) -> LastAccepted | None:
+def reference_for(job: Job, before_run: int = ANY_RUN) -> ReferenceState | None:
     """Return the last accepted night of the job's machine; None if there is none or it was of another machine."""
-    last = last_accepted(job.settings.state_directory, before_run)
-    return None if last is None or strangeness(job, last) else last
+    reference = read_reference(job.settings.state_directory, before_run)
+    return None if reference is None or mismatch(job, reference) else reference
 
 
-def require_accepted(job: Job, before_run: int = ANY_RUN) -> LastAccepted:
+def require_reference(job: Job, before_run: int = ANY_RUN) -> ReferenceState:
     """Return the same; raise ConfigurationError, with the reason, if there is none to compare with."""
     directory = job.settings.state_directory
-    last = last_accepted(directory, before_run)
-    if last is None:
+    reference = read_reference(directory, before_run)
+    if reference is None:
         raise ConfigurationError(
             "no night has been accepted yet, so there is nothing to compare with",
             key="state_directory",
             file=str(directory),
             hint="run `volcal calibrate` first",
         )
-    strange = strangeness(job, last)
+    strange = mismatch(job, reference)
     if strange:
         raise ConfigurationError(
-            f"the last accepted night (run {last.run_id}) cannot be continued: {strange}",
+            f"the last accepted night (run {reference.run_id}) cannot be continued: {strange}",
             file=str(directory),
             hint="pass the settings of that machine, or run `volcal calibrate` for this one",
         )
-    return last
+    return reference
 
 
-def strangeness(job: Job, last: LastAccepted) -> str:
+def mismatch(job: Job, reference: ReferenceState) -> str:
     """Return why an accepted night does not belong to this machine, artefact and tool; empty if it does."""
-    settings, known, accepted = job.settings, last.known, last.accepted
+    settings, known, accepted = job.settings, reference.estimate, reference.table
     model, nominal = known.model, job.machine.model
     if accepted.machine != settings.machine.name:
         return f"it was of machine {accepted.machine}, not {settings.machine.name}"

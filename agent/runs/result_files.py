@@ -9,9 +9,9 @@ from agent.execution.run_record import read_record
 from agent.files import write_all_atomically
 from agent.planning.job import Job
 from agent.reports.run_report import measured_positions
-from agent.results.estimation import Finding, provenance
+from agent.results.estimation import EstimationResult, provenance
 from agent.results.run_outcome import Outcome
-from agent.runs.guarded_run import Progress
+from agent.runs.guarded_run import RunProgress
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import format_side_file, format_table
 from twin.formats.ball_file import format_balls
@@ -20,16 +20,16 @@ from twin.formats.estimate_file import format_estimate
 REPORT = "report.html"
 
 
-def write_results(job: Job, outcome: Outcome, progress: Progress, report: Mapping[str, str | bytes]) -> Outcome:
+def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Mapping[str, str | bytes]) -> Outcome:
     """Write what there is under ``STATE/RUN_ID`` and return the outcome with the report's path.
 
     A run that did not come to an estimate leaves its `report` alone; its measurements are in the journal.
     """
     state = job.settings.state_directory
     texts = dict(report)
-    if progress.finding is not None:
+    if progress.estimation is not None:
         positions = measured_positions(read_record(state, outcome.run_id))
-        texts |= _results(job, outcome.run_id, progress.finding, positions)
+        texts |= _results(job, outcome.run_id, progress.estimation, positions)
     if not texts:
         return outcome
     directory = state / outcome.run_id
@@ -37,10 +37,10 @@ def write_results(job: Job, outcome: Outcome, progress: Progress, report: Mappin
     return replace(outcome, report=directory / REPORT) if REPORT in report else outcome
 
 
-def _results(job: Job, run_id: str, finding: Finding, positions: Sequence[Position]) -> dict[str, str]:
+def _results(job: Job, run_id: str, estimation: EstimationResult, positions: Sequence[Position]) -> dict[str, str]:
     return {
-        "balls.csv": format_balls(finding.observations, positions, [job.settings.tool]),
-        "estimate.json": format_estimate(finding.estimate, provenance(job, run_id)),
-        "table.csv": format_table(finding.table),
-        "table.json": format_side_file(finding.table),
+        "balls.csv": format_balls(estimation.observations, positions, [job.settings.tool]),
+        "estimate.json": format_estimate(estimation.estimate, provenance(job, run_id)),
+        "table.csv": format_table(estimation.table),
+        "table.json": format_side_file(estimation.table),
     }

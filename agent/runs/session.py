@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.errors import Aborted, Interrupted, PlanRefused
-from agent.execution.device_assembly import closed_after, slice_of
+from agent.execution.device_assembly import closing_clock, longest_wait_s
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
 from agent.execution.run_state import RunStateTracker
@@ -23,7 +23,7 @@ from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
 from agent.results.journal_entries import record_outcome
 from agent.results.run_outcome import Outcome
-from agent.runs.guarded_run import Progress, attempt
+from agent.runs.guarded_run import RunProgress, attempt
 from agent.runs.origin import origin_record
 from agent.runs.planned_run import Kind, PlannedRun, StartConditions
 from agent.runs.reference_state import write_copy
@@ -84,7 +84,7 @@ def carry_out(
                 journal.origin(origin_record(settings, kind, base, start))
                 run = session.plan(start).begin(context)
                 journal.begun()
-                resources.journal.close_dead(journal.run, f"broke off, followed by run {run_id}")
+                resources.journal.close_unresumable(journal.run, f"broke off, followed by run {run_id}")
                 session.progress = run.carry_out()
         return session.result()
 
@@ -100,7 +100,7 @@ class RunResources:
 
     def interruptible(self, clock: Clock) -> Clock:
         """Return `clock`, based on the run's, with waits that the supervisor can interrupt."""
-        return InterruptibleClock(clock, self.supervisor.check, slice_of(self.clock))
+        return InterruptibleClock(clock, self.supervisor.check, longest_wait_s(self.clock))
 
 
 @contextmanager
@@ -112,7 +112,7 @@ def run_resources(
     with (
         hooks.lock(state_directory, run_id),
         _journal(state_directory) as journal,
-        closed_after(hooks.devices.make_clock(clock_settings)) as clock,
+        closing_clock(hooks.devices.make_clock(clock_settings)) as clock,
     ):
         supervisor = Supervisor(clock)
         hooks.attach(supervisor)
@@ -153,12 +153,12 @@ class Session:
         self._began_s = began_s
         self._started_s = context.clock.now()
         self._planned: PlannedRun | None = None
-        self.progress = Progress()
+        self.progress = RunProgress()
 
     def plan(self, start: StartConditions) -> PlannedRun:
         """Run the preflight from `start`, and have it permitted. Raises PlanRefused or UserError."""
         context = self._context
-        planned = self._kind.plan(self._job, start, context.supervisor.look)
+        planned = self._kind.plan(self._job, start, context.supervisor.check_stop_request)
         context.hooks.preflight_passed(planned.job, planned.preflight)
         self._planned, self._steps.preflight = planned, planned.preflight
         context.tracker.note(
@@ -175,7 +175,7 @@ class Session:
         try:
             yield
         except VolcalError as error:
-            self.progress = Progress(error=error)
+            self.progress = RunProgress(error=error)
             self._enter_end(error)
 
     def _enter_end(self, error: VolcalError) -> None:
@@ -229,26 +229,26 @@ class Session:
         attempt("note the complaint", lambda: self._context.tracker.note(complaint))
 
     def _outcome(self) -> Outcome:
-        context, progress, finding = self._context, self.progress, self.progress.finding
+        context, progress, estimation = self._context, self.progress, self.progress.estimation
         settings = self._measured_job.settings
         return Outcome(
             state=context.tracker.state,
             run_id=context.journal.run_id,
             position_set=settings.procedure.position_set,
             formulation=settings.identification.formulation,
-            balls=self._steps.balls if finding is None else finding.observations.size,
+            balls=self._steps.balls if estimation is None else estimation.observations.size,
             touches=self._steps.touches,
             machine_minutes=(context.clock.now() - self._started_s) / S_PER_MIN,
             wall_seconds=wall_seconds() - self._began_s,
             predicted_minutes=None if self._planned is None else self._planned.preflight.machine_minutes,
             table_bank=progress.active_bank,
             report=None,
-            rank=None if finding is None else finding.estimate.rank,
-            parameters=None if finding is None else finding.estimate.model.size,
-            estimated_ve_um=None if finding is None else finding.volumetric.before_aligned.value_um,
-            predicted_vce_um=None if finding is None else finding.volumetric.after_aligned.value_um,
-            chi2_normalised=None if finding is None else finding.estimate.chi2_normalised,
-            rejected=() if finding is None else finding.estimate.rejected,
+            rank=None if estimation is None else estimation.estimate.rank,
+            parameters=None if estimation is None else estimation.estimate.model.size,
+            estimated_ve_um=None if estimation is None else estimation.volumetric.before_aligned.value_um,
+            predicted_vce_um=None if estimation is None else estimation.volumetric.after_aligned.value_um,
+            chi2_normalised=None if estimation is None else estimation.estimate.chi2_normalised,
+            rejected=() if estimation is None else estimation.estimate.rejected,
             proof=progress.proof,
             night=progress.night,
             reversal=() if progress.prepared is None else progress.prepared.reversals,

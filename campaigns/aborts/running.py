@@ -52,7 +52,7 @@ def uninterrupted_keys() -> list[str]:
     keys: list[str] = []
 
     def noted(_: int, step: s.Step) -> bool:
-        keys.append(step.key + ("!" if isinstance(step, s.ACTING) else ""))
+        keys.append(step.key + ("!" if isinstance(step, s.STEPS_WITH_EFFECT) else ""))
         return False
 
     with _case(noted) as (interrupter, directory):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.execution.journal_reader import open_journal
-from agent.runs.reference_state import last_accepted
+from agent.runs.reference_state import read_reference
 from campaigns.fortnight.evening import Evening, ExpectedRun
 from campaigns.fortnight.house import ServiceHost
 from campaigns.fortnight.plant import FortnightPlant
@@ -64,8 +64,8 @@ def _against(expected: Sequence[tuple[Evening, ExpectedRun]], rows: Sequence[Row
 
 def active_table_is_accepted(host: ServiceHost, plant: FortnightPlant) -> bool:
     """Return True if the active bank holds the table of the last accepted night and the service reports that bank."""
-    last = last_accepted(host.state)
-    accepted = last is not None and last.accepted.crc32 == plant.active_crc32
+    last = read_reference(host.state)
+    accepted = last is not None and last.table.crc32 == plant.active_crc32
     return accepted and host.status()["active_bank"] == plant.active_bank
 
 

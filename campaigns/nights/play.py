@@ -34,7 +34,7 @@ from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from agent.results.run_outcome import Decision, Outcome
 from agent.runs.kinds.calibrate import FullCalibration
-from agent.runs.kinds.night_plan import standing
+from agent.runs.kinds.night_plan import job_at_station
 from agent.runs.kinds.nightly import Night
 from agent.runs.planned_run import Kind
 from agent.runs.run_context import RunHooks
@@ -121,7 +121,7 @@ class SeasonMachine:
         return world
 
     def _run(self, world: World, night: int) -> Outcome:
-        job = standing(load_season_case(self._state), self._season.station(night))
+        job = job_at_station(load_season_case(self._state), self._season.station(night))
         devices = Devices(lambda _, clock, __: build_rig(world, clock, job), lambda _: VirtualClock())
         hooks = RunHooks(devices=devices, write_files=False)
         ended = carry_out(job, self._kind(night), SHIPPED_CONFIGURATION, hooks)

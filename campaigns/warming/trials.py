@@ -34,9 +34,9 @@ from agent.execution.device_assembly import Devices
 from agent.execution.journal_reader import open_journal
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
-from agent.results.estimation import find
+from agent.results.estimation import estimate_with_table
 from agent.results.table_image import image_of
-from agent.results.thermal_drift import options_of
+from agent.results.thermal_drift import identification_options
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
@@ -178,11 +178,11 @@ def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
         tool_offsets=job.tool_offset_mm.reshape(1, 3),
     )
     options, order = (
-        options_of(settings.identification, settings.temperature, observations),
+        identification_options(settings.identification, settings.temperature, observations),
         settings.identification.order,
     )
-    finding = find(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
-    return true_vce_with_table(run.world, image_of(finding.table, run.world.controller.store_limits))
+    result = estimate_with_table(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
+    return true_vce_with_table(run.world, image_of(result.table, run.world.controller.store_limits))
 
 
 def verdict(rows: Sequence[WarmingRow]) -> dict[str, object]:

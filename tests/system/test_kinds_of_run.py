@@ -22,7 +22,7 @@ from agent.execution.states import RunState
 from agent.results.run_outcome import Decision, Outcome
 from agent.runs.kinds import nightly
 from agent.runs.kinds.verify import Verification
-from agent.runs.reference_state import COPY_NAME, full_needed, last_accepted, write_copy
+from agent.runs.reference_state import COPY_NAME, full_calibration_need, read_reference, write_copy
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult
 from agent.settings.schema import Settings
@@ -95,7 +95,7 @@ def test_verification_compares_and_writes_nothing(machine: Calibrated) -> None:
     assert kinds.count("verify") == 1
     assert not {"publish/staged", "activate/activated", "accepted"} & set(kinds)
     assert run.states == ["preflight", "measuring", "identifying", "complete"]
-    last = last_accepted(machine.state)
+    last = read_reference(machine.state)
     assert last is not None
     assert last.run_id == machine.first.outcome.run_id
 
@@ -103,12 +103,12 @@ def test_verification_compares_and_writes_nothing(machine: Calibrated) -> None:
 def test_copy_beside_the_journal_is_an_estimate_to_go_on_from(machine: Calibrated) -> None:
     machine.night.run(machine.settings)
     copy = machine.state / COPY_NAME
-    last = last_accepted(machine.state)
+    last = read_reference(machine.state)
     assert last is not None
     if last.run_id != machine.first.outcome.run_id:
-        assert parse_estimate(copy.read_text(), str(copy)).carried_over().mean == pytest.approx(last.known.z)
+        assert parse_estimate(copy.read_text(), str(copy)).carried_over().mean == pytest.approx(last.estimate.z)
     write_copy(machine.state, last.run_id)
-    assert parse_estimate(copy.read_text(), str(copy)).parameters == pytest.approx(last.known.parameters)
+    assert parse_estimate(copy.read_text(), str(copy)).parameters == pytest.approx(last.estimate.parameters)
     assert last.nights_until("2100-01-01T00:00:00.000Z") > 20000.0
 
 
@@ -118,24 +118,24 @@ def test_a_collision_is_out_of_limits_and_leads_to_a_full_calibration(machine: C
     verified = machine.run(Verification(nights=1.0))
     assert told(verified.outcome) is Decision.OUT
     assert verified.error is None
-    assert full_needed(machine.state) is None
+    assert full_calibration_need(machine.state) is None
     noticed = machine.run(nightly.Night(nights=1.0))
     assert isinstance(noticed.error, GateRefused)
     assert told(noticed.outcome) is Decision.FULL_NEEDED
-    pending = full_needed(machine.state)
+    pending = full_calibration_need(machine.state)
     assert pending is not None
     assert pending.run_id == noticed.outcome.run_id
     waiting = machine.run(nightly.Night(nights=2.0))
     assert told(waiting.outcome) is Decision.FULL_NEEDED
     assert pending.run_id in str(waiting.error)
-    assert full_needed(machine.state) == pending
+    assert full_calibration_need(machine.state) == pending
     assert machine.night.active == machine.first.outcome.table_bank
     done = machine.run(nightly.Night(nights=2.0, full_allowed=True))
     assert done.error is None
     assert told(done.outcome) is Decision.FULL_DONE
-    assert full_needed(machine.state) is None
+    assert full_calibration_need(machine.state) is None
     assert machine.night.active == done.outcome.table_bank != machine.first.outcome.table_bank
-    last = last_accepted(machine.state)
+    last = read_reference(machine.state)
     assert last is not None
     assert last.run_id == done.outcome.run_id
 
@@ -164,7 +164,7 @@ def test_a_night_stays_inside_its_slot_and_goes_on_from_the_last(machine: Calibr
     )
     assert told(ended.outcome) in (Decision.FUSED, Decision.WRITTEN), ended.outcome.reason
     assert ended.outcome.machine_minutes <= 16.0
-    last = last_accepted(machine.state)
+    last = read_reference(machine.state)
     assert last is not None
     assert last.run_id == ended.outcome.run_id
     assert machine.night.active == ended.outcome.table_bank

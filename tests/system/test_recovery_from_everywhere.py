@@ -90,7 +90,7 @@ def begin(rig: Rig, device: SimulatedMachineDevice, step: Any) -> None:
             mount.begin_turn("azimuth", step.azimuth_deg)
             mount.begin_turn("elevation", step.elevation_deg)
         return
-    rig.last_motion.begins(step.target_mm, touch=isinstance(step, s.TouchTowards))
+    rig.last_motion.begin(step.target_mm, touch=isinstance(step, s.TouchTowards))
     target = np.array(step.target_mm)
     if isinstance(step, s.TouchTowards):
         device._controller.begin_touch(target, step.feed_mm_per_s)

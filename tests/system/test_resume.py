@@ -28,7 +28,7 @@ from agent.results.run_outcome import Decision
 from agent.runs.kinds import nightly
 from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import CompensationState, ReconcileAction
-from agent.runs.resume.abandon import give_up
+from agent.runs.resume.abandon import abandon
 from agent.runs.resume.resume import resume
 from agent.runs.session import RunResult
 from agent.runs.unfinished_run import unfinished_run
@@ -183,7 +183,7 @@ def test_an_artefact_that_was_moved_is_noticed_before_anything_is_mixed(measurin
 
 
 def test_a_run_that_was_aborted_is_not_gone_on_with(measuring: Broken) -> None:
-    result = give_up(measuring.rig, STATE, "test")
+    result = abandon(measuring.rig, STATE, "test")
     assert result.action is ReconcileAction.NOTHING
     run = stored_run(STATE).row
     assert (run.state, run.ended is not None) == ("aborted", True)
@@ -217,7 +217,7 @@ def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken
     assert "volcal resume" in str(ended.error)
     unfinished = unfinished_run(STATE)
     assert unfinished is not None and unfinished.run == 1
-    result = give_up(proving.rig, STATE, "test")
+    result = abandon(proving.rig, STATE, "test")
     assert (result.action, proving.night.active) == (ReconcileAction.RESTORED, 1)
     assert unfinished_run(STATE) is None
 

@@ -17,14 +17,14 @@ from agent.errors import GateRefused
 from agent.execution.encoding import table_digest
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
-from agent.execution.steps import ACTING
+from agent.execution.steps import STEPS_WITH_EFFECT
 from agent.runs.session import RunResult
 from drivers.roles import TableImage
 from twin.compensation.table_file import parse_table
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
 pytestmark = pytest.mark.timeout(180)
-ACTING_KINDS = {step.__name__ for step in ACTING}
+ACTING_KINDS = {step.__name__ for step in STEPS_WITH_EFFECT}
 
 
 @dataclass

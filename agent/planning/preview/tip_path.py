@@ -10,7 +10,7 @@ from typing import Any
 
 from agent.errors import PlanRefused
 from agent.execution.engine import Engine
-from agent.execution.steps import ACTING, AskOperator, OrientTo, ReadPosition, Step, TouchTowards
+from agent.execution.steps import STEPS_WITH_EFFECT, AskOperator, OrientTo, ReadPosition, Step, TouchTowards
 from agent.planning.ideal_machine import IdealMachine
 from agent.planning.job import Job
 from agent.planning.preflight import whole_procedure
@@ -86,7 +86,7 @@ class _Walker:
         self._standing = Position(job.settings.stations.standing_at or 1, 0.0, 0.0)
 
     def note(self, step: Step, _: object) -> None:
-        if not isinstance(step, ACTING):
+        if not isinstance(step, STEPS_WITH_EFFECT):
             return
         if isinstance(step, OrientTo):
             self._standing = Position(step.station, step.azimuth_deg, step.elevation_deg)

@@ -11,7 +11,7 @@ from agent.results.predicted_accuracy import preflight_estimate
 from agent.runs.calibration import CalibrationRun
 from agent.runs.consent import Consent
 from agent.runs.planned_run import PlannedRun, StartConditions
-from agent.runs.reference_state import LastAccepted, accepted_for
+from agent.runs.reference_state import ReferenceState, reference_for
 
 
 @dataclass(frozen=True)
@@ -26,15 +26,15 @@ class FullCalibration:
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         preflight = run_preflight(job, start.start_mm, watch=watch)
         preflight_estimate(job, preflight.measured)
-        last = accepted_for(job, start.run)
-        nights = nights_since(last, self.nights, start.at)
+        reference = reference_for(job, start.run)
+        nights = nights_since(reference, self.nights, start.at)
         return PlannedRun(
-            job, self, start, preflight, lambda context: CalibrationRun(job, context, last, nights, self.consent)
+            job, self, start, preflight, lambda context: CalibrationRun(job, context, reference, nights, self.consent)
         )
 
 
-def nights_since(last: LastAccepted | None, stated: float | None, at: str) -> float:
+def nights_since(reference: ReferenceState | None, stated: float | None, at: str) -> float:
     """Return the nights since the last accepted one: as `stated`, otherwise by the calendar."""
     if stated is not None:
         return stated
-    return 0.0 if last is None else last.nights_until(at)
+    return 0.0 if reference is None else reference.nights_until(at)

@@ -15,16 +15,16 @@ from agent.probing.run_plan import MeasuredPositions, measure_positions
 from agent.results.observations import Correction
 from agent.runs.kinds.drift_check import Judge, Judgement
 from agent.runs.kinds.night_plan import NightPlan
-from agent.runs.reference_state import LastAccepted
+from agent.runs.reference_state import ReferenceState
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position
 
 
-def require_table_of(last: LastAccepted, found: ActiveCompensation) -> None:
+def require_table_of(reference: ReferenceState, found: ActiveCompensation) -> None:
     """Raise GateRefused if another table is active than the one last accepted."""
-    if found.table is None or table_digest(found.table) != last.accepted.crc32:
+    if found.table is None or table_digest(found.table) != reference.table.crc32:
         raise GateRefused(
-            f"bank {found.bank} is active, and it does not hold the table accepted in run {last.run_id}",
+            f"bank {found.bank} is active, and it does not hold the table accepted in run {reference.run_id}",
             hint="activate that table again, or run `volcal calibrate`",
         )
 
@@ -42,7 +42,9 @@ def measure(
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, standings))
 
 
-def judged(judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction) -> Judgement:
+def judge_measurement(
+    judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction
+) -> Judgement:
     """Judge all balls `measured`, held-out ones included, against the last accepted night."""
     held = job.balls_of(measured, held_out=True)
-    return judge.judged(plan.station, [*held, *job.balls_of(measured, held_out=False)], held, correction)
+    return judge.judge_balls(plan.station, [*held, *job.balls_of(measured, held_out=False)], held, correction)

@@ -14,8 +14,8 @@ from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.observations import Correction, no_correction, observations_of
 from agent.results.run_outcome import Decision, NightReport, SuspectedError
-from agent.runs.change_since_reference import known_tonight
-from agent.runs.reference_state import LastAccepted
+from agent.runs.change_since_reference import prior_tonight
+from agent.runs.reference_state import ReferenceState
 from twin.arrays import Array
 from twin.artefact.held_out_check import held_out_residuals, held_out_test
 from twin.identification import CarriedOverPrior, Estimate
@@ -46,35 +46,35 @@ class Judge:
     """Judge of the ball centres of one night, `nights` after the last accepted one."""
 
     job: Job
-    last: LastAccepted
+    reference: ReferenceState
     nights: float
 
     @cached_property
-    def known(self) -> CarriedOverPrior:
+    def prior(self) -> CarriedOverPrior:
         """Knowledge of the machine before tonight."""
-        return known_tonight(self.job, self.last, self.nights)
+        return prior_tonight(self.job, self.reference, self.nights)
 
     @cached_property
     def family(self) -> Family:
-        return self.job.machine.with_model(self.known.unknowns.model).family
+        return self.job.machine.with_model(self.prior.unknowns.model).family
 
     @cached_property
-    def acting(self) -> ResidualWithTable:
-        known = self.known
-        grid = evaluation_grid(known.unknowns.model.ranges_mm)
-        return ResidualWithTable.build(known.unknowns, known.scales, grid, self.job.tool_offset_mm)
+    def residual_with_table(self) -> ResidualWithTable:
+        prior = self.prior
+        grid = evaluation_grid(prior.unknowns.model.ranges_mm)
+        return ResidualWithTable.build(prior.unknowns, prior.scales, grid, self.job.tool_offset_mm)
 
     @property
     def before_um(self) -> float:
         """VE with the active table, as the last accepted night left it, in µm."""
-        known = self.last.known
-        return self.acting.of(known.z, known.z_covariance, self.last.accepted.written).aligned_um
+        estimate = self.reference.estimate
+        return self.residual_with_table.of(estimate.z, estimate.z_covariance, self.reference.table.written).aligned_um
 
-    def left_um(self, estimate: Estimate, written: Array) -> float:
+    def expected_ve_um(self, estimate: Estimate, written: Array) -> float:
         """Return the VE in µm that an estimate expects with these parameters (p,) in the table."""
-        return self.acting.of(estimate.z, estimate.z_covariance, written).aligned_um
+        return self.residual_with_table.of(estimate.z, estimate.z_covariance, written).aligned_um
 
-    def judged(
+    def judge_balls(
         self, station: int, balls: Sequence[MeasuredBall], held: Sequence[MeasuredBall], correction: Correction
     ) -> Judgement:
         """Judge `balls`, all measured with the active table; `held`: the held-out ones of them; `correction`: what the
@@ -84,15 +84,17 @@ class Judge:
         """
         with translated(MeasurementFault):
             observations = observations_of(balls, self.job.tool_offset_mm, correction)
-            found = innovation(self.family, observations, self.job.artefact, self.known)
+            found = innovation(self.family, observations, self.job.artefact, self.prior)
             found_um, predicted_um = self._held_out(held, correction)
         limits = self.job.settings.nightly
         jumped = found.find_jumps(limits.step_evidence)
-        now_um = self.acting.of(found.posterior_mean, found.posterior_covariance, self.last.accepted.written).aligned_um
+        now_um = self.residual_with_table.of(
+            found.posterior_mean, found.posterior_covariance, self.reference.table.written
+        ).aligned_um
         reason = self._reason(found, jumped, now_um)
         report = NightReport(
             decision=Decision.OUT if reason else Decision.WITHIN,
-            since=self.last.run_id,
+            since=self.reference.run_id,
             nights=self.nights,
             station=station,
             positions=len(np.unique(observations.position)),
@@ -109,12 +111,12 @@ class Judge:
 
     def _held_out(self, held: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
         """Return the rms of a held-out ball as the controller displays it and its expected value, in µm."""
-        offset, artefact, known = self.job.tool_offset_mm, self.job.artefact, self.known
+        offset, artefact, prior = self.job.tool_offset_mm, self.job.artefact, self.prior
         displayed, bare = (observations_of(held, offset, shift) for shift in (no_correction, correction))
         result = held_out_residuals(displayed, displayed.axis_positions + offset, artefact)
-        left = uncompensated(known.unknowns, known.mean, self.last.accepted.written)
+        left = uncompensated(prior.unknowns, prior.mean, self.reference.table.written)
         covariance = residual_covariance(
-            known.unknowns, known.scales, left, known.covariance, bare.axis_positions, offset
+            prior.unknowns, prior.scales, left, prior.covariance, bare.axis_positions, offset
         )
         expected = held_out_test(bare, result, artefact, covariance)
         return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_mm

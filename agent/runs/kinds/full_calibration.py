@@ -13,12 +13,12 @@ from agent.results.run_outcome import Decision, NightReport
 from agent.runs.calibration import CalibrationRun
 from agent.runs.consent import Consent
 from agent.runs.guarded_run import GuardedRun
-from agent.runs.kinds.check_measurement import judged, measure, require_table_of
+from agent.runs.kinds.check_measurement import judge_measurement, measure, require_table_of
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.night_plan import VERIFICATION, NightPlan, verification_only, verification_plan
-from agent.runs.kinds.position_choice import Chooser
+from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.planned_run import Kind, PlannedRun, StartConditions
-from agent.runs.reference_state import FullNeeded
+from agent.runs.reference_state import FullCalibrationNeed
 from agent.runs.run_context import RunContext
 
 
@@ -43,7 +43,7 @@ class PendingCalibration:
     station: int
     judge: Judge
     slot: Slot
-    pending: FullNeeded
+    pending: FullCalibrationNeed
 
     def plan(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         """Plan the full calibration or, if it cannot be done tonight, a verification.
@@ -63,12 +63,12 @@ class PendingCalibration:
             self.kind,
             start,
             preflight,
-            lambda context: FullRun(self.here, context, self.judge, self.station, self.pending),
+            lambda context: FullCalibrationRun(self.here, context, self.judge, self.station, self.pending),
         )
 
     def _verification(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         slot, pending = self.slot, self.pending
-        plan = verification_plan(Chooser(self.here, self.station), self.judge)
+        plan = verification_plan(PositionChooser(self.here, self.station), self.judge)
         own = plan.job(self.here)
         preflight = run_preflight(own, start.start_mm, verification_only(plan), watch)
         if not slot.holds(preflight.machine_minutes):
@@ -77,14 +77,18 @@ class PendingCalibration:
                 hint=f"a full calibration is needed since run {pending.run_id}: give a slot for it",
             )
         return PlannedRun(
-            own, self.kind, start, preflight, lambda context: WaitingRun(own, context, self.judge, plan, pending)
+            own,
+            self.kind,
+            start,
+            preflight,
+            lambda context: CalibrationPendingRun(own, context, self.judge, plan, pending),
         )
 
 
-class FullRun(GuardedRun):
+class FullCalibrationRun(GuardedRun):
     """Full calibration that an earlier night found necessary, in a slot that permits it."""
 
-    def __init__(self, job: Job, context: RunContext, judge: Judge, station: int, pending: FullNeeded) -> None:
+    def __init__(self, job: Job, context: RunContext, judge: Judge, station: int, pending: FullCalibrationNeed) -> None:
         super().__init__(job, context)
         self._context = context
         self._judge = judge
@@ -96,7 +100,7 @@ class FullRun(GuardedRun):
         self._prepare_probe()
         report = NightReport(
             Decision.FULL_DONE,
-            since=self._judge.last.run_id,
+            since=self._judge.reference.run_id,
             nights=self._judge.nights,
             station=self._station,
             positions=0,
@@ -106,22 +110,24 @@ class FullRun(GuardedRun):
         calibrate_in_full(self, self._job, self._context, self._judge, report)
 
 
-class WaitingRun(GuardedRun):
+class CalibrationPendingRun(GuardedRun):
     """Verification while a full calibration is needed and not permitted: measure, report, write nothing."""
 
-    def __init__(self, job: Job, context: RunContext, judge: Judge, plan: NightPlan, pending: FullNeeded) -> None:
+    def __init__(
+        self, job: Job, context: RunContext, judge: Judge, plan: NightPlan, pending: FullCalibrationNeed
+    ) -> None:
         super().__init__(job, context)
         self._judge = judge
         self._plan = plan
         self._pending = pending
 
     def _work(self) -> None:
-        require_table_of(self._judge.last, self._begin())
+        require_table_of(self._judge.reference, self._begin())
         self._prepare_probe()
         measured = measure(self._engine, self._plan, VERIFICATION, self._plan.first, self._job, self._rules)
         self.progress.measured = measured
         self._tracker.enter(RunState.IDENTIFYING)
-        report = judged(self._judge, self._plan, self._job, measured, self._correction).report
+        report = judge_measurement(self._judge, self._plan, self._job, measured, self._correction).report
         self.progress.night = replace(report, decision=Decision.FULL_NEEDED, reason=self._pending.reason)
         self._journal.decision("night", self.progress.night.as_json())
         raise refusal_until_full(f"{self._pending.reason} (run {self._pending.run_id})")
@@ -132,7 +138,7 @@ def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Jud
 
     Consent to the change was given with the permission for a full calibration.
     """
-    full = CalibrationRun(job, context, judge.last, judge.nights, Consent.GIVEN)
+    full = CalibrationRun(job, context, judge.reference, judge.nights, Consent.GIVEN)
     full.progress = run.progress
     full.progress.job = job
     full.progress.night = report

@@ -14,12 +14,12 @@ from agent.planning.preflight import PreflightResult, Procedure, run_preflight
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.runs.kinds.drift_check import Judge
-from agent.runs.kinds.position_choice import Chooser
+from agent.runs.kinds.position_choice import PositionChooser
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 
 VERIFICATION, FURTHER = "look", "further"
-FEWEST_FUSED = 2
+MIN_FUSED_POSITIONS = 2
 """Fewer positions cannot separate machine errors from artefact errors."""
 
 _AHEAD = 1.3  # time to choose for, relative to the time left: together positions cost less than one by one
@@ -34,18 +34,18 @@ class NightPlan:
 
     station: int
     held_out: tuple[Position, ...]
-    looked_at: tuple[Position, ...]
+    check_positions: tuple[Position, ...]
     further: tuple[Position, ...] = ()
 
     @property
     def first(self) -> tuple[Position, ...]:
-        return (*self.held_out, *self.looked_at)
+        return (*self.held_out, *self.check_positions)
 
     def job(self, job: Job) -> Job:
         """Return the job of the night: positions that are fused and positions that are held out."""
         return replace(
-            standing(job, self.station),
-            positions=(*self.looked_at, *self.further),
+            job_at_station(job, self.station),
+            positions=(*self.check_positions, *self.further),
             held_out=self.held_out,
             stations=(self.station,),
             verified_stations=(self.station,),
@@ -55,7 +55,7 @@ class NightPlan:
         return MeasuringOrder(prefix, tuple(positions), self.station)
 
 
-def standing(job: Job, station: int) -> Job:
+def job_at_station(job: Job, station: int) -> Job:
     """Return the job with the artefact at `station`, without the axes' reversal: a slot is too short for it."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
     preparation = replace(job.preparation, reversal=None)
@@ -76,16 +76,16 @@ def station_of(job: Job, named: int | None) -> int:
     return station
 
 
-def verification_plan(chooser: Chooser, judge: Judge) -> NightPlan:
+def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
     """Return the plan of a verification alone."""
     chosen = chooser.job.settings.nightly
     held = _held_out(chooser, chosen.held_out_positions)
-    looked = chooser.noticing(judge.known, chosen.check_positions, held)
-    return NightPlan(chooser.station, held, looked)
+    checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held)
+    return NightPlan(chooser.station, held, checked)
 
 
 def night_plan(
-    chooser: Chooser, judge: Judge, slot_minutes: float, start_mm: Point, watch: Callable[[], None]
+    chooser: PositionChooser, judge: Judge, slot_minutes: float, start_mm: Point, watch: Callable[[], None]
 ) -> tuple[NightPlan, PreflightResult]:
     """Plan as many positions as fit into the slot less its reserve, timed by the preflight.
 
@@ -95,13 +95,13 @@ def night_plan(
     held = _held_out(chooser, chosen.held_out_positions)
     room = slot_minutes - chosen.reserve_minutes
     budget = max(room - 2.0 * chooser.minutes(held), 0.0)
-    looked = chooser.noticing(judge.known, chosen.check_positions, held)
-    ahead = _AHEAD * max(budget - chooser.minutes(looked), 0.0)
-    best = chooser.best(judge.known, most=_MOST, minutes=ahead, measured=looked, left_out=(*held, *looked))
-    offered = (*looked, *best)
+    checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held)
+    ahead = _AHEAD * max(budget - chooser.minutes(checked), 0.0)
+    best = chooser.by_gain(judge.prior, most=_MOST, minutes=ahead, measured=checked, left_out=(*held, *checked))
+    offered = (*checked, *best)
     count, tried = _fitting(chooser, offered, budget), dict[int, tuple[NightPlan, PreflightResult]]()
     for _ in range(_MOST_TRIES):
-        count = max(count, FEWEST_FUSED, len(looked))
+        count = max(count, MIN_FUSED_POSITIONS, len(checked))
         if count in tried or count > len(offered):
             break
         plan = NightPlan(
@@ -146,7 +146,7 @@ def verification_only(plan: NightPlan) -> Procedure:
     return procedure
 
 
-def only_these(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
+def additional_positions(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
     """Return the procedure of additional positions, without another probe check."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
@@ -162,7 +162,7 @@ def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:
     return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)
 
 
-def _held_out(chooser: Chooser, count: int) -> tuple[Position, ...]:
+def _held_out(chooser: PositionChooser, count: int) -> tuple[Position, ...]:
     held = chooser.held_out(count)
     if not held:
         raise ConfigurationError(
@@ -173,7 +173,7 @@ def _held_out(chooser: Chooser, count: int) -> tuple[Position, ...]:
     return held
 
 
-def _fitting(chooser: Chooser, offered: Sequence[Position], budget: float) -> int:
+def _fitting(chooser: PositionChooser, offered: Sequence[Position], budget: float) -> int:
     count = 0
     while count < len(offered) and chooser.minutes(offered[: count + 1]) <= budget:
         count += 1

@@ -14,32 +14,37 @@ from agent.planning.preflight import PreflightResult, Procedure, run_preflight
 from agent.probing.position import MeasuredBall
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MeasuredPositions
-from agent.results.estimation import Finding, find
+from agent.results.estimation import EstimationResult, estimate_with_table
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.results.run_outcome import Decision, NightReport, Proof
-from agent.results.thermal_drift import balls_for_estimate, fusion_options, observed
+from agent.results.thermal_drift import balls_for_estimate, fusion_options, observations_with_drift
 from agent.runs.calibration import CalibrationRun
 from agent.runs.change_since_reference import change_since
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import nights_since
-from agent.runs.kinds.check_measurement import judged, measure, require_table_of
+from agent.runs.kinds.check_measurement import judge_measurement, measure, require_table_of
 from agent.runs.kinds.drift_check import Judge, Judgement
 from agent.runs.kinds.full_calibration import PendingCalibration, Slot, calibrate_in_full, refusal_until_full
 from agent.runs.kinds.night_plan import (
-    FEWEST_FUSED,
     FURTHER,
+    MIN_FUSED_POSITIONS,
     VERIFICATION,
     NightPlan,
+    additional_positions,
+    job_at_station,
     night_plan,
-    only_these,
     positions_in,
-    standing,
     station_of,
 )
-from agent.runs.kinds.position_choice import Chooser
-from agent.runs.kinds.step_proof import prove_step
+from agent.runs.kinds.position_choice import PositionChooser
+from agent.runs.kinds.step_proof import prove_update
 from agent.runs.planned_run import PlannedRun, StartConditions
-from agent.runs.reference_state import full_needed, record_accepted, record_full_needed, require_accepted
+from agent.runs.reference_state import (
+    full_calibration_need,
+    record_accepted,
+    record_full_calibration_need,
+    require_reference,
+)
 from agent.runs.run_context import RunContext
 from twin.artefact.position_set import Position
 from twin.units import S_PER_MIN
@@ -65,19 +70,19 @@ class Night:
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         chosen = job.settings.nightly
-        last = require_accepted(job, start.run)
+        reference = require_reference(job, start.run)
         station = station_of(job, self.station)
-        here = standing(job, station)
-        judge = Judge(job, last, nights_since(last, self.nights, start.at))
+        here = job_at_station(job, station)
+        judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
         slot = Slot(
             chosen.slot_minutes if self.slot_minutes is None else self.slot_minutes,
             chosen.full_allowed if self.full_allowed is None else self.full_allowed,
             chosen.reserve_minutes,
         )
-        pending = full_needed(job.settings.state_directory, start.run)
+        pending = full_calibration_need(job.settings.state_directory, start.run)
         if pending is not None:
             return PendingCalibration(self, here, station, judge, slot, pending).plan(start, watch)
-        chooser = Chooser(here, station)
+        chooser = PositionChooser(here, station)
         plan, preflight = night_plan(chooser, judge, slot.minutes, start.start_mm, watch)
         own = plan.job(job)
         return PlannedRun(
@@ -98,11 +103,11 @@ class NightlyRun(CalibrationRun):
         context: RunContext,
         judge: Judge,
         plan: NightPlan,
-        chooser: Chooser,
+        chooser: PositionChooser,
         preflight: PreflightResult,
         slot: Slot,
     ) -> None:
-        super().__init__(job, context, judge.last, judge.nights, Consent.REFUSED)
+        super().__init__(job, context, judge.reference, judge.nights, Consent.REFUSED)
         self._context = context
         self._judge = judge
         self._plan = plan
@@ -115,7 +120,7 @@ class NightlyRun(CalibrationRun):
 
     def _work(self) -> None:
         plan = self._plan
-        require_table_of(self._judge.last, self._begin())
+        require_table_of(self._judge.reference, self._begin())
         self._prepare_probe()
         measured = self._measure(VERIFICATION, plan.first)
         judgement = self._judged(measured)
@@ -174,7 +179,7 @@ class NightlyRun(CalibrationRun):
 
     def _judged(self, measured: MeasuredPositions) -> Judgement:
         self.progress.measured = measured
-        judgement = judged(self._judge, self._plan, self._job, measured, self._correction)
+        judgement = judge_measurement(self._judge, self._plan, self._job, measured, self._correction)
         self.progress.night = judgement.report
         return judgement
 
@@ -182,7 +187,7 @@ class NightlyRun(CalibrationRun):
 
     def _out_of_limits(self, measured: MeasuredPositions, judgement: Judgement) -> None:
         """Calibrate in full if that is permitted and fits; otherwise diagnose the change and request a calibration."""
-        full = standing(self._judge.job, self._plan.station)
+        full = job_at_station(self._judge.job, self._plan.station)
         if self._slot.full_allowed and self._minutes_of(full) <= self._left_minutes:
             report = replace(judgement.report, decision=Decision.FULL_DONE)
             calibrate_in_full(self, full, self._context, self._judge, report)
@@ -191,22 +196,22 @@ class NightlyRun(CalibrationRun):
         self._tracker.enter(RunState.IDENTIFYING)
         self.progress.night = replace(report, decision=Decision.FULL_NEEDED)
         self._journal.decision("night", self.progress.night.as_json())
-        record_full_needed(self._journal, report.reason)
+        record_full_calibration_need(self._journal, report.reason)
         raise refusal_until_full(report.reason)
 
     def _diagnosed(self, measured: MeasuredPositions, judgement: Judgement) -> NightReport:
         """Use the rest of the slot for positions that discriminate between the suspected errors."""
         done, report = positions_in(measured), judgement.report
         chosen = list(
-            self._chooser.telling_apart(
-                self._judge.known,
+            self._chooser.discriminating(
+                self._judge.prior,
                 judgement.found.suspects()[:SUSPECTS],
                 minutes=self._left_minutes,
                 measured=done,
             )
         )
         while chosen:
-            if self._minutes_of(self._job, only_these(self._plan, DIAGNOSIS, chosen)) <= self._left_minutes:
+            if self._minutes_of(self._job, additional_positions(self._plan, DIAGNOSIS, chosen)) <= self._left_minutes:
                 break
             chosen.pop()
         if not chosen:
@@ -217,46 +222,50 @@ class NightlyRun(CalibrationRun):
 
     def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
         """Machine minutes of a procedure by a preflight; an abort interrupts it."""
-        return run_preflight(job, procedure=procedure, watch=self._supervisor.look).machine_minutes
+        return run_preflight(job, procedure=procedure, watch=self._supervisor.check_stop_request).machine_minutes
 
     # ------------------------------------------------------------------ fusion
 
     def _fuse(self, measured: MeasuredPositions, report: NightReport) -> None:
         job, judge = self._job, self._judge
         balls = balls_for_estimate(job, measured)
-        if len({ball.position for ball in balls}) < FEWEST_FUSED:
+        if len({ball.position for ball in balls}) < MIN_FUSED_POSITIONS:
             self._end(replace(report, reason="too little time was left to fuse anything"))
             return
         chosen = job.settings
         with translated(MeasurementFault):
-            observations = observed(job, balls, self._correction)
-            options = fusion_options(chosen.temperature, observations, judge.known)
+            observations = observations_with_drift(job, balls, self._correction)
+            options = fusion_options(chosen.temperature, observations, judge.prior)
             order = chosen.identification.order
-            finding = find(job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order)
-        self._keep_estimate(finding, balls)
+            estimation = estimate_with_table(
+                job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order
+            )
+        self._store_estimate(estimation, balls)
         limits = self._rig.store.store_limits()
-        self._pass_gates((*self._estimate_gates(finding), *shape_gates(finding.table, limits, job.gate_limits)))
-        written = judge.last.accepted.written
-        now_um = judge.left_um(finding.estimate, written)
-        after_um = judge.left_um(finding.estimate, finding.estimate.parameters)
+        self._pass_gates((*self._estimate_gates(estimation), *shape_gates(estimation.table, limits, job.gate_limits)))
+        written = judge.reference.table.written
+        now_um = judge.expected_ve_um(estimation.estimate, written)
+        after_um = judge.expected_ve_um(estimation.estimate, estimation.estimate.parameters)
         report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
         worth = 1.0 - after_um / now_um >= chosen.nightly.min_gain
         last_part = FURTHER if self._plan.further else VERIFICATION
         if not worth or self._planned_minutes_after(last_part) > self._left_minutes:
-            record_accepted(self._journal, judge.last.accepted)
+            record_accepted(self._journal, judge.reference.table)
             self._end(replace(report, decision=Decision.FUSED))
             return
         self.progress.night = report
-        self._write_and_prove(finding, measured)
+        self._write_and_prove(estimation, measured)
 
-    def _estimate_gates(self, finding: Finding) -> tuple[Gate, ...]:
+    def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:
         limits = self._job.gate_limits
-        gates = estimate_gates(finding.estimate, finding.volumetric.after, finding.volumetric.before, limits)
-        change = change_since(self._job, self._judge.last, self._nights, finding.estimate, fused=True)
+        gates = estimate_gates(estimation.estimate, estimation.volumetric.after, estimation.volumetric.before, limits)
+        change = change_since(self._job, self._judge.reference, self._nights, estimation.estimate, fused=True)
         return (*gates, change_gate(change.found_um, change.expected_um, limits))
 
-    def _proof(self, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
-        proof = prove_step(self._job, finding, before, after)
+    def _proof(
+        self, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
+    ) -> Proof:
+        proof = prove_update(self._job, estimation, before, after)
         report = self.progress.night
         assert report is not None  # noqa: S101  judged before anything was fused
         decision = Decision.WRITTEN if proof.accepted else Decision.RESTORED

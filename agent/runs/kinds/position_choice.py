@@ -25,7 +25,7 @@ from twin.monitoring.step_detection import SuspectedJump
 
 
 @dataclass(frozen=True, eq=False)
-class Chooser:
+class PositionChooser:
     """Chooses at one `station`, where the artefact stands and nobody carries it."""
 
     job: Job
@@ -46,9 +46,9 @@ class Chooser:
         ]
         return tuple(position for position in found if self._usable(position))[:count]
 
-    def best(
+    def by_gain(
         self,
-        known: CarriedOverPrior,
+        prior: CarriedOverPrior,
         *,
         most: int,
         minutes: float = np.inf,
@@ -58,7 +58,7 @@ class Chooser:
         """One after the other, by gain per minute, until there are `most` or no more fits into the `minutes`; given
         what is `known` and what will have been `measured`; none of those `left_out`."""
         offered = [position for position in self._offered() if position not in left_out]
-        search, places = self._search(known, [*measured, *offered])
+        search, places = self._search(prior, [*measured, *offered])
         first = Selection.of(search.candidates, places[: len(measured)])
         paid = search.costs.total(first.chosen)
 
@@ -69,36 +69,38 @@ class Chooser:
         for selection in search.grow(first, room, per_minute=True):
             yield search.candidates.positions[selection.chosen[-1]]
 
-    def noticing(self, known: CarriedOverPrior, count: int, measured: Sequence[Position]) -> tuple[Position, ...]:
+    def detecting_jumps(
+        self, prior: CarriedOverPrior, count: int, measured: Sequence[Position]
+    ) -> tuple[Position, ...]:
         """The `count` that show most surely whether any error has jumped, beside those `measured` anyway."""
-        telling = self._telling(known, JumpQuestions.any_jump(known.unknowns), measured)
+        telling = self._ranked(prior, JumpQuestions.any_jump(prior.unknowns), measured)
         return tuple(islice(telling, count))
 
-    def telling_apart(
+    def discriminating(
         self,
-        known: CarriedOverPrior,
+        prior: CarriedOverPrior,
         suspects: Sequence[SuspectedJump],
         *,
         minutes: float,
         measured: Sequence[Position],
     ) -> tuple[Position, ...]:
         """Those that show which of the `suspects` it is, as many as fit into the `minutes`; none that is `measured`."""
-        names, scale = known.unknowns.model.names, known.unknowns.scale
-        jumps = np.zeros((len(suspects), known.unknowns.blocks.size))
+        names, scale = prior.unknowns.model.names, prior.unknowns.scale
+        jumps = np.zeros((len(suspects), prior.unknowns.blocks.size))
         for row, suspect in zip(jumps, suspects, strict=True):
             for name, value in suspect.coefficients.items():
                 row[names.index(name)] = value / scale[names.index(name)]
         found: list[Position] = []
-        for position in self._telling(known, JumpQuestions.which_jump(jumps), measured):
+        for position in self._ranked(prior, JumpQuestions.which_jump(jumps), measured):
             if self.minutes([*found, position]) > minutes:
                 break
             found.append(position)
         return tuple(found)
 
-    def _telling(
-        self, known: CarriedOverPrior, questions: JumpQuestions, measured: Sequence[Position]
+    def _ranked(
+        self, prior: CarriedOverPrior, questions: JumpQuestions, measured: Sequence[Position]
     ) -> Iterator[Position]:
-        search, places = self._search(known, [*measured, *self._offered()])
+        search, places = self._search(prior, [*measured, *self._offered()])
         candidates, done = search.candidates, places[: len(measured)]
         allowed = np.ones(candidates.count, dtype=bool)
         allowed[done] = False
@@ -106,11 +108,11 @@ class Chooser:
             if search.is_measurable(index):
                 yield candidates.positions[index]
 
-    def _search(self, known: CarriedOverPrior, positions: Sequence[Position]) -> tuple[ExchangeSearch, list[int]]:
+    def _search(self, prior: CarriedOverPrior, positions: Sequence[Position]) -> tuple[ExchangeSearch, list[int]]:
         """With the place of each of the `positions` among the candidates."""
         job = self.job
-        machine = job.machine.with_model(known.unknowns.model)
-        options = Options(carried_over=known, estimate_scales=False, outliers="none")
+        machine = job.machine.with_model(prior.unknowns.model)
+        options = Options(carried_over=prior, estimate_scales=False, outliers="none")
         grid = evaluation_grid(machine.model.ranges_mm)
         with translated(ConfigurationError, key="stations.places_mm"):
             candidates = build_candidates(job.procedure, positions, machine.family, options, grid, job.tool_offset_mm)

@@ -22,8 +22,8 @@ from agent.runs.run_context import RunContext
 from drivers.errors import InputError, NotActiveYet
 from drivers.roles import TableImage
 
-Role = Literal["backup", "staged", "restored"]
-ROLES: tuple[Role, ...] = ("backup", "staged", "restored")
+TableRole = Literal["backup", "staged", "restored"]
+TABLE_ROLES: tuple[TableRole, ...] = ("backup", "staged", "restored")
 
 _NOTHING = MeasuredPositions((), (), 0, None, {})
 
@@ -33,7 +33,7 @@ class Restoration:
     """Kind that reactivates the latest table stored by `run_id` with `role`."""
 
     run_id: str
-    role: Role = "backup"
+    role: TableRole = "backup"
     name: str = "restore"
 
     def plan(self, job: Job, start: StartConditions, _: Callable[[], None]) -> PlannedRun:

@@ -16,7 +16,7 @@ from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
-from agent.results.estimation import Finding
+from agent.results.estimation import EstimationResult
 from agent.results.observations import no_correction, observations_of
 from agent.results.run_outcome import Proof
 from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals, held_out_test
@@ -27,17 +27,19 @@ from twin.units import UM_PER_MM
 _COVERAGE = 3.0
 
 
-def prove_step(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
+def prove_update(
+    job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
+) -> Proof:
     """Held-out balls `before` and `after` the new table was made active. MeasurementFault where there are too few."""
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:
             raise MeasurementFault(f"no ball of a held-out position was measured {when}")
     with translated(MeasurementFault):
-        observed = observations_of(after, job.tool_offset_mm, finding.table.at)
-        result, former = _left(job, after), _left(job, before)
-        covariance = residual_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm)
+        observed = observations_of(after, job.tool_offset_mm, estimation.table.at)
+        result, former = _displayed_residuals(job, after), _displayed_residuals(job, before)
+        covariance = residual_covariance(estimation.estimate, observed.axis_positions, job.tool_offset_mm)
         expected = held_out_test(observed, result, job.artefact, covariance)
-    doubts = [_doubt(one, observed, finding.estimate.scales.noise) for one in (former, result)]
+    doubts = [_doubt(one, observed, estimation.estimate.scales.noise) for one in (former, result)]
     worse = result.rms_mm**2 - former.rms_mm**2 > _COVERAGE * math.hypot(*doubts)
     limit = job.settings.verification.max_chi2
     reason = ""
@@ -67,6 +69,6 @@ def _doubt(result: HeldOutResiduals, observed: Observations, scale: float) -> fl
     return 3.0 / freedom * math.sqrt(4.0 * still * variance + 2.0 * freedom * variance**2)
 
 
-def _left(job: Job, balls: Sequence[MeasuredBall]) -> HeldOutResiduals:
+def _displayed_residuals(job: Job, balls: Sequence[MeasuredBall]) -> HeldOutResiduals:
     displayed = observations_of(balls, job.tool_offset_mm, no_correction)
     return held_out_residuals(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact)

@@ -10,19 +10,19 @@ from agent.planning.job import Job
 from agent.planning.preflight import run_preflight
 from agent.runs.guarded_run import GuardedRun
 from agent.runs.kinds.calibrate import nights_since
-from agent.runs.kinds.check_measurement import judged, measure, require_table_of
+from agent.runs.kinds.check_measurement import judge_measurement, measure, require_table_of
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.night_plan import (
     VERIFICATION,
     NightPlan,
-    standing,
+    job_at_station,
     station_of,
     verification_only,
     verification_plan,
 )
-from agent.runs.kinds.position_choice import Chooser
+from agent.runs.kinds.position_choice import PositionChooser
 from agent.runs.planned_run import PlannedRun, StartConditions
-from agent.runs.reference_state import require_accepted
+from agent.runs.reference_state import require_reference
 from agent.runs.run_context import RunContext
 
 
@@ -36,10 +36,10 @@ class Verification:
     name: str = "verify"
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        last = require_accepted(job, start.run)
+        reference = require_reference(job, start.run)
         station = station_of(job, self.station)
-        judge = Judge(job, last, nights_since(last, self.nights, start.at))
-        plan = verification_plan(Chooser(standing(job, station), station), judge)
+        judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
+        plan = verification_plan(PositionChooser(job_at_station(job, station), station), judge)
         own = plan.job(job)
         preflight = run_preflight(own, start.start_mm, verification_only(plan), watch)
         return PlannedRun(own, self, start, preflight, lambda context: VerifyRun(own, context, judge, plan))
@@ -54,12 +54,12 @@ class VerifyRun(GuardedRun):
         self._plan = plan
 
     def _work(self) -> None:
-        require_table_of(self._judge.last, self._begin())
+        require_table_of(self._judge.reference, self._begin())
         self._prepare_probe()
         job, plan = self._job, self._plan
         measured = measure(self._engine, plan, VERIFICATION, plan.first, job, self._rules)
         self.progress.measured = measured
         self._tracker.enter(RunState.IDENTIFYING)
-        report = self.progress.night = judged(self._judge, plan, job, measured, self._correction).report
+        report = self.progress.night = judge_measurement(self._judge, plan, job, measured, self._correction).report
         self._journal.decision("verify", report.as_json())
         self._tracker.enter(RunState.COMPLETE, report.reason or report.decision.value)

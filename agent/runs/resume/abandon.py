@@ -11,7 +11,7 @@ from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import ReconcileAction, Reconciliation
 
 
-def give_up(rig: Rig, state_directory: Path, reason: str) -> Reconciliation:
+def abandon(rig: Rig, state_directory: Path, reason: str) -> Reconciliation:
     """Restore the former table if necessary, then end the run as aborted. If the former table cannot be reactivated,
     the run stays unfinished. `rig` is open; nothing moves. Raises as `reconcile`."""
     result = reconcile(rig, state_directory)

@@ -20,12 +20,12 @@ class ResumedClock:
     def sleep(self, duration_s: float) -> None:
         self._inner.sleep(duration_s)
 
-    def replayed_to(self, instant_s: float) -> None:
+    def advance_to(self, instant_s: float) -> None:
         """Advance to the instant at which a recorded step finished."""
         if self._recorded_s is not None:
             self._recorded_s = max(self._recorded_s, instant_s)
 
-    def run_on(self, at_least_s: float) -> None:
+    def start_running(self, at_least_s: float) -> None:
         """Let time pass from now on, from no earlier than `at_least_s`. Only the first call has an effect."""
         if self._recorded_s is not None:
             self._ahead_s = max(self._recorded_s, at_least_s) - self._inner.now()

@@ -49,7 +49,7 @@ class Replay:
         recorded = self._recorded.steps.popleft()
         _require_same(recorded, step)
         if recorded.finished_s is not None:
-            self._clock.replayed_to(recorded.finished_s)
+            self._clock.advance_to(recorded.finished_s)
         return recorded
 
     def end(self, step: Step) -> None:
@@ -76,17 +76,17 @@ class ReplayingEngine(Engine):
         self._stored = stored
         self._return: Return | None = None
 
-    def returns_by(self, return_: Return) -> None:
+    def set_return(self, return_: Return) -> None:
         """Set how the machine returns once the replay is over; without it, it is taken to be where it was."""
         self._return = return_
 
     def _do_durably(self, step: Step) -> Any:
-        result = self._done_or_recorded(step)
+        result = self._replay_or_do(step)
         if self._return is None or not self._return.complete:
-            self._replay.trace.see(step, result)
+            self._replay.trace.add(step, result)
         return result
 
-    def _done_or_recorded(self, step: Step) -> Any:
+    def _replay_or_do(self, step: Step) -> Any:
         if isinstance(step, Record):
             # A conclusion of the plan costs nothing; the journal knows which of them it has already.
             return super()._do_durably(step)

@@ -60,7 +60,9 @@ def resume(
             with open_rig(context):
                 run = session.plan(origin.start).begin(context)
                 prefix = f"resume-{recorded.resumptions + 1}"
-                engine.returns_by(ReturnToPosition(prefix, run, context, replay.trace, run_clock, time_s(origin)))
+                engine.set_return(
+                    ReturnToPosition(prefix, run, context, replay.trace, run_clock, continuation_time_s(origin))
+                )
                 session.progress = run.carry_out()
                 if session.progress.error is not None:
                     _note_compensation(rig, origin, tracker.note)
@@ -97,7 +99,7 @@ def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableIm
     return stored
 
 
-def time_s(origin: Origin) -> float:
+def continuation_time_s(origin: Origin) -> float:
     """Return the machine seconds at which the run continues.
 
     If machine time is wall time, the interruption has passed for the run as well: the time counts for its slot.

@@ -45,16 +45,16 @@ class ReturnPath:
         if not trace.moved:
             return
         probing = rules.probing
-        yield from withdraw(rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, trace.came)
+        yield from withdraw(rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, trace.last_motion)
         yield CheckProbe(f"{self.prefix}/probe")
         if trace.pose is not None and not isinstance(following, (OrientTo, AskOperator)):
-            yield from self._turned_back(trace.pose)
+            yield from self._turn_mount_back(trace.pose)
             if trace.datum_mm is not None:
                 yield from self._datum(np.array(trace.datum_mm))
         if trace.at_mm is not None:
-            yield from self._arrive(np.array(trace.at_mm))
+            yield from self._approach(np.array(trace.at_mm))
 
-    def _turned_back(self, pose: OrientTo) -> Plan[None]:
+    def _turn_mount_back(self, pose: OrientTo) -> Plan[None]:
         """Turn the mount back: without power it may have sunk, and it may have been in the middle of a turn."""
         here = np.array((yield ReadPosition(f"{self.prefix}/here")))
         yield MoveTo(f"{self.prefix}/park", point(self.rules.course.parked(here, pose.station)))
@@ -69,21 +69,23 @@ class ReturnPath:
         yield MoveTo(f"{key}/approach", point(above))
         found = yield from measure_ball(key, expected, probing, probing.narrow)
         if isinstance(found, LostBall):
-            raise self._moved(f"was not found: {found.reason}")
+            raise self._artefact_moved(f"was not found: {found.reason}")
         moved_um = UM_PER_MM * (found.centre_mm - expected)
         yield Record(f"{key}/found", "event", {"of": self.trace.datum_key, "moved_um": moved_um})
         yield MoveTo(f"{key}/leave", point(course.retreated(course.above(found.centre_mm, probing))))
         way_um = float(np.linalg.norm(moved_um))
         if way_um > UM_PER_MM * self.tolerance_mm:
-            raise self._moved(f"is {way_um:.1f} µm from where it was, allowed {UM_PER_MM * self.tolerance_mm:.1f} µm")
+            raise self._artefact_moved(
+                f"is {way_um:.1f} µm from where it was, allowed {UM_PER_MM * self.tolerance_mm:.1f} µm"
+            )
 
-    def _moved(self, how: str) -> MeasurementFault:
+    def _artefact_moved(self, how: str) -> MeasurementFault:
         return MeasurementFault(
             f"the ball of {self.trace.datum_key} {how}",
             hint="artefact, mount or machine have moved since the interruption: start a new run",
         )
 
-    def _arrive(self, goal: Array) -> Plan[None]:
+    def _approach(self, goal: Array) -> Plan[None]:
         """Move across at the retreat plane, then along the stylus; each axis approaches from its former side."""
         course, axes = self.rules.course, self.trace.axes
         along = course.retreat_axis
@@ -95,9 +97,9 @@ class ReturnPath:
         for axis in across:
             yield from self._axis(axis, side, axes[axis], goal[axis])
         if axes[along]:
-            yield from self._down(along, side, goal)
+            yield from self._move_in(along, side, goal)
 
-    def _down(self, along: int, here: Array, goal: Array) -> Plan[None]:
+    def _move_in(self, along: int, here: Array, goal: Array) -> Plan[None]:
         """Move in along the run's own exit path.
 
         On the retreat plane itself no approach direction matters: moving in from there takes up the play.

@@ -65,7 +65,7 @@ class ReturnToPosition:
 
     def _return_compensation(self, following: Step) -> bool:
         """Activate the bank that was active; nothing moves. True if `following` has taken effect already."""
-        self._clock.run_on(self._time_s)
+        self._clock.start_running(self._time_s)
         prefix = f"{self._prefix}/compensation"
         return self._aside.run(reactivation(prefix, self._trace, following, self._activation))
 
@@ -76,8 +76,8 @@ class ReturnToPosition:
         if refusal is not None:
             raise refusal
         if isinstance(following, (MoveTo, TouchTowards)):
-            self._trace.came.begins(following.target_mm, touch=isinstance(following, TouchTowards))
-        self._rig.last_motion = self._trace.came
+            self._trace.last_motion.begin(following.target_mm, touch=isinstance(following, TouchTowards))
+        self._rig.last_motion = self._trace.last_motion
         rules = self._run.rules
         path = ReturnPath(self._prefix, self._trace, rules, rules.drift.fault_mm)
         self._aside.run(path.plan(following))
@@ -102,7 +102,7 @@ def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Act
         return False
     staged = trace.staged
     if staged is not None and not (isinstance(following, StageTable) and following.bank == staged.bank):
-        yield from _written(prefix, staged)
+        yield from _restage(prefix, staged)
     active = yield ReadActiveBank(f"{prefix}/active-bank")
     if isinstance(following, ActivateBank) and active == following.bank:
         return True
@@ -119,7 +119,7 @@ def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Act
     return False
 
 
-def _written(prefix: str, staged: StageTable) -> Plan[None]:
+def _restage(prefix: str, staged: StageTable) -> Plan[None]:
     """Write the bank again if it has lost its contents. PlanDiverged if it is active, since then it is not written."""
     held = yield ReadTable(f"{prefix}/staged", staged.bank)
     if held is not None and held.same_as(staged.table):

@@ -50,14 +50,14 @@ class AxisMove:
 
 @dataclass
 class StepTrace:
-    """State of a run after its steps so far. `at_mm`: axis positions, None until read; `came`: last motion of the tip;
-    `pose`: the last finished turn of the mount; `datum_mm`: the last ball centre found in this pose with the active
-    table; `contents`: bank → CRC-32."""
+    """State of a run after its steps so far. `at_mm`: axis positions, None until read; `pose`: the last finished turn
+    of the mount; `datum_mm`: the last ball centre found in this pose with the active table; `contents`: bank →
+    CRC-32."""
 
     at_mm: Point | None = None
     axes: tuple[list[AxisMove], list[AxisMove], list[AxisMove]] = field(default_factory=lambda: ([], [], []))
     moved: bool = False
-    came: LastMotion = field(default_factory=LastMotion)
+    last_motion: LastMotion = field(default_factory=LastMotion)
     pose: OrientTo | None = None
     datum_mm: Point | None = None
     datum_key: str = ""
@@ -65,24 +65,24 @@ class StepTrace:
     contents: dict[int, int | None] = field(default_factory=dict)
     staged: StageTable | None = None
 
-    def see(self, step: Step, result: object) -> None:
+    def add(self, step: Step, result: object) -> None:
         """Add a finished step."""
         match step:
             case MoveTo():
-                self.came.begins(step.target_mm, touch=False)
-                self.came.ends(step.target_mm)
-                self._went(step.key, step.target_mm)
+                self.last_motion.begin(step.target_mm, touch=False)
+                self.last_motion.end(step.target_mm)
+                self._add_motion(step.key, step.target_mm)
             case TouchTowards():
-                self._touched(step, result)
+                self._add_touch(step, result)
             case ReadPosition() if self.at_mm is None and isinstance(result, tuple):
                 self.at_mm = result
-                self.came.stands(result)
+                self.last_motion.set_position(result)
             case OrientTo():
                 self.pose, self.datum_mm = step, None
             case AskOperator():
                 self.pose = self.datum_mm = None
             case Record():
-                self._found(step)
+                self._add_record(step)
             case ReadActiveBank() if isinstance(result, int):
                 self.active_bank = result
             case ReadTable() if isinstance(result, TableImage):
@@ -92,7 +92,7 @@ class StepTrace:
             case ActivateBank():
                 self.active_bank, self.datum_mm = step.bank, None
 
-    def _went(self, key: str, end: Point) -> None:
+    def _add_motion(self, key: str, end: Point) -> None:
         start = self.at_mm
         self.at_mm, self.moved = end, True
         if start is None:
@@ -104,12 +104,12 @@ class StepTrace:
                 moves.clear()
             moves.append(AxisMove(key, before, after))
 
-    def _touched(self, step: TouchTowards, result: object) -> None:
+    def _add_touch(self, step: TouchTowards, result: object) -> None:
         """Add a touch as a motion that ends short of the surface: that position is as good as the end of the touch."""
         if self.at_mm is None or not isinstance(result, (Touch, Miss)):
             return
-        self.came.begins(step.target_mm, touch=True)
-        self.came.ends(result.position_mm)
+        self.last_motion.begin(step.target_mm, touch=True)
+        self.last_motion.end(result.position_mm)
         start = np.array(self.at_mm)
         way = np.array(result.position_mm) - start
         length = float(np.linalg.norm(way))
@@ -117,9 +117,9 @@ class StepTrace:
         # An axis that the touch does not move keeps its very coordinate.
         still = np.array(step.target_mm) == start
         x, y, z = np.where(still, start, start + share * way).tolist()
-        self._went(step.key, (x, y, z))
+        self._add_motion(step.key, (x, y, z))
 
-    def _found(self, step: Record) -> None:
+    def _add_record(self, step: Record) -> None:
         centre = step.payload.get("centre_mm")
         if centre is not None:
             x, y, z = (float(value) for value in centre)

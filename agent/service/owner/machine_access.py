@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from agent.execution.device_assembly import Devices, closed_after
+from agent.execution.device_assembly import Devices, closing_clock
 from agent.execution.rig import Rig
 from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import Reconciliation
@@ -41,7 +41,7 @@ class MachineAccess:
 
     @contextmanager
     def _opened(self, settings: Settings, base: Path) -> Iterator[Rig]:
-        with closed_after(self.devices.make_clock(settings.clock)) as clock:
+        with closing_clock(self.devices.make_clock(settings.clock)) as clock:
             rig = self.devices.assemble(settings, clock, base)
             rig.open()
             try:

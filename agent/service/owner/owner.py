@@ -13,7 +13,7 @@ from agent.errors import Busy, PlanRefused
 from agent.execution.states import RunState
 from agent.model_files import load_machine
 from agent.planning.job import Job, prepare_job
-from agent.runs.kinds.restoration import ROLES, Restoration, stored_table
+from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
 from agent.runs.planned_run import Kind
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.resume.resume import resumable_origin
@@ -81,7 +81,7 @@ class Owner:
         stored_table(self.settings.state_directory, run_id, role)
         running = self._reserve()
         try:
-            kind = Restoration(run_id, next(known for known in ROLES if known == role))
+            kind = Restoration(run_id, next(known for known in TABLE_ROLES if known == role))
             hooks = self._hooks.hooks(running, job.settings.clock, attended=True)
         except BaseException:
             self._release()

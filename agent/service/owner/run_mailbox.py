@@ -21,7 +21,7 @@ class RunMailbox:
     def attach(self, supervisor: Supervisor) -> None:
         """Connect the run's supervisor; the hook `agent.runs.run_context.RunHooks.attach`."""
         with self._lock:
-            supervisor.alive = self._alive
+            supervisor.heartbeat = self._alive
             self._supervisor = supervisor
             if self._wanted is not None:
                 self._wanted(supervisor)

@@ -11,7 +11,7 @@ from fastapi.responses import Response
 
 from agent.planning.job import prepare_job
 from agent.reports.render_in_subprocess import rebuilt_apart
-from agent.runs.kinds.restoration import Role, stored_table
+from agent.runs.kinds.restoration import TableRole, stored_table
 from agent.service.http.app_state import SiteHere
 from agent.service.http.problems import DOCUMENTED
 from agent.service.page.result_data import Findings
@@ -59,7 +59,7 @@ def page_router() -> APIRouter:
         return worths.document(prepare_job(site.settings(), site.config.parent))
 
     @router.get("/tables/{run_id}/{role}.csv")
-    def table(site: SiteHere, run_id: str, role: Role) -> Response:
+    def table(site: SiteHere, run_id: str, role: TableRole) -> Response:
         """Return a stored table as a neutral file."""
         job = prepare_job(site.settings(), site.config.parent)
         text = table_csv(stored_table(site.archive.directory, run_id, role), job.tool_offset_mm, run_id, role)
@@ -67,7 +67,7 @@ def page_router() -> APIRouter:
         return Response(text, media_type="text/csv", headers=headers)
 
     @router.get("/tables/difference")
-    def tables_difference(site: SiteHere, one: str, one_role: Role, other: str, other_role: Role) -> Document:
+    def tables_difference(site: SiteHere, one: str, one_role: TableRole, other: str, other_role: TableRole) -> Document:
         """Return `other` minus `one`, each the table stored by a run with a role."""
         directory = site.archive.directory
         return difference(stored_table(directory, one, one_role), stored_table(directory, other, other_role))

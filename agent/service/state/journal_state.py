@@ -14,7 +14,7 @@ from agent.execution.journal_reader import JournalReader, has_journal, open_jour
 from agent.execution.states import FINAL, RunState
 from agent.planning.job import prepare_job
 from agent.runs.kinds.drift_check import Judge
-from agent.runs.reference_state import ACTIVATING_DECISIONS, accepted_for
+from agent.runs.reference_state import ACTIVATING_DECISIONS, reference_for
 from agent.runs.unfinished_run import unfinished_run
 from agent.service.allowed_requests import STICKY
 from agent.service.control import Alarm
@@ -104,9 +104,9 @@ def _acknowledged(reader: JournalReader, run: int) -> bool:
 def _volumetric_errors(settings: Settings, base: Path) -> tuple[float | None, float | None]:
     """Return VE in µm, aligned, expected by the last accepted night: without a table, and with the one active since."""
     job = prepare_job(settings, base)
-    last = accepted_for(job)
+    last = reference_for(job)
     if last is None:
         return None, None
-    judge, known = Judge(job, last, 0.0), last.known
-    bare = judge.acting.of(known.z, known.z_covariance, np.zeros_like(last.accepted.written))
+    judge, known = Judge(job, last, 0.0), last.estimate
+    bare = judge.residual_with_table.of(known.z, known.z_covariance, np.zeros_like(last.table.written))
     return bare.aligned_um, judge.before_um

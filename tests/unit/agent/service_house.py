@@ -138,7 +138,7 @@ class Puppet:
     def abort_wanted(self) -> str | None:
         assert self.supervisor is not None
         try:
-            self.supervisor.look()
+            self.supervisor.check_stop_request()
         except (Aborted, Interrupted) as error:
             return error.message
         return None

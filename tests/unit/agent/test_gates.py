@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.errors import GateRefused
-from agent.results.gates import Gate, require, table_gates
+from agent.results.gates import Gate, require_passed, table_gates
 from agent.settings.schema import GateSettings
 from drivers.roles import Activation, StoreLimits
 from twin.compensation.table import Anchor, CompensationTable
@@ -64,11 +64,11 @@ def test_extrapolation_needs_its_flag() -> None:
 def test_refusal_names_every_gate_that_did_not_pass() -> None:
     gates = [Gate("fit", False, 3.0, 2.0, "x"), Gate("gain", True, 0.1, 0.5, "y"), Gate("slope", False, 1.0, 0.5, "z")]
     with pytest.raises(GateRefused) as caught:
-        require(gates)
+        require_passed(gates)
     assert "gate fit: 3 against 2" in str(caught.value)
     assert "gate slope" in str(caught.value)
     assert "gate gain" not in str(caught.value)
-    require([gates[1]])
+    require_passed([gates[1]])
 
 
 def test_table_with_something_that_is_no_number_cannot_even_be_made() -> None:

@@ -34,8 +34,8 @@ def jump(error: str, evidence: float) -> SuspectedJump:
     return SuspectedJump(error, evidence, 2.0 * evidence, 3, 12.0, "µm", {f"{error}_1": 0.012})
 
 
-class Found:
-    """Night that the mathematics has seen. `jumps`: errors that may have jumped, with their evidence."""
+class StubInnovation:
+    """Innovation with given figures. `jumps`: errors that may have jumped, with their evidence."""
 
     posterior_mean, posterior_covariance = "mean", "covariance"
 
@@ -57,19 +57,19 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Judgement]:
     def judge(chi2: float = 1.0, now_um: float = LAST_VE_UM, jumps: Sequence[SuspectedJump] = ()) -> Judgement:
         observations = SimpleNamespace(position=np.array([0, 0, 1, 1, 1, 2]))
         monkeypatch.setattr(drift_check, "observations_of", lambda *_: observations)
-        monkeypatch.setattr(drift_check, "innovation", lambda *_: Found(chi2, jumps))
+        monkeypatch.setattr(drift_check, "innovation", lambda *_: StubInnovation(chi2, jumps))
         monkeypatch.setattr(Judge, "_held_out", lambda *_: (3.0, 2.5))
         known = SimpleNamespace(z="known", z_covariance="covariance")
-        last: Any = SimpleNamespace(run_id="run-7", known=known, accepted=SimpleNamespace(written="written"))
+        reference: Any = SimpleNamespace(run_id="run-7", estimate=known, table=SimpleNamespace(written="written"))
         job: Any = SimpleNamespace(settings=SimpleNamespace(nightly=LIMITS), tool_offset_mm=None, artefact=None)
 
         def expected(mean: str, _: str, written: str) -> SimpleNamespace:
             assert written == "written"
             return SimpleNamespace(aligned_um={"known": LAST_VE_UM, "mean": now_um}[mean])
 
-        one = Judge(job, last, 2.0)
-        vars(one).update(known=known, family=None, acting=SimpleNamespace(of=expected))
-        return one.judged(3, [], [], lambda points: points)
+        one = Judge(job, reference, 2.0)
+        vars(one).update(prior=known, family=None, residual_with_table=SimpleNamespace(of=expected))
+        return one.judge_balls(3, [], [], lambda points: points)
 
     return judge
 
@@ -129,7 +129,7 @@ class TestVerdict:
         one = Judge(SimpleNamespace(tool_offset_mm=None), SimpleNamespace(), 1.0)  # type: ignore[arg-type]
         monkeypatch.setattr(drift_check, "observations_of", fails)
         with pytest.raises(MeasurementFault, match="no ball of the night"):
-            one.judged(1, [], [], lambda points: points)
+            one.judge_balls(1, [], [], lambda points: points)
 
 
 def position(number: int) -> Position:
@@ -180,9 +180,9 @@ class Night(NightlyRun):
         for state in (RunState.PREFLIGHT, RunState.MEASURING):
             tracker.enter(state)
         job: Any = SimpleNamespace()
-        judge: Any = SimpleNamespace(last=SimpleNamespace(), nights=1.0, job=None, known=None)
+        judge: Any = SimpleNamespace(reference=SimpleNamespace(), nights=1.0, job=None, prior=None)
         chooser: Any = SimpleNamespace(
-            minutes=lambda positions: 2.0 * len(positions), telling_apart=lambda *_, **__: ()
+            minutes=lambda positions: 2.0 * len(positions), discriminating=lambda *_, **__: ()
         )
         preflight: Any = SimpleNamespace(timeline=TIMELINE, machine_seconds=WHOLE_S)
         context: Any = RunContext(None, None, self.journal, tracker, None, self.clock, RunHooks())  # type: ignore[arg-type]
@@ -199,7 +199,7 @@ class Night(NightlyRun):
 
     def _judged(self, measured: Any) -> Judgement:
         reason = self.verdicts.pop(0) if self.verdicts else ""
-        found: Any = Found(1.0, [])
+        found: Any = StubInnovation(1.0, [])
         self.progress.night = report(reason)
         return Judgement(self.progress.night, found)
 
@@ -220,7 +220,7 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nightly, "require_table_of", lambda *_: None)
     monkeypatch.setattr(nightly, "joined", lambda first, second: f"{first}+{second}")
     monkeypatch.setattr(nightly, "positions_in", lambda _: ())
-    monkeypatch.setattr(nightly, "standing", lambda *_: "the whole job")
+    monkeypatch.setattr(nightly, "job_at_station", lambda *_: "the whole job")
 
 
 class TestSlot:

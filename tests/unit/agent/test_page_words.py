@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from agent.execution.states import RunState
-from agent.runs.kinds.restoration import ROLES
+from agent.runs.kinds.restoration import TABLE_ROLES
 from agent.runs.run_request import KINDS, SOURCES
 from agent.service.alarms import CODES, DEFECT
 
@@ -77,7 +77,7 @@ def test_no_alarm_in_the_catalogue_is_none_of_ours() -> None:
 def test_kinds_sources_and_roles_have_their_words() -> None:
     wanted = [f"kind.{kind}" for kind in (*KINDS, "restore")]
     wanted += [f"source.{source.replace(' ', '_')}" for source in SOURCES]
-    wanted += [f"table.{role}" for role in (*ROLES, "active", "accepted", "waiting")]
+    wanted += [f"table.{role}" for role in (*TABLE_ROLES, "active", "accepted", "waiting")]
     assert [key for key in wanted if key not in MESSAGES] == []
 
 

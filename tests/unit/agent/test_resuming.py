@@ -155,27 +155,27 @@ def test_clock_shows_what_was_and_then_goes_on() -> None:
     inner.sleep(5.0)
     clock = ResumedClock(inner, 100.0)
     assert clock.now() == 100.0
-    clock.replayed_to(160.0)
+    clock.advance_to(160.0)
     inner.sleep(3.0)
     assert clock.now() == 160.0
-    clock.run_on(150.0)
+    clock.start_running(150.0)
     clock.sleep(2.0)
     assert clock.now() == 162.0
-    clock.run_on(1e6)
+    clock.start_running(1e6)
     assert clock.now() == 162.0
 
 
 def test_trace_knows_how_each_axis_came_and_where_the_touch_was_short_of_the_surface() -> None:
     trace = StepTrace()
-    trace.see(ReadPosition("here"), (0.0, 0.0, 0.0))
-    trace.see(MoveTo("far", (10.0, 0.0, 10.0)), None)
-    trace.see(MoveTo("little", (10.3, 0.0, 10.0)), None)
-    trace.see(MoveTo("back", (10.3, 0.0, 2.0)), None)
+    trace.add(ReadPosition("here"), (0.0, 0.0, 0.0))
+    trace.add(MoveTo("far", (10.0, 0.0, 10.0)), None)
+    trace.add(MoveTo("little", (10.3, 0.0, 10.0)), None)
+    trace.add(MoveTo("back", (10.3, 0.0, 2.0)), None)
     x, y, z = trace.axes
     assert [(move.key, move.sign) for move in x] == [("far", 1.0), ("little", 1.0)]
     assert y == []
     assert [(move.key, move.sign, move.beside_mm) for move in z] == [("back", -1.0, 4.0)]
-    trace.see(TouchTowards("touch", (30.3, 0.0, 2.0), 5.0), Touch((20.3, 0.0, 2.0)))
+    trace.add(TouchTowards("touch", (30.3, 0.0, 2.0), 5.0), Touch((20.3, 0.0, 2.0)))
     assert trace.at_mm == (11.3, 0.0, 2.0)
     assert [move.key for move in trace.axes[0]] == ["touch"]
 
@@ -240,4 +240,4 @@ def test_a_tag_tells_runs_and_steps_apart() -> None:
 
 
 def test_nothing_recorded_takes_nothing() -> None:
-    assert not ReplayLog().takes("decisions", "gate", "{}")
+    assert not ReplayLog().consume("decisions", "gate", "{}")

@@ -237,15 +237,15 @@ class Return:
     def __init__(self, store: Store | None = None, refusal: PlanRefused | None = None) -> None:
         self.machine, self.tracker = Machine((90.0, 40.0, 20.0)), Tracker()
         self.clock = ResumedClock(VirtualClock(), 100.0)
-        followed = StepTrace(active_bank=1)
-        followed.see(ReadPosition("here"), (0.0, 0.0, 0.0))
-        followed.see(MoveTo("one", (10.0, 40.0, 20.0)), None)
-        followed.see(MoveTo("two", (110.0, 40.0, 20.0)), None)
-        self.trace = followed
+        trace = StepTrace(active_bank=1)
+        trace.add(ReadPosition("here"), (0.0, 0.0, 0.0))
+        trace.add(MoveTo("one", (10.0, 40.0, 20.0)), None)
+        trace.add(MoveTo("two", (110.0, 40.0, 20.0)), None)
+        self.trace = trace
         run: Any = SimpleNamespace(activation=Activation.IMMEDIATE, rules=RULES, too_late=lambda _: refusal)
         engine = self.machine.engine(store or Store(1, {1: OLD}))
         context: Any = SimpleNamespace(rig=self.machine, tracker=self.tracker, engine=engine)
-        self.returning = ReturnToPosition("resume-1", run, context, followed, self.clock, 160.0)
+        self.returning = ReturnToPosition("resume-1", run, context, trace, self.clock, 160.0)
 
 
 def test_the_tip_is_withdrawn_and_brought_to_where_the_next_step_began() -> None:

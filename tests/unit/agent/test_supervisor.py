@@ -66,16 +66,16 @@ def test_the_program_that_must_end_is_no_person_who_wants_the_end() -> None:
     with pytest.raises(Interrupted, match="a reboot"):
         supervisor.check()
     with pytest.raises(Interrupted):
-        supervisor.look()
+        supervisor.check_stop_request()
 
 
 def test_while_nothing_moves_an_abort_is_noticed_and_a_hold_waits() -> None:
     supervisor = Supervisor(VirtualClock())
     supervisor.request_hold()
-    supervisor.look()
+    supervisor.check_stop_request()
     supervisor.request_abort("button")
     with pytest.raises(Aborted, match="button"):
-        supervisor.look()
+        supervisor.check_stop_request()
 
 
 def test_the_way_out_is_not_interrupted_again() -> None:
