@@ -16,7 +16,7 @@ from agent.cli.options import PATH, config_option
 from agent.cli.printing import columns_table, results_console
 from agent.errors import MeasurementFault
 from agent.files import write_all_atomically, write_atomically
-from agent.history.database_url import place_of
+from agent.history.database_url import database_address
 from agent.history.export import as_csv, as_json, run_document
 from agent.history.schema import StoredRun
 from agent.history.store import HistoryStore
@@ -47,7 +47,7 @@ def history_group() -> None:
 def list_command(config: Path, machine: str | None, last: int, as_json_object: bool) -> None:
     """List the runs, the newest last."""
     with _opened(config) as (_, store):
-        runs = store.runs(machine or store.place.machine, last)
+        runs = store.runs(machine or store.address.machine, last)
     if as_json_object:
         click.echo(json.dumps({"runs": [run_document(run, whole=False) for run in runs]}, allow_nan=False))
         return
@@ -72,14 +72,14 @@ def trend_command(
     The exit code is 4 if a tolerance has been reached or will be soon.
     """
     # The mathematics of trends is slow to import, and the list of runs does not need it.
-    from agent.history.overview import alarms_of, chosen, foremost, trends_of  # noqa: PLC0415
+    from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of  # noqa: PLC0415
     from agent.history.trends import AlarmKind  # noqa: PLC0415
 
     with _opened(config) as (settings, store):
-        trends = trends_of(store.runs(machine or store.place.machine), settings.history)
+        trends = trends_of(store.runs(machine or store.address.machine), settings.history)
     if not trends:
         raise InputError("no run has produced a value yet", hint="`volcal history list` shows all runs")
-    shown = chosen(trends, names) if names else foremost(trends, 12)
+    shown = select_trends(trends, names) if names else most_relevant(trends, 12)
     if figure is not None:
         from agent.history.figure import trends_png  # noqa: PLC0415  drawing libraries are slow to import
 
@@ -109,7 +109,7 @@ def trend_command(
 def export_command(config: Path, machine: str | None, form: str, out: Path) -> None:
     """Export all runs into one file: CSV with one line per run, or JSON with everything that is stored."""
     with _opened(config) as (_, store):
-        runs = store.runs(machine or store.place.machine)
+        runs = store.runs(machine or store.address.machine)
     write_atomically(out, as_csv(runs) if form == "csv" else as_json(runs))
     click.echo(f"{len(runs)} runs: {out}", err=True)
 
@@ -122,13 +122,13 @@ def sync_command(config: Path, as_json_object: bool) -> None:
     """Copy runs that are missing or have changed from the journal into the history."""
     with naming(config):
         settings = read_settings(config)
-        place = place_of(settings)
-        with closing(HistoryStore(place)) as store:
+        address = database_address(settings)
+        with closing(HistoryStore(address)) as store:
             written = sync(settings.state_directory, store)
     if as_json_object:
-        click.echo(json.dumps({"database": place.text, "machine": place.machine, "written": list(written)}))
+        click.echo(json.dumps({"database": address.text, "machine": address.machine, "written": list(written)}))
     else:
-        click.echo(f"{len(written)} runs written to {place.text}")
+        click.echo(f"{len(written)} runs written to {address.text}")
 
 
 @contextmanager
@@ -136,7 +136,7 @@ def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
     """Yield the store, first updated from the journal of this machine; a missing journal is not an error."""
     with naming(config):
         settings = read_settings(config)
-        with closing(HistoryStore(place_of(settings))) as store:
+        with closing(HistoryStore(database_address(settings))) as store:
             try:
                 sync(settings.state_directory, store)
             except InputError as error:

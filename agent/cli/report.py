@@ -11,7 +11,7 @@ from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.execution.run_record import run_ids
 from agent.files import write_all_atomically
-from agent.reports.render_from_journal import rebuilt
+from agent.reports.render_from_journal import render_from_journal
 from agent.settings.load import naming, read_settings
 from drivers.errors import InputError
 
@@ -33,7 +33,7 @@ def report_command(run: str, config: Path, pdf: bool, out: Path | None, as_json:
         directory = read_settings(config).state_directory
     run_id = _identity(run, directory)
     folder = out or directory / run_id
-    files = rebuilt(directory, run_id, pdf=pdf)
+    files = render_from_journal(directory, run_id, pdf=pdf)
     write_all_atomically(folder, files)
     written = [str(folder / name) for name in files]
     click.echo(json.dumps({"run_id": run_id, "files": written}) if as_json else "\n".join(written))

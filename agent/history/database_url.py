@@ -20,7 +20,7 @@ _KEY = "history.url"
 
 
 @dataclass(frozen=True)
-class Place:
+class DatabaseAddress:
     """`url` with the password in it: never printed as it stands. `machine`: the name of this one in history."""
 
     url: URL
@@ -37,19 +37,19 @@ class Place:
         return self.url.get_backend_name() == "sqlite"
 
 
-def place_of(settings: Settings) -> Place:
+def database_address(settings: Settings) -> DatabaseAddress:
     """Raises ConfigurationError for a URL of another kind, one with a password in it, or an unsafe credentials file."""
     chosen, machine = settings.history, machine_name(settings.model_dump(mode="json"))
     if chosen.url is None:
         url = URL.create("sqlite", database=str(settings.state_directory / FILE_NAME))
-        return Place(url, machine, chosen.timeout_s)
-    url = _parsed(chosen.url)
+        return DatabaseAddress(url, machine, chosen.timeout_s)
+    url = _parse_url(chosen.url)
     if chosen.credentials_file is not None:
         url = url.set(password=_password(chosen.credentials_file))
-    return Place(url, machine, chosen.timeout_s)
+    return DatabaseAddress(url, machine, chosen.timeout_s)
 
 
-def _parsed(text: str) -> URL:
+def _parse_url(text: str) -> URL:
     try:
         url = make_url(text)
         backend = url.get_backend_name()

@@ -6,7 +6,7 @@ from contextlib import closing
 
 import structlog
 
-from agent.history.database_url import place_of
+from agent.history.database_url import database_address
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
 from agent.settings.schema import Settings
@@ -15,13 +15,13 @@ from drivers.errors import VolcalError
 log = structlog.get_logger()
 
 
-def feed(settings: Settings, run_id: str) -> str:
+def update_history(settings: Settings, run_id: str) -> str:
     """Update the history after run `run_id`, with any run that is missing; return the error text, or "" on success.
 
     A run is never disturbed by a database that fails.
     """
     try:
-        with closing(HistoryStore(place_of(settings))) as store:
+        with closing(HistoryStore(database_address(settings))) as store:
             written = sync(settings.state_directory, store)
     except VolcalError as error:
         log.warning("history not fed", run=run_id, reason=str(error))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agent.history.schema import StoredRun
-from agent.history.series import ACTING, BARE, HELD_OUT, all_series
+from agent.history.series import ACTIVE, BARE, HELD_OUT, all_series
 from agent.history.trends import Trend, TrendAlarm, trend_of
 from agent.settings.history import HistorySettings
 from drivers.errors import InputError
 
-VOLUMETRIC = (BARE, ACTING, HELD_OUT)
-_MOST = 6
+VOLUMETRIC = (BARE, ACTIVE, HELD_OUT)
+_MOST_SHOWN = 6
 
 
 def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
@@ -19,7 +19,7 @@ def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Tre
     return tuple(trend_of(series, settings.warn_nights) for series in all_series(runs, settings))
 
 
-def chosen(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:
+def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:
     """Those of that name or error: `EXX` also its coefficients. InputError for a name that no run has."""
     by_name = {trend.series.name: trend for trend in trends}
     found: dict[str, Trend] = {}
@@ -32,11 +32,11 @@ def chosen(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:
     return tuple(found.values())
 
 
-def foremost(trends: Sequence[Trend], most: int = _MOST) -> tuple[Trend, ...]:
+def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Trend, ...]:
     """The volumetric errors first, then what has a tolerance or an alarm, then what drifts most surely."""
     volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]
-    others.sort(key=lambda trend: (trend.series.tolerance is None, not trend.alarms, -_surety(trend)))
+    others.sort(key=lambda trend: (trend.series.tolerance is None, not trend.alarms, -_significance(trend)))
     return tuple((volumetric + others)[:most])
 
 
@@ -50,6 +50,6 @@ def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
     )
 
 
-def _surety(trend: Trend) -> float:
+def _significance(trend: Trend) -> float:
     drift = trend.drift
     return 0.0 if drift is None or drift.slope_sigma == 0.0 else abs(drift.slope) / drift.slope_sigma

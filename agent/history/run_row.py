@@ -14,7 +14,7 @@ from agent.execution.run_record import RunRecord
 from agent.results.decision_kinds import IDENTIFIED, INPUTS, OUTCOME
 from twin.units import MICRO_UNITS
 
-KEPT_DECISIONS = frozenset(
+STORED_DECISIONS = frozenset(
     {"gate", "proof", "night", "verify", "accepted", "refused", "full-calibration-needed", "activate/activated"}
     | {"restore/activated", "publish/staged"}
 )
@@ -23,7 +23,7 @@ _TOO_BIG = ("written",)
 
 
 @dataclass(frozen=True)
-class FedRun:
+class RunRows:
     """`run`: columns of `StoredRun` but for its digest; the rest rows of the other tables."""
 
     run: Mapping[str, Any]
@@ -42,9 +42,9 @@ def machine_name(settings: Mapping[str, Any]) -> str:
     return str(named or Path(settings["machine"]).stem)
 
 
-def fed_run(record: RunRecord) -> FedRun:
+def run_rows(record: RunRecord) -> RunRows:
     estimate = None if record.estimate is None else json.loads(record.estimate)
-    return FedRun(_run(record, estimate), _parameters(estimate), _temperatures(record), _decisions(record))
+    return RunRows(_run(record, estimate), _parameters(estimate), _temperatures(record), _decisions(record))
 
 
 def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def _temperatures(record: RunRecord) -> tuple[Mapping[str, Any], ...]:
 
 
 def _decisions(record: RunRecord) -> tuple[Mapping[str, Any], ...]:
-    kept = [note for note in record.decisions if note.kind in KEPT_DECISIONS]
+    kept = [note for note in record.decisions if note.kind in STORED_DECISIONS]
     return tuple(
         {
             "place": place,

@@ -16,16 +16,16 @@ from twin.arrays import Array
 from twin.machine.legendre import legendre_values
 from twin.units import S_PER_DAY
 
-BARE, ACTING, HELD_OUT = "ve_bare", "ve_acting", "held_out"
+BARE, ACTIVE, HELD_OUT = "ve_bare", "ve_acting", "held_out"
 TITLES = {
     BARE: "VE of the bare machine",
-    ACTING: "VE with the acting table",
+    ACTIVE: "VE with the acting table",
     HELD_OUT: "rms of held-out balls",
 }
 _COEFFICIENT = re.compile(r"(E[XYZABC][XYZ])\[(\d+)\]")
-_SHAPES = {"1": "slope", "2": "bow"}
+_ORDER_NAMES = {"1": "slope", "2": "bow"}
 _SAMPLES = 101
-_CHANGED = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
+_CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +84,11 @@ class _Point:
 
 def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
     """Of the bare machine, with the acting table, and what held-out balls showed at the end of each run."""
-    changed = _known(runs, timeline, lambda run: run.night in _CHANGED)
-    anew = _known(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
+    changed = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
+    anew = _nights_where(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
     readings: tuple[tuple[str, Callable[[StoredRun], tuple[float | None, float | None]], float | None], ...] = (
         (BARE, lambda run: (run.ve_before_um, run.ve_before_sigma_um), None),
-        (ACTING, lambda run: (run.acting_um, None), settings.ve_tolerance_um),
+        (ACTIVE, lambda run: (run.acting_um, None), settings.ve_tolerance_um),
         (
             HELD_OUT,
             lambda run: (run.held_out_after_um if run.accepted else run.held_out_before_um, None),
@@ -108,7 +108,7 @@ def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySet
 def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
     """Each geometric error by its largest value along the axis, then each parameter."""
     tolerances = settings.parameter_tolerances
-    steps = _known(runs, timeline, lambda run: run.night in _CHANGED)
+    steps = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
     whole: dict[str, list[_Point]] = {}
     single: dict[str, list[_Point]] = {}
     units: dict[str, str] = {}
@@ -132,7 +132,7 @@ def title_of(parameter: str) -> str:
     found = _COEFFICIENT.fullmatch(parameter)
     if found is None:
         return parameter
-    return f"{found[1]} {_SHAPES.get(found[2], f'order {found[2]}')}"
+    return f"{found[1]} {_ORDER_NAMES.get(found[2], f'order {found[2]}')}"
 
 
 def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int, StoredParameter]]:
@@ -157,7 +157,9 @@ def _largest(coefficients: Mapping[int, StoredParameter]) -> tuple[float, float]
     return float(abs(along[place])), float(np.sqrt(np.sum((sigmas * rows[:, place]) ** 2)))
 
 
-def _known(runs: Sequence[StoredRun], timeline: Array, changed: Callable[[StoredRun], bool]) -> tuple[float, ...]:
+def _nights_where(
+    runs: Sequence[StoredRun], timeline: Array, changed: Callable[[StoredRun], bool]
+) -> tuple[float, ...]:
     return tuple(float(night) for night, run in zip(timeline, runs, strict=True) if changed(run))
 
 

@@ -13,8 +13,8 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 from sqlalchemy.orm import Session, selectinload
 from sqlalchemy.pool import NullPool
 
-from agent.history.database_url import Place
-from agent.history.run_row import FedRun
+from agent.history.database_url import DatabaseAddress
+from agent.history.run_row import RunRows
 from agent.history.schema import (
     SCHEMA_VERSION,
     Base,
@@ -34,10 +34,10 @@ _CHILDREN = (StoredParameter, StoredTemperature, StoredDecision)
 class HistoryStore:
     """Open on one database. Raises ConfigurationError for one that cannot be used, LinkLost for one that is away."""
 
-    def __init__(self, place: Place) -> None:
-        self.place = place
-        with self._speaking():
-            self._engine = _engine(place)
+    def __init__(self, address: DatabaseAddress) -> None:
+        self.address = address
+        with self._translated_errors():
+            self._engine = _engine(address)
             self._prepare()
 
     def close(self) -> None:
@@ -45,25 +45,25 @@ class HistoryStore:
 
     def digests(self, machine: str) -> Mapping[str, str]:
         """Of what is stored of each run of that machine."""
-        with self._speaking(), Session(self._engine) as session:
+        with self._translated_errors(), Session(self._engine) as session:
             rows = session.execute(select(StoredRun.run_id, StoredRun.digest).where(StoredRun.machine == machine))
             return {run_id: digest for run_id, digest in rows}  # noqa: C416  a Row is no pair
 
-    def put(self, fed: FedRun) -> None:
+    def put(self, rows: RunRows) -> None:
         """Store the run, or what has become of it since; all of it or nothing."""
-        values = {**fed.run, "digest": fed.digest, **{at: _moment(fed.run[at]) for at in ("started", "ended")}}
+        values = {**rows.run, "digest": rows.digest, **{at: _parse_time(rows.run[at]) for at in ("started", "ended")}}
         key = {name: values[name] for name in ("machine", "run_id")}
-        with self._speaking(), self._engine.begin() as connection:
+        with self._translated_errors(), self._engine.begin() as connection:
             connection.execute(_upsert(connection, values))
             for table in _CHILDREN:
                 connection.execute(delete(table).where(table.machine == key["machine"], table.run_id == key["run_id"]))
-            decisions = [{**row, "at": _moment(row["at"])} for row in fed.decisions]
-            for child, rows in zip(_CHILDREN, (fed.parameters, fed.temperatures, decisions), strict=True):
-                if rows:
-                    connection.execute(insert(child), [{**key, **row} for row in rows])
+            decisions = [{**row, "at": _parse_time(row["at"])} for row in rows.decisions]
+            for child, children in zip(_CHILDREN, (rows.parameters, rows.temperatures, decisions), strict=True):
+                if children:
+                    connection.execute(insert(child), [{**key, **row} for row in children])
 
     def machines(self) -> tuple[str, ...]:
-        with self._speaking(), Session(self._engine) as session:
+        with self._translated_errors(), Session(self._engine) as session:
             return tuple(session.scalars(select(StoredRun.machine).distinct().order_by(StoredRun.machine)))
 
     def runs(self, machine: str | None = None, last: int | None = None) -> Sequence[StoredRun]:
@@ -74,7 +74,7 @@ class HistoryStore:
         if machine is not None:
             query = query.where(StoredRun.machine == machine)
         query = query.order_by(StoredRun.started.desc(), StoredRun.run_id.desc()).limit(last)
-        with self._speaking(), Session(self._engine) as session:
+        with self._translated_errors(), Session(self._engine) as session:
             found = list(session.scalars(query))
             session.expunge_all()
             return found[::-1]
@@ -92,12 +92,12 @@ class HistoryStore:
             raise ConfigurationError(
                 f"the history is of version {found}, this program knows version {SCHEMA_VERSION}",
                 key="history.url",
-                database=self.place.text,
+                database=self.address.text,
                 hint="install the newer program here too" if found > SCHEMA_VERSION else "name a new database",
             )
 
     @contextmanager
-    def _speaking(self) -> Iterator[None]:
+    def _translated_errors(self) -> Iterator[None]:
         """Errors of the library as errors of the house; a password never gets into one."""
         try:
             yield
@@ -116,39 +116,39 @@ class HistoryStore:
 
     def _lost(self, reason: str) -> LinkLost:
         first = reason.strip().splitlines()[0] if reason.strip() else "no reason given"
-        password = self.place.url.password
+        password = self.address.url.password
         if password:
             first = first.replace(str(password), "***")
         return LinkLost(
             f"the history cannot be reached: {first}",
-            database=self.place.text,
+            database=self.address.text,
             hint="nothing is lost: the journal has it all, and `volcal history sync` feeds it again",
         )
 
 
-def stored(fed: FedRun) -> StoredRun:
+def stored_run(rows: RunRows) -> StoredRun:
     """The row that `put` would store, without a database."""
-    moments = {at: _moment(fed.run[at]) for at in ("started", "ended")}
-    key = {name: fed.run[name] for name in ("machine", "run_id")}
-    run = StoredRun(**{**fed.run, **moments, "digest": fed.digest})
-    run.parameters = [StoredParameter(**key, **row) for row in fed.parameters]
-    run.temperatures = [StoredTemperature(**key, **row) for row in fed.temperatures]
-    run.decisions = [StoredDecision(**key, **{**row, "at": _moment(row["at"])}) for row in fed.decisions]
+    moments = {at: _parse_time(rows.run[at]) for at in ("started", "ended")}
+    key = {name: rows.run[name] for name in ("machine", "run_id")}
+    run = StoredRun(**{**rows.run, **moments, "digest": rows.digest})
+    run.parameters = [StoredParameter(**key, **row) for row in rows.parameters]
+    run.temperatures = [StoredTemperature(**key, **row) for row in rows.temperatures]
+    run.decisions = [StoredDecision(**key, **{**row, "at": _parse_time(row["at"])}) for row in rows.decisions]
     return run
 
 
-def _engine(place: Place) -> Engine:
+def _engine(address: DatabaseAddress) -> Engine:
     """No connection is kept: a run's end and a page's question are minutes apart, and servers are restarted."""
-    seconds = place.timeout_s
-    if place.is_file:
-        engine = create_engine(place.url, poolclass=NullPool, connect_args={"timeout": seconds})
+    seconds = address.timeout_s
+    if address.is_file:
+        engine = create_engine(address.url, poolclass=NullPool, connect_args={"timeout": seconds})
         event.listen(engine, "connect", _enforce_keys)
         event.listen(engine, "begin", _begin_writing)
         return engine
     wait = max(int(seconds), 1)
     options = f"-c statement_timeout={1000 * wait} -c lock_timeout={1000 * wait}"
     return create_engine(
-        place.url,
+        address.url,
         poolclass=NullPool,
         connect_args={"connect_timeout": wait, "options": options, "tcp_user_timeout": 1000 * wait},
     )
@@ -173,5 +173,5 @@ def _upsert(connection: Connection, values: Mapping[str, Any]) -> Any:
     )
 
 
-def _moment(stamp: str | None) -> datetime | None:
+def _parse_time(stamp: str | None) -> datetime | None:
     return None if stamp is None else datetime.fromisoformat(stamp)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from agent.execution.run_record import read_record, run_ids
-from agent.history.run_row import fed_run
+from agent.history.run_row import run_rows
 from agent.history.store import HistoryStore
 
 
@@ -18,7 +18,7 @@ def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
     stored: dict[str, dict[str, str]] = {}
     written = []
     for run_id in run_ids(directory):
-        fed = fed_run(read_record(directory, run_id))
+        fed = run_rows(read_record(directory, run_id))
         machine = fed.run["machine"]
         known = stored.setdefault(machine, dict(store.digests(machine)))
         if known.get(run_id) != fed.digest:

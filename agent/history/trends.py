@@ -26,7 +26,7 @@ from twin.monitoring import (
 from twin.monitoring.drift import MIN_FREEDOM_FOR_SCALE
 
 HORIZON_NIGHTS = 3650.0
-FEWEST_CHARTED = 8
+MIN_CHARTED = 8
 
 
 class AlarmKind(Enum):
@@ -48,7 +48,7 @@ class TrendAlarm:
 @dataclass(frozen=True, eq=False)
 class Trend:
     """`drift` is None where there are too few values for one; `chart` and `smoothed` are of the values since the last
-    step, None below `FEWEST_CHARTED`; `crossing`: None without a tolerance."""
+    step, None below `MIN_CHARTED`; `crossing`: None without a tolerance."""
 
     series: Series
     drift: Drift | None
@@ -85,7 +85,7 @@ def trend_of(series: Series, warn_nights: float) -> Trend:
     drift = _drift(series)
     last_step = max((at for at, _, _ in drift.steps), default=-math.inf) if drift is not None else -math.inf
     recent = series.values[series.nights >= last_step]
-    chart = individuals_chart(recent) if len(recent) >= FEWEST_CHARTED else None
+    chart = individuals_chart(recent) if len(recent) >= MIN_CHARTED else None
     smoothed = None if chart is None else ewma_chart(recent, chart.centre, chart.sigma)
     reach = None
     if series.tolerance is not None and drift is not None:

@@ -16,39 +16,39 @@ from pathlib import Path
 from agent.files import write_all_atomically
 from drivers.errors import InputError, VolcalError
 
-WITHIN_S = 300.0
-SAID = 2
+TIMEOUT_S = 300.0
+EXIT_REPORTED = 2
 """Exit code where the process says in one line what is wrong with the run."""
 HINT = "`volcal report` makes it"
-TEXTS = frozenset({".html"})
+TEXT_SUFFIXES = frozenset({".html"})
 
 
-def rebuilt_apart(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
-    """As `agent.reports.render_from_journal.rebuilt`."""
+def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
+    """As `agent.reports.render_from_journal.render_from_journal`."""
     with tempfile.TemporaryDirectory(prefix="volcal-report-") as folder:
         command = [sys.executable, "-P", "-m", "agent.reports.render_in_subprocess", str(directory), run_id, folder]
-        _carried_out([*command, "--pdf"] if pdf else command, run_id)
-        return {path.name: _content(path) for path in sorted(Path(folder).iterdir())}
+        _run([*command, "--pdf"] if pdf else command, run_id)
+        return {path.name: _read(path) for path in sorted(Path(folder).iterdir())}
 
 
-def made_apart(directory: Path, run_id: str) -> dict[str, str | bytes]:
-    """`agent.reports.renderer.Reports` of a service."""
-    return rebuilt_apart(directory, run_id, pdf=False)
+def render_html_in_subprocess(directory: Path, run_id: str) -> dict[str, str | bytes]:
+    """`agent.reports.renderer.ReportRenderer` of a service."""
+    return render_in_subprocess(directory, run_id, pdf=False)
 
 
-def _carried_out(command: Sequence[str], run_id: str) -> None:
+def _run(command: Sequence[str], run_id: str) -> None:
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=WITHIN_S, check=False)  # noqa: S603
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
     except (OSError, subprocess.TimeoutExpired) as error:
         raise InputError(f"the report of run {run_id} was not made: {error}", hint=HINT) from error
     if done.returncode:
         said = (done.stderr.strip().splitlines() or ["it was ended"])[-1]
-        text = said if done.returncode == SAID else f"the report of run {run_id} was not made: {said}"
+        text = said if done.returncode == EXIT_REPORTED else f"the report of run {run_id} was not made: {said}"
         raise InputError(text, hint=HINT)
 
 
-def _content(path: Path) -> str | bytes:
-    return path.read_text(encoding="utf-8") if path.suffix in TEXTS else path.read_bytes()
+def _read(path: Path) -> str | bytes:
+    return path.read_text(encoding="utf-8") if path.suffix in TEXT_SUFFIXES else path.read_bytes()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,13 +58,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("into", type=Path)
     parser.add_argument("--pdf", action="store_true")
     chosen = parser.parse_args(arguments)
-    from agent.reports.render_from_journal import rebuilt  # noqa: PLC0415  who only starts this process must not load it
+    from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  who only starts this process must not load it
 
     try:
-        write_all_atomically(chosen.into, rebuilt(chosen.directory, chosen.run_id, pdf=chosen.pdf))
+        write_all_atomically(chosen.into, render_from_journal(chosen.directory, chosen.run_id, pdf=chosen.pdf))
     except VolcalError as error:
         sys.stderr.write(f"{error}\n")
-        return SAID
+        return EXIT_REPORTED
     return 0
 
 

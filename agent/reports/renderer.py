@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-Reports = Callable[[Path, str], Mapping[str, str | bytes]]
+ReportRenderer = Callable[[Path, str], Mapping[str, str | bytes]]
 """State directory and identity of the run → name and content of its files."""
 
 
-def rebuilt_here(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
+def render_in_process(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
     """In this process, which from then on holds all that drawing needs."""
-    from agent.reports.render_from_journal import rebuilt  # noqa: PLC0415  drawing is loaded where somebody draws
+    from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  drawing is loaded where somebody draws
 
-    return rebuilt(directory, run_id, pdf=False)
+    return render_from_journal(directory, run_id, pdf=False)

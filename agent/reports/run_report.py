@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from agent.execution.run_record import RunRecord
-from agent.reports.kept_estimate import kept_estimate
+from agent.reports.journal_estimate import journal_estimate
 from agent.reports.night_facts import night_facts
 from agent.reports.page import (
-    Asked,
     Header,
-    Identified,
+    IdentificationData,
     Provenance,
+    QuestionFacts,
     ReportData,
     RunFacts,
     TemperatureTrace,
@@ -60,14 +60,14 @@ def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> Rep
         artefact=ArtefactFacts(**inputs["artefact"]),
         tool_name=tool,
         tool_offset=tuple(inputs["tools_mm"][tool]),
-        found=found,
+        identification=found,
         gates=_gates(record),
         warnings=_warnings(record, found, texts),
         run=_facts(record, inputs, trend),
     )
 
 
-def _header(record: RunRecord, found: Identified | None) -> Header:
+def _header(record: RunRecord, found: IdentificationData | None) -> Header:
     settings = record.settings
     chosen = settings["identification"]
     identified = record.decision(IDENTIFIED)
@@ -84,20 +84,20 @@ def _header(record: RunRecord, found: Identified | None) -> Header:
         run_id=record.run_id,
         timestamp=record.ended or record.started,
         software_version=record.software,
-        state=record.state if record.ended else f"{record.state}, broken off",
+        state=record.state if record.ended else f"{record.state}, interrupted",
         position_set=Path(asked_for).name if found is None else name_of_positions(found.positions),
         settings=shown,
     )
 
 
-def _found(record: RunRecord) -> Identified | None:
+def _found(record: RunRecord) -> IdentificationData | None:
     identified = record.decision(IDENTIFIED)
     if identified is None or record.estimate is None:
         return None
     volumetric = {name: Quantity(**quantity) for name, quantity in identified["volumetric"].items()}
-    return Identified(
+    return IdentificationData(
         observations=Observations(**identified["observations"]),
-        estimate=kept_estimate(_stored(record), identified["unresolved_mm2"]),
+        estimate=journal_estimate(_stored(record), identified["unresolved_mm2"]),
         residuals_mm=np.array(identified["residuals_mm"], dtype=np.float64),
         positions=measured_positions(record),
         volumetric=VolumetricSummary(**volumetric),
@@ -128,14 +128,17 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
         machine_minutes=outcome.get("machine_minutes", record.minutes),
         balls=record.balls,
         reason=record.reason,
-        times=(("Begun", _shown(record.started)), ("Ended", _shown(record.ended) if record.ended else "broken off")),
+        times=(
+            ("Started", _readable_time(record.started)),
+            ("Ended", _readable_time(record.ended) if record.ended else "interrupted"),
+        ),
         banks=_banks(record, outcome),
         verification=_verification(record),
         night=night_facts(record),
         temperatures=_temperatures(record),
         drifts_um=drifts_um(record),
         asked=tuple(
-            Asked(one.minute, one.text, True if one.answered else False if one.error else None, one.error)
+            QuestionFacts(one.minute, one.text, True if one.answered else False if one.error else None, one.error)
             for one in record.questions
         ),
         provenance=_provenance(record, inputs),
@@ -145,7 +148,7 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
     )
 
 
-def _shown(stamp: str) -> str:
+def _readable_time(stamp: str) -> str:
     return stamp.replace("T", " ")[:19] + " UTC"
 
 
@@ -169,13 +172,15 @@ def _verification(record: RunRecord) -> Verification | None:
     proof, rows = record.decision("proof"), record.decision(HELD_OUT)
     if proof is None:
         return None
-    positions = () if rows is None else tuple(_verified(row, proof["predicted_um"]) for row in rows["positions"])
+    positions = (
+        () if rows is None else tuple(_verified_position(row, proof["predicted_um"]) for row in rows["positions"])
+    )
     verdict = f"{proof['reason']}; normalised χ² {proof['chi2_normalised']:.2f}"
     before, after = (Quantity(proof[name]) for name in ("before_um", "after_um"))
     return Verification(proof["accepted"], verdict, before, after, proof["predicted_um"], positions)
 
 
-def _verified(row: Mapping[str, Any], predicted_um: float) -> VerifiedPosition:
+def _verified_position(row: Mapping[str, Any], predicted_um: float) -> VerifiedPosition:
     station, azimuth, elevation = row["position"]
     label = f"station {station}, az {azimuth:g}°, el {elevation:g}°"
     return VerifiedPosition(label, row["before_um"], row["after_um"], predicted_um)
@@ -210,7 +215,7 @@ def _provenance(record: RunRecord, inputs: Mapping[str, Any]) -> Provenance:
     )
 
 
-def _warnings(record: RunRecord, found: Identified | None, texts: Texts) -> tuple[str, ...]:
+def _warnings(record: RunRecord, found: IdentificationData | None, texts: Texts) -> tuple[str, ...]:
     notes = list((record.decision(PROBE) or {}).get("warnings", ()))
     if found is None:
         return tuple(notes)

@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.files import check_folder, read_text, translated, write_all_atomically
 from agent.model_files import load_artefact, load_balls, load_machine
-from agent.reports.page import Header, Identified, ReportData, name_of_positions
+from agent.reports.page import Header, IdentificationData, ReportData, name_of_positions
 from agent.results.estimation import EstimationResult, estimate_with_table, order_text, scale_warnings
 from agent.results.facts import ArtefactFacts, TableFacts, triple
 from agent.results.gates import Gate, estimate_gates, table_gates
@@ -234,7 +234,7 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
         artefact=ArtefactFacts.of(material.artefact),
         tool_name=material.tool,
         tool_offset=triple(material.machine.tool(material.tool)),
-        found=Identified.of(
+        identification=IdentificationData.of(
             material.balls.observations,
             estimation.estimate,
             material.balls.positions,

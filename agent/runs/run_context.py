@@ -17,7 +17,7 @@ from agent.execution.steps import Step
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult
-from agent.reports.renderer import Reports, rebuilt_here
+from agent.reports.renderer import ReportRenderer, render_in_process
 from drivers.clock import Clock
 
 
@@ -50,7 +50,7 @@ class RunHooks:
     preflight_passed: Callable[[Job, PreflightResult], None] = _permitted
     lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
     devices: Devices = field(default_factory=Devices)
-    reports: Reports = rebuilt_here
+    reports: ReportRenderer = render_in_process
     write_files: bool = True
 
 

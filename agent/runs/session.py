@@ -206,9 +206,9 @@ class Session:
     def _feed_history(self) -> None:
         """Feed the history. The machine is as it should be and the journal complete, so a database that cannot be
         reached is worth only a note."""
-        from agent.history.feed import feed  # noqa: PLC0415  a database's client, needed once a run
+        from agent.history.feed import update_history  # noqa: PLC0415  a database's client, needed once a run
 
-        complaint = feed(self._measured_job.settings, self._context.journal.run_id)
+        complaint = update_history(self._measured_job.settings, self._context.journal.run_id)
         if complaint:
             self._note(complaint)
 

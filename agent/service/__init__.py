@@ -1,1 +1,1 @@
-"""The night service: one owner of the machine, and the doors through which people and machines ask it for something."""
+"""Calibration service: the one owner of the machine and the endpoints for people, panels and other programs."""

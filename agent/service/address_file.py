@@ -1,4 +1,4 @@
-"""Where the service can be reached, kept in the state directory while it lives: told by its door, read by commands."""
+"""Address file of the running service in the state directory: written by the HTTP endpoint, read by commands."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from pathlib import Path
 
 from agent.files import write_atomically
 
-PLACE_FILE = "service.json"
+ADDRESS_FILE = "service.json"
 
 
-def tell(directory: Path, url: str) -> None:
-    """From now on commands find the service of this process at `url`."""
-    write_atomically(directory / PLACE_FILE, json.dumps({"url": url, "process": os.getpid()}))
+def write_address(directory: Path, url: str) -> None:
+    """Write the file, so that commands find the service of this process at `url`."""
+    write_atomically(directory / ADDRESS_FILE, json.dumps({"url": url, "process": os.getpid()}))
 
 
-def withdraw(directory: Path) -> None:
-    (directory / PLACE_FILE).unlink(missing_ok=True)
+def remove_address(directory: Path) -> None:
+    (directory / ADDRESS_FILE).unlink(missing_ok=True)
 
 
-def told(directory: Path) -> str:
-    """The URL. FileNotFoundError where no service lives; OSError, ValueError or KeyError where the file is no such."""
-    return str(json.loads((directory / PLACE_FILE).read_text(encoding="utf-8"))["url"])
+def read_address(directory: Path) -> str:
+    """Return the URL. Raise FileNotFoundError if no service runs; OSError, ValueError or KeyError if the file is
+    invalid."""
+    return str(json.loads((directory / ADDRESS_FILE).read_text(encoding="utf-8"))["url"])

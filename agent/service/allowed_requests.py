@@ -1,7 +1,7 @@
-"""Which requests make sense in which state, as data. PackML names of the states are in `agent.execution.states`.
+"""Requests that are allowed in each state. PackML names of the states are in `agent.execution.states`.
 
-Faulted and aborted are sticky: nothing but a reset leads out of them. Complete and refused are not: a person who reads
-"complete" may start again.
+Faulted and aborted are sticky: only a reset leaves them. Complete and refused are not: a new run may be started from
+there.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ AT_REST = frozenset({S.IDLE, S.COMPLETE, S.REFUSED, S.WRITTEN}) | STICKY
 
 _BETWEEN_RUNS = frozenset({START, RESUME_RUN})
 
-MAY: dict[RunState, frozenset[str]] = {
+ALLOWED: dict[RunState, frozenset[str]] = {
     S.IDLE: _BETWEEN_RUNS,
     S.PREFLIGHT: frozenset({ABORT}),
     S.RESUMING: frozenset({ABORT}),
@@ -38,9 +38,10 @@ MAY: dict[RunState, frozenset[str]] = {
 }
 
 
-def may(state: RunState, *, unfinished: bool, asked: bool) -> frozenset[str]:
-    """The requests that make sense now. `unfinished`: a run broke off and can be resumed; `asked`: a question waits."""
-    allowed = MAY[state]
+def allowed_in(state: RunState, *, unfinished: bool, question_open: bool) -> frozenset[str]:
+    """Return the requests allowed now. `unfinished`: an interrupted run can be resumed; `question_open`: a question
+    waits for its answer."""
+    allowed = ALLOWED[state]
     if not unfinished:
         allowed -= {RESUME_RUN}
-    return allowed | {ANSWER} if asked else allowed
+    return allowed | {ANSWER} if question_open else allowed

@@ -1,4 +1,4 @@
-"""The other end of the HTTP door, for commands: requests out, errors of the one tree back."""
+"""HTTP client of the service for commands; problem documents become errors of the error tree again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Self
 import httpx
 
 from agent import errors as run_errors
-from agent.service.address_file import PLACE_FILE, told
+from agent.service.address_file import ADDRESS_FILE, read_address
 from agent.service.token import read_token, token_path
 from agent.settings.schema import Settings
 from drivers import errors
@@ -20,25 +20,25 @@ from drivers.errors import LinkLost, LinkTimeout, ProtocolError, VolcalError
 
 Document = dict[str, Any]
 
-ANSWER_WITHIN_S = 60.0
-"""A start looks at the machine first, and may have to wait for its link."""
-SILENT_AT_MOST_S = 45.0
-"""Three of the comments that keep a stream of events."""
+ANSWER_TIMEOUT_S = 60.0
+"""A start reads the state of the machine first, and may have to wait for its link."""
+STREAM_TIMEOUT_S = 45.0
+"""Three intervals of the comments that keep a stream of events alive."""
 
 
 class NoService(LinkLost):
-    """Nobody serves this machine."""
+    """No service runs for this machine."""
 
 
 @dataclass(frozen=True)
 class Client:
-    """One connection to the service of `settings`."""
+    """Connection to the service of `settings`."""
 
     settings: Settings
     _http: httpx.Client = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_http", _connected(self.settings))
+        object.__setattr__(self, "_http", _connect(self.settings))
 
     def __enter__(self) -> Self:
         return self
@@ -47,24 +47,24 @@ class Client:
         self._http.close()
 
     def get(self, path: str) -> Document:
-        return self._asked("GET", path, None, {})
+        return self._request("GET", path, None, {})
 
     def post(self, path: str, body: Mapping[str, Any] | None = None, *, token: bool = True) -> Document:
         headers = {"Authorization": f"Bearer {read_token(token_path(self.settings))}"} if token else {}
-        return self._asked("POST", path, body, headers)
+        return self._request("POST", path, body, headers)
 
     def events(self, after: int | None = None) -> Iterator[tuple[str, Document]]:
-        """(kind, document) of the status and of every event that follows; LinkLost where the service ends."""
+        """Yield (kind, document) of the status and of every later event. Raise LinkLost when the service ends."""
         headers = {} if after is None else {"Last-Event-ID": str(after)}
-        timeout = httpx.Timeout(ANSWER_WITHIN_S, read=SILENT_AT_MOST_S)
+        timeout = httpx.Timeout(ANSWER_TIMEOUT_S, read=STREAM_TIMEOUT_S)
         try:
             with self._http.stream("GET", "/api/events", headers=headers, timeout=timeout) as answer:
-                yield from _parsed(answer.iter_lines())
+                yield from _parse_events(answer.iter_lines())
         except httpx.TransportError as error:
             raise self._lost(error) from error
-        raise LinkLost("the service has ended", link=str(self._http.base_url))
+        raise LinkLost("the service has stopped", link=str(self._http.base_url))
 
-    def _asked(self, method: str, path: str, body: Mapping[str, Any] | None, headers: dict[str, str]) -> Document:
+    def _request(self, method: str, path: str, body: Mapping[str, Any] | None, headers: dict[str, str]) -> Document:
         try:
             answer = self._http.request(method, path, json=body, headers=headers)
         except httpx.TransportError as error:
@@ -73,7 +73,8 @@ class Client:
             document: Document = answer.json()
         except ValueError as error:
             raise ProtocolError(
-                f"what answers is no volcal service (status {answer.status_code})", link=str(self._http.base_url)
+                f"the server at this address is not a volcal service (status {answer.status_code})",
+                link=str(self._http.base_url),
             ) from error
         if answer.is_error:
             raise error_of(document)
@@ -82,11 +83,11 @@ class Client:
     def _lost(self, error: httpx.TransportError) -> VolcalError:
         link = str(self._http.base_url)
         if isinstance(error, httpx.TimeoutException):
-            return LinkTimeout("the service does not answer", link=link, hint="see `systemctl status volcal`")
+            return LinkTimeout("the service does not answer", link=link, hint="check it with `systemctl status volcal`")
         return NoService(f"the service cannot be reached: {error}", link=link, hint=_START_IT)
 
 
-_START_IT = "start it with `systemctl start volcal`, or `volcal serve --config …` in a terminal"
+_START_IT = "start the service with `systemctl start volcal`, or `volcal serve --config …` in a terminal"
 
 
 def error_of(problem: Mapping[str, Any]) -> VolcalError:
@@ -99,23 +100,24 @@ def error_of(problem: Mapping[str, Any]) -> VolcalError:
     return kind(str(problem.get("detail", "refused")), hint=str(problem.get("hint", "")), **where)
 
 
-def _connected(settings: Settings) -> httpx.Client:
+def _connect(settings: Settings) -> httpx.Client:
     try:
-        url = told(settings.state_directory)
+        url = read_address(settings.state_directory)
     except FileNotFoundError:
         raise NoService(
             "no service runs for this machine", hint=_START_IT, file=str(settings.state_directory)
         ) from None
     except (OSError, ValueError, KeyError) as error:
         raise NoService(
-            f"where the service is cannot be read: {error}", file=str(settings.state_directory / PLACE_FILE)
+            f"the address file of the service cannot be read: {error}",
+            file=str(settings.state_directory / ADDRESS_FILE),
         ) from error
-    verify = _context(settings.service.certificate_file)
-    return httpx.Client(base_url=url, verify=verify, timeout=ANSWER_WITHIN_S, trust_env=False)
+    verify = _ssl_context(settings.service.certificate_file)
+    return httpx.Client(base_url=url, verify=verify, timeout=ANSWER_TIMEOUT_S, trust_env=False)
 
 
-def _context(certificate: Path | None) -> ssl.SSLContext | bool:
-    """Nobody but who has this very certificate's key: so it may be self-signed, and say any name."""
+def _ssl_context(certificate: Path | None) -> ssl.SSLContext | bool:
+    """Return a context that trusts only this certificate, so it may be self-signed and carry any host name."""
     if certificate is None:
         return True
     context = ssl.create_default_context(cafile=str(certificate))
@@ -123,8 +125,8 @@ def _context(certificate: Path | None) -> ssl.SSLContext | bool:
     return context
 
 
-def _parsed(lines: Iterator[str]) -> Iterator[tuple[str, Document]]:
-    """Events of a stream of `text/event-stream` lines; comments are passed over."""
+def _parse_events(lines: Iterator[str]) -> Iterator[tuple[str, Document]]:
+    """Yield the events of a stream of `text/event-stream` lines; comments are skipped."""
     kind, data = "message", ""
     for line in lines:
         name, _, value = line.partition(":")

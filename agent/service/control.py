@@ -108,7 +108,7 @@ class Control(Protocol):
     def resume(self) -> None: ...
 
     def abort(self, reason: str) -> None:
-        """Always allowed; nothing happens between runs."""
+        """Abort the run. Always allowed; without effect between runs."""
         ...
 
     def reset(self) -> None:
@@ -116,7 +116,7 @@ class Control(Protocol):
         ...
 
     def answer(self, number: int, yes: bool) -> None:
-        """Answer the open question of that number. UserError for any other number."""
+        """Answer the open question of that number. Raise UserError for any other number."""
         ...
 
     def subscribe(self) -> AbstractContextManager[Queue[Event]]:

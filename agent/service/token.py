@@ -1,7 +1,7 @@
-"""The token: who has it may have the machine moved and tables written.
+"""Access token: its holder may move the machine and write tables.
 
-It lies in a file that nobody but its owner can read: the one that systemd hands over (LoadCredential=token:…), the one
-that the settings name, or, so that a first start needs nothing, one that the service makes in the state directory.
+It is stored in a file that only its owner can read: the one passed by systemd (LoadCredential=token:…), the one named
+in the settings, or one that the service creates in the state directory, so that a first start needs no preparation.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 
 FILE_NAME = "token"
-SHORTEST = 16
+MIN_LENGTH = 16
 
 
 def token_path(settings: Settings, environment: Mapping[str, str] = os.environ) -> Path:
-    """Where the token is, or would be."""
+    """Return the path of the token file, which may not exist yet."""
     return handed_over(FILE_NAME, environment) or settings.service.token_file or settings.state_directory / FILE_NAME
 
 
 def make_token(settings: Settings) -> None:
-    """In the state directory, where neither systemd nor the settings name one and there is none yet."""
+    """Create a token in the state directory if neither systemd nor the settings name one and none exists."""
     path = token_path(settings)
     if settings.service.token_file is not None or path.exists():
         return
@@ -40,27 +40,29 @@ def make_token(settings: Settings) -> None:
 
 
 def read_token(path: Path) -> str:
-    """ConfigurationError where it is missing, too short, or open to others than its owner."""
+    """Return the token. Raise ConfigurationError if it is missing, too short, or readable by others than its owner."""
     try:
         mode = open_mode(path)
         text = path.read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no plain text"
+        reason = error.strerror if isinstance(error, OSError) else "it is not plain text"
         raise ConfigurationError(
             f"the token cannot be read: {reason}",
             key="service.token_file",
-            hint="start the service once, or run this as the user that the service runs as",
+            hint="start the service once, or run this command as the user of the service",
             file=str(path),
         ) from error
     if mode is not None:
         raise ConfigurationError(
-            f"the token's file is open to others (mode {mode:04o})",
+            f"the token file can be read by others (mode {mode:04o})",
             key="service.token_file",
             hint=f"chmod 600 {path}",
             file=str(path),
         )
-    if len(text) < SHORTEST:
+    if len(text) < MIN_LENGTH:
         raise ConfigurationError(
-            f"the token has {len(text)} characters, {SHORTEST} are the least", key="service.token_file", file=str(path)
+            f"the token has {len(text)} characters, {MIN_LENGTH} are the least",
+            key="service.token_file",
+            file=str(path),
         )
     return text

@@ -90,7 +90,7 @@ class ServiceHost:
     def copy(self, directory: Path, ready: Mapping[str, Any]) -> ServiceHost:
         """Return another host with a copy of the same history."""
         shutil.copytree(
-            self.state, directory / "state", ignore=shutil.ignore_patterns(address_file.PLACE_FILE, "*.lock")
+            self.state, directory / "state", ignore=shutil.ignore_patterns(address_file.ADDRESS_FILE, "*.lock")
         )
         other = ServiceHost(directory, ready, self._changes)
         shutil.copy(self.calendar, other.calendar)
@@ -103,12 +103,12 @@ class ServiceHost:
         arguments = ["-m", "campaigns.fortnight.serving", str(self.config), str(self.calendar)]
         with (self.directory / "service.log").open("a", encoding="utf-8") as log:
             self._service = self._start([sys.executable, *arguments], stdout=log, stderr=subprocess.STDOUT)
-        address_file.withdraw(self.state)  # left by a service that was killed
-        wait_for(lambda: (self.state / address_file.PLACE_FILE).exists() or self._ended(), "the service")
+        address_file.remove_address(self.state)  # left by a service that was killed
+        wait_for(lambda: (self.state / address_file.ADDRESS_FILE).exists() or self._ended(), "the service")
         if self._ended():
             raise RuntimeError((self.directory / "service.log").read_text(encoding="utf-8")[-2000:])
         token = (self.state / "token").read_text(encoding="utf-8").strip()
-        self._http = httpx.Client(base_url=address_file.told(self.state), timeout=60.0, trust_env=False)
+        self._http = httpx.Client(base_url=address_file.read_address(self.state), timeout=60.0, trust_env=False)
         self._token = {"Authorization": f"Bearer {token}"}
 
     def kill_service(self) -> None:

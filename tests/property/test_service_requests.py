@@ -18,7 +18,7 @@ from service_house import PATIENCE_S, house
 from agent.errors import Aborted, Busy, PlanRefused
 from agent.execution.states import FINAL, FORWARD, PACKML, RunState, may_follow
 from agent.runs.run_request import KINDS, SOURCES, RunRequest
-from agent.service.allowed_requests import AT_REST, MAY, STICKY
+from agent.service.allowed_requests import ALLOWED, AT_REST, STICKY
 from drivers.errors import LinkLost, PermissionMissing, UserError
 
 S = RunState
@@ -96,11 +96,11 @@ class Requests(RuleBasedStateMachine):
 
     @rule()
     def hold(self) -> None:
-        self._asked("hold", self.owner.hold)
+        self._request("hold", self.owner.hold)
 
     @rule()
     def resume(self) -> None:
-        self._asked("resume", self.owner.resume)
+        self._request("resume", self.owner.resume)
 
     @rule()
     def abort(self) -> None:
@@ -121,8 +121,8 @@ class Requests(RuleBasedStateMachine):
         with pytest.raises(UserError, match="no open question"):
             self.owner.answer(number, yes)
 
-    def _asked(self, what, request) -> None:
-        if what in MAY[self.state]:
+    def _request(self, what, request) -> None:
+        if what in ALLOWED[self.state]:
             request()
         else:
             with pytest.raises(UserError, match=what):
@@ -135,7 +135,7 @@ class Requests(RuleBasedStateMachine):
         status = self.owner.status()
         assert status.state is self.state
         assert status.packml == PACKML[self.state]
-        assert status.may == MAY[self.state] - {"resume_run"}
+        assert status.may == ALLOWED[self.state] - {"resume_run"}
         if self.cause is not None:
             assert self.cause in status.alarms[0].text
             assert len(status.alarms) == 1
@@ -163,16 +163,16 @@ TestRequests.settings = settings(max_examples=25, stateful_step_count=25, deadli
 
 
 def test_every_state_has_its_requests_and_its_name() -> None:
-    assert set(MAY) == set(RunState) == set(PACKML)
+    assert set(ALLOWED) == set(RunState) == set(PACKML)
     assert FINAL <= AT_REST
 
 
 def test_what_can_be_held_has_a_way_to_held() -> None:
     """Check that a hold is offered exactly in the states from which a run can be held."""
-    assert {state for state in RunState if "hold" in MAY[state]} == {
+    assert {state for state in RunState if "hold" in ALLOWED[state]} == {
         state for state in RunState if state not in FINAL and may_follow(state, S.HELD)
     }
 
 
 def test_abort_is_offered_wherever_something_goes_on() -> None:
-    assert {state for state in RunState if "abort" in MAY[state]} == set(RunState) - AT_REST - {S.ABORTING}
+    assert {state for state in RunState if "abort" in ALLOWED[state]} == set(RunState) - AT_REST - {S.ABORTING}

@@ -28,8 +28,8 @@ from stored_run import stored_run
 from agent.execution.journal_copy import copy_journal
 from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
-from agent.history.database_url import Place
-from agent.history.feed import feed
+from agent.history.database_url import DatabaseAddress
+from agent.history.feed import update_history
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
 from agent.planning.job import prepare_job
@@ -80,9 +80,9 @@ class Server:
     def data(self) -> str:
         return str(self.folder / "data")
 
-    def place(self, machine: str) -> Place:
+    def address(self, machine: str) -> DatabaseAddress:
         url = URL.create("postgresql+psycopg", "volcal", PASSWORD, "127.0.0.1", self.port, "postgres")
-        return Place(url, machine, 5.0)
+        return DatabaseAddress(url, machine, 5.0)
 
     def _run(self, program: str, *arguments: str) -> None:
         command = [str(self.bin / program), *arguments]
@@ -146,14 +146,14 @@ def test_two_agents_feed_one_database_at_once(server: Server, measured: tuple[Pa
     def agent(machine: str) -> int:
         written = 0
         for _ in range(10):
-            with closing(HistoryStore(server.place(machine))) as store:
+            with closing(HistoryStore(server.address(machine))) as store:
                 written += len(sync(journals[machine], store))
         return written
 
     with ThreadPoolExecutor(4) as pool:
         counts = list(pool.map(agent, (*machines, *machines)))
     assert sum(counts) >= len(machines)
-    with closing(HistoryStore(server.place("mill-4"))) as store:
+    with closing(HistoryStore(server.address("mill-4"))) as store:
         assert set(machines) <= set(store.machines())
         for machine in machines:
             (run,) = store.runs(machine)
@@ -181,20 +181,20 @@ def test_a_lost_server_disturbs_nothing_and_is_fed_later(
     assert prepare_job(settings, tmp_path).settings.history.url == history["url"]
     (run_id,) = run_ids(state)
     server.stop()
-    complaint = feed(settings, run_id)
+    complaint = update_history(settings, run_id)
     assert "history sync" in complaint
     assert PASSWORD not in complaint
     with pytest.raises(LinkLost):
-        HistoryStore(server.place("case-study"))
+        HistoryStore(server.address("case-study"))
     server.start()
-    assert feed(settings, run_id) == ""
-    with closing(HistoryStore(server.place("case-study"))) as store:
+    assert update_history(settings, run_id) == ""
+    with closing(HistoryStore(server.address("case-study"))) as store:
         assert [run.run_id for run in store.runs("case-study")] == [run_id]
 
 
-def test_a_wrong_password_is_told_without_showing_it(server: Server) -> None:
-    place = server.place("case-study")
-    wrong = Place(place.url.set(password=PASSWORD[::-1]), place.machine, 2.0)
+def test_a_wrong_password_is_reported_without_showing_it(server: Server) -> None:
+    address = server.address("case-study")
+    wrong = DatabaseAddress(address.url.set(password=PASSWORD[::-1]), address.machine, 2.0)
     with pytest.raises(LinkLost) as told:
         HistoryStore(wrong)
     assert PASSWORD[::-1] not in str(told.value)

@@ -18,7 +18,7 @@ from agent.execution.run_record import read_record
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.reports.page.pdf import render_pdf
-from agent.reports.render_from_journal import rebuilt
+from agent.reports.render_from_journal import render_from_journal
 from agent.reports.run_report import report_of
 from agent.runs.kinds.verify import Verification
 from agent.runs.session import RunResult
@@ -76,7 +76,7 @@ def page(season: Season, ended: RunResult) -> str:
 class TestRebuilt:
     def test_the_page_is_that_of_the_runs_end(self, season: Season) -> None:
         for ended in (season.calibrated, season.verified, season.aborted):
-            again = rebuilt(season.state, ended.outcome.run_id, pdf=False)
+            again = render_from_journal(season.state, ended.outcome.run_id, pdf=False)
             assert again == {"report.html": page(season, ended)}
 
     def test_the_estimate_is_that_of_the_run(self, season: Season) -> None:
@@ -96,7 +96,7 @@ class TestRebuilt:
         """The journal alone, its settings naming files that are gone."""
         gone = {"machine": "/nowhere/machine.toml", "artefact": "/nowhere/bar.toml"}
         copy_journal(season.state, tmp_path, lambda settings: settings | gone)
-        text = str(rebuilt(tmp_path, season.calibrated.outcome.run_id, pdf=False)["report.html"])
+        text = str(render_from_journal(tmp_path, season.calibrated.outcome.run_id, pdf=False)["report.html"])
         assert "example calibration, 11 balls" in text
         assert "case-study-deflection.csv" in text
 
@@ -136,7 +136,7 @@ class TestRebuilt:
 
     def test_an_unknown_run_is_refused(self, season: Season) -> None:
         with pytest.raises(InputError, match="the last ones are"):
-            rebuilt(season.state, "20200101T000000Z-0000", pdf=False)
+            render_from_journal(season.state, "20200101T000000Z-0000", pdf=False)
 
 
 class TestPaper:

@@ -7,10 +7,10 @@ from fake_control import FakeControl
 
 from agent.execution.states import RunState
 from agent.service.gateway.access import LOCKED_TICKS, AccessCode
-from agent.service.gateway.command_handler import CommandDesk
+from agent.service.gateway.command_handler import CommandHandler
 from agent.service.gateway.frames import FramingError, answer_frame, answer_request, body_length
 from agent.service.gateway.gateway import Gateway
-from agent.service.gateway.heartbeat import Watch
+from agent.service.gateway.heartbeat import Heartbeats
 from agent.service.gateway.sequence_ledger import SequenceLedger
 from agent.service.gateway.session import Session
 
@@ -26,7 +26,9 @@ def control() -> FakeControl:
 def gateway(control, tmp_path) -> Gateway:
     (tmp_path / "gateway-sequence.json").write_text('{"accepted": 41, "content": []}')
     access = AccessCode(0x00BC614E)
-    return Gateway(control, CommandDesk(control, SequenceLedger(tmp_path), access), access, Watch(SILENCE), "hold")
+    return Gateway(
+        control, CommandHandler(control, SequenceLedger(tmp_path), access), access, Heartbeats(SILENCE), "hold"
+    )
 
 
 @pytest.fixture
@@ -144,11 +146,11 @@ def test_a_silent_panel_holds_its_own_run_once(ask, gateway, control):
         gateway.tick()
         ask(f"06 0104 000{value}")
     assert control.count("hold") == 0
-    assert gateway.watch.panel_alive
+    assert gateway.heartbeats.panel_alive
     for _ in range(2 * SILENCE):
         ask("06 0104 0004")  # the same beat again is none
         gateway.tick()
-    assert not gateway.watch.panel_alive
+    assert not gateway.heartbeats.panel_alive
     assert control.count("hold") == 1
 
 

@@ -15,7 +15,7 @@ from pyModbusTCP.client import ModbusClient
 
 from agent.execution.states import RunState
 from agent.service.gateway.access import access_code_path
-from agent.service.gateway.endpoint import GatewayDoor
+from agent.service.gateway.endpoint import GatewayEndpoint
 from agent.settings.panel_gateway import GatewaySettings
 from drivers.errors import ConfigurationError
 
@@ -76,18 +76,18 @@ def code_file(tmp_path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def opened(control: FakeControl, directory: Path, **settings) -> Iterator[GatewayDoor]:
-    door = GatewayDoor(GatewaySettings(port=0, **settings), directory / "state")
-    door.start(control)
+def opened(control: FakeControl, directory: Path, **settings) -> Iterator[GatewayEndpoint]:
+    endpoint = GatewayEndpoint(GatewaySettings(port=0, **settings), directory / "state")
+    endpoint.start(control)
     try:
-        yield door
+        yield endpoint
     finally:
-        door.stop()
+        endpoint.stop()
 
 
 @contextlib.contextmanager
-def panel_at(door: GatewayDoor) -> Iterator[Panel]:
-    host, port = door.address
+def panel_at(endpoint: GatewayEndpoint) -> Iterator[Panel]:
+    host, port = endpoint.address
     client = ModbusClient(host=host, port=port, timeout=SLOWLY_S)
     try:
         yield Panel(client)
@@ -96,14 +96,14 @@ def panel_at(door: GatewayDoor) -> Iterator[Panel]:
 
 
 @pytest.fixture
-def door(control, tmp_path, code_file) -> Iterator[GatewayDoor]:
-    with opened(control, tmp_path, access_code_file=code_file) as door:
-        yield door
+def endpoint(control, tmp_path, code_file) -> Iterator[GatewayEndpoint]:
+    with opened(control, tmp_path, access_code_file=code_file) as endpoint:
+        yield endpoint
 
 
 @pytest.fixture
-def panel(door) -> Iterator[Panel]:
-    with panel_at(door) as panel:
+def panel(endpoint) -> Iterator[Panel]:
+    with panel_at(endpoint) as panel:
         yield panel
 
 
@@ -147,7 +147,7 @@ def test_what_is_left_at_zero_is_as_the_settings_say(panel, control):
 
 
 def test_the_same_block_again_starts_nothing_not_even_after_a_reconnect_or_a_restart(
-    door, panel, control, tmp_path, code_file
+    endpoint, panel, control, tmp_path, code_file
 ):
     sequence = panel.next()
     start = block(START, sequence)
@@ -156,12 +156,12 @@ def test_the_same_block_again_starts_nothing_not_even_after_a_reconnect_or_a_res
     panel.give(RESET)
     for _ in range(3):
         assert not panel.client.write_multiple_registers(COMMAND, start), "an old number is refused"
-    with panel_at(door) as again:
+    with panel_at(endpoint) as again:
         assert not again.client.write_multiple_registers(COMMAND, start)
     last = block(RESET, panel.read(ACCEPTED)[0])
     assert panel.client.write_multiple_registers(COMMAND, last), "the last command may be repeated: its answer was lost"
     assert control.count("reset") == 1
-    door.stop()
+    endpoint.stop()
     with opened(control, tmp_path, access_code_file=code_file) as later, panel_at(later) as panel_later:
         assert not panel_later.client.write_multiple_registers(COMMAND, start)
         assert panel_later.client.write_multiple_registers(COMMAND, last)
@@ -174,7 +174,7 @@ def test_the_same_block_again_starts_nothing_not_even_after_a_reconnect_or_a_res
 def test_a_first_start_of_the_gateway_takes_no_number_that_panels_hold_by_habit(control, tmp_path):
     beginnings = set()
     for attempt in range(6):
-        with opened(control, tmp_path / str(attempt)) as door, panel_at(door) as panel:
+        with opened(control, tmp_path / str(attempt)) as endpoint, panel_at(endpoint) as panel:
             beginnings |= set(panel.read(ACCEPTED))
     assert len(beginnings) > 3
 
@@ -198,7 +198,7 @@ def test_a_number_that_is_not_the_next_is_refused(panel, control, distance):
 def test_number_zero_is_never_next(tmp_path, control, code_file):
     (tmp_path / "state").mkdir()
     (tmp_path / "state" / "gateway-sequence.json").write_text('{"accepted": 65535, "content": []}')
-    with opened(control, tmp_path, access_code_file=code_file) as door, panel_at(door) as panel:
+    with opened(control, tmp_path, access_code_file=code_file) as endpoint, panel_at(endpoint) as panel:
         assert not panel.client.write_multiple_registers(COMMAND, block(START, 0))
         assert panel.client.write_multiple_registers(COMMAND, block(START, 1))
     assert control.count("start") == 1
@@ -213,10 +213,10 @@ def test_registers_one_by_one_are_a_draft_until_the_sequence_is_written(panel, c
     assert control.asked[0][1].position_set == "S2"
 
 
-def test_a_draft_belongs_to_its_connection_and_goes_with_it(door, panel, control):
+def test_a_draft_belongs_to_its_connection_and_goes_with_it(endpoint, panel, control):
     sequence = panel.next()
     assert panel.client.write_multiple_registers(COMMAND, block(START, sequence)[:-1])
-    with panel_at(door) as other:
+    with panel_at(endpoint) as other:
         assert other.read(COMMAND, 28) == [0] * 28
         assert other.client.write_single_register(SEQUENCE, sequence)
         assert other.read(RESULT) == [UNKNOWN_COMMAND]
@@ -248,7 +248,7 @@ def test_the_access_code_is_asked_for_and_never_shown(panel, control):
 
 
 def test_without_an_access_code_panels_read_hold_and_abort(control, tmp_path):
-    with opened(control, tmp_path) as door, panel_at(door) as panel:
+    with opened(control, tmp_path) as endpoint, panel_at(endpoint) as panel:
         assert panel.read(FLAGS) == [0]
         assert panel.give(START, code=0) == NO_CODE_SET
         assert panel.give(HOLD) == DONE
@@ -341,19 +341,19 @@ def test_a_status_that_cannot_be_had_is_exception_4_and_the_link_stays(panel, co
     assert panel.read(0) == [1]
 
 
-def test_garbage_and_slow_panels_keep_nobody_waiting(door, panel):
+def test_garbage_and_slow_panels_keep_nobody_waiting(endpoint, panel):
     with contextlib.ExitStack() as stack:
         for _ in range(4):
-            stack.enter_context(socket.create_connection(door.address)).sendall(b"\0\1\0\0\0")  # half a header
-        noise = stack.enter_context(socket.create_connection(door.address, timeout=SLOWLY_S))
+            stack.enter_context(socket.create_connection(endpoint.address)).sendall(b"\0\1\0\0\0")  # half a header
+        noise = stack.enter_context(socket.create_connection(endpoint.address, timeout=SLOWLY_S))
         noise.sendall(b"GET / HTTP/1.1\r\n\r\n")
         assert panel.read(0) == [1]
         with contextlib.suppress(ConnectionResetError):
             assert noise.recv(1) == b"", "hung up on"
 
 
-def test_a_panel_that_never_reads_its_answers_keeps_nobody_waiting(door, panel, control):
-    with socket.create_connection(door.address) as link:
+def test_a_panel_that_never_reads_its_answers_keeps_nobody_waiting(endpoint, panel, control):
+    with socket.create_connection(endpoint.address) as link:
         link.setblocking(False)
         with pytest.raises(BlockingIOError):
             while True:
@@ -364,9 +364,9 @@ def test_a_panel_that_never_reads_its_answers_keeps_nobody_waiting(door, panel, 
 
 
 def test_the_quietest_panel_makes_room_for_a_new_one(control, tmp_path):
-    with opened(control, tmp_path, max_clients=2) as door, panel_at(door) as old, panel_at(door) as busy:
+    with opened(control, tmp_path, max_clients=2) as endpoint, panel_at(endpoint) as old, panel_at(endpoint) as busy:
         assert old.read(0) == busy.read(0) == [1]
-        with panel_at(door) as new:
+        with panel_at(endpoint) as new:
             assert new.read(0) == [1]
             assert busy.client.is_open
             assert busy.client.read_holding_registers(0, 1) == [1]
@@ -376,28 +376,28 @@ def test_the_quietest_panel_makes_room_for_a_new_one(control, tmp_path):
 
 def test_a_silent_connection_is_hung_up_on(control, tmp_path):
     with (
-        opened(control, tmp_path, idle_timeout_s=1.0) as door,
-        socket.create_connection(door.address, timeout=SLOWLY_S) as link,
+        opened(control, tmp_path, idle_timeout_s=1.0) as endpoint,
+        socket.create_connection(endpoint.address, timeout=SLOWLY_S) as link,
     ):
         link.sendall(b"\0\1")
         assert link.recv(1) == b""
 
 
 def test_who_is_not_among_the_clients_is_hung_up_on(control, tmp_path):
-    with opened(control, tmp_path, clients=["10.1.2.0/24", "127.0.0.9"]) as door:
-        with socket.create_connection(door.address, timeout=SLOWLY_S) as link, contextlib.suppress(ConnectionError):
+    with opened(control, tmp_path, clients=["10.1.2.0/24", "127.0.0.9"]) as endpoint:
+        with socket.create_connection(endpoint.address, timeout=SLOWLY_S) as link, contextlib.suppress(ConnectionError):
             assert link.recv(1) == b""
-        with socket.create_connection(door.address, SLOWLY_S, source_address=("127.0.0.9", 0)) as link:
+        with socket.create_connection(endpoint.address, SLOWLY_S, source_address=("127.0.0.9", 0)) as link:
             link.sendall(bytes.fromhex("0001 0000 0006 01 03 0000 0001"))
             assert link.recv(100) == bytes.fromhex("0001 0000 0005 01 03 02 0001")
 
 
-def test_several_panels_at_once_and_every_number_is_taken_once(door, control):
+def test_several_panels_at_once_and_every_number_is_taken_once(endpoint, control):
     """Four panels press hold as fast as possible; each accepted number must be one hold."""
     accepted = []
 
     def press() -> None:
-        with panel_at(door) as panel:
+        with panel_at(endpoint) as panel:
             for attempt in range(25):
                 sequence = panel.next()
                 # The attempt makes the content unlike that of the other panels, so that a repeat is no success.
@@ -430,13 +430,13 @@ def test_a_command_that_cannot_be_recorded_is_not_given(panel, control, tmp_path
 
 
 def test_the_port_is_free_again_after_a_stop(control, tmp_path):
-    with opened(control, tmp_path) as door:
-        _, port = door.address
-    door.stop()
-    again = GatewayDoor(GatewaySettings(port=port), tmp_path)
+    with opened(control, tmp_path) as endpoint:
+        _, port = endpoint.address
+    endpoint.stop()
+    again = GatewayEndpoint(GatewaySettings(port=port), tmp_path)
     again.start(control)
     with pytest.raises(ConfigurationError, match=r"cannot listen for panels on 127\.0\.0\.1"):
-        GatewayDoor(GatewaySettings(port=port), tmp_path).start(control)
+        GatewayEndpoint(GatewaySettings(port=port), tmp_path).start(control)
     again.stop()
 
 
@@ -446,14 +446,14 @@ def test_a_wrong_access_code_file_is_named(control, tmp_path, text):
     file.write_text(text)
     file.chmod(0o600)
     with pytest.raises(ConfigurationError, match="access code is no") as caught:
-        GatewayDoor(GatewaySettings(port=0, access_code_file=file), tmp_path).start(control)
+        GatewayEndpoint(GatewaySettings(port=0, access_code_file=file), tmp_path).start(control)
     assert caught.value.where["file"] == str(file)
 
 
 def test_an_access_code_that_others_can_read_is_refused(control, tmp_path, code_file):
     code_file.chmod(0o640)
     with pytest.raises(ConfigurationError, match=r"open to others \(mode 0640\)"):
-        GatewayDoor(GatewaySettings(port=0, access_code_file=code_file), tmp_path).start(control)
+        GatewayEndpoint(GatewaySettings(port=0, access_code_file=code_file), tmp_path).start(control)
 
 
 def test_the_access_code_that_systemd_hands_over_comes_first(tmp_path):
@@ -469,4 +469,4 @@ def test_the_access_code_that_systemd_hands_over_comes_first(tmp_path):
 def test_a_damaged_record_of_the_number_is_named(control, tmp_path, text):
     (tmp_path / "gateway-sequence.json").write_text(text)
     with pytest.raises(ConfigurationError, match="recorded cannot be read"):
-        GatewayDoor(GatewaySettings(port=0), tmp_path).start(control)
+        GatewayEndpoint(GatewaySettings(port=0), tmp_path).start(control)

@@ -16,10 +16,10 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from agent.execution.states import RunState
 from agent.service.gateway.access import AccessCode
 from agent.service.gateway.command_block import FIRST, SIZE
-from agent.service.gateway.command_handler import CommandDesk
+from agent.service.gateway.command_handler import CommandHandler
 from agent.service.gateway.frames import answer_request
 from agent.service.gateway.gateway import Gateway
-from agent.service.gateway.heartbeat import Watch
+from agent.service.gateway.heartbeat import Heartbeats
 from agent.service.gateway.register_codec import number_words, plain_text, text_words, whole_number
 from agent.service.gateway.registers import BLOCKS, COMMAND, PACKML_NUMBERS, STATE_NUMBERS, STATUS, Form
 from agent.service.gateway.sequence_ledger import SequenceLedger, next_sequence
@@ -32,7 +32,7 @@ FREE = {"hold", "abort"}
 
 def gateway_over(control: FakeControl, directory: Path) -> Gateway:
     access = AccessCode(CODE)
-    return Gateway(control, CommandDesk(control, SequenceLedger(directory), access), access, Watch(5), "note")
+    return Gateway(control, CommandHandler(control, SequenceLedger(directory), access), access, Heartbeats(5), "note")
 
 
 @given(st.lists(st.binary(min_size=1, max_size=80), max_size=20))

@@ -25,7 +25,7 @@ from fake_control import FakeControl
 
 from agent.execution.states import RunState
 from agent.service.opcua.certificates import own_certificate
-from agent.service.opcua.endpoint import OpcUaDoor
+from agent.service.opcua.endpoint import OpcUaEndpoint
 from agent.service.opcua.model import METHODS, NAMESPACE, PROGRAM_STATES, VARIABLES
 from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
@@ -71,17 +71,19 @@ class World:
     def __init__(self, directory: Path, *, anonymous_reading: bool) -> None:
         self.state = directory / "state"
         self.control = FakeControl()
-        self.door = OpcUaDoor(OpcUaSettings(port=free_port(), anonymous_reading=anonymous_reading), self.state, TOKEN)
+        self.endpoint = OpcUaEndpoint(
+            OpcUaSettings(port=free_port(), anonymous_reading=anonymous_reading), self.state, TOKEN
+        )
         self.known = certificate(directory, "known")
         self.strange = certificate(directory, "strange")
 
     @property
     def url(self) -> str:
-        host, port = self.door.address
+        host, port = self.endpoint.address
         return f"opc.tcp://{host}:{port}/volcal"
 
     def trust(self, path: Path) -> None:
-        (self.door.trusted_clients / path.name).write_bytes(path.read_bytes())
+        (self.endpoint.trusted_clients / path.name).write_bytes(path.read_bytes())
 
     def client(self, *, password: str | None = TOKEN, pair: tuple[Path, Path] | None = None) -> Client:
         client = Client(self.url, timeout=WITHIN_S)
@@ -117,12 +119,12 @@ def readable(tmp_path_factory) -> Iterator[World]:
 
 def opened(directory: Path, *, anonymous_reading: bool) -> Iterator[World]:
     world = World(directory, anonymous_reading=anonymous_reading)
-    world.door.start(world.control)
+    world.endpoint.start(world.control)
     world.trust(world.known[0])
     try:
         yield world
     finally:
-        world.door.stop()
+        world.endpoint.stop()
 
 
 @pytest.fixture(autouse=True)
@@ -345,14 +347,14 @@ def test_a_certificate_that_ran_out_is_refused(world, tmp_path):
 def test_trust_is_given_and_taken_without_a_restart(world, tmp_path):
     guest = certificate(tmp_path, "guest")
     world.trust(guest[0])
-    (world.door.trusted_clients / "README").write_text("copy certificates of clients here")
+    (world.endpoint.trusted_clients / "README").write_text("copy certificates of clients here")
 
     async def scene() -> None:
         async with world.connected(pair=guest) as client:
             assert await read(client, "Identification/Name") == "mill-7"
 
     asyncio.run(scene())
-    (world.door.trusted_clients / guest[0].name).unlink()
+    (world.endpoint.trusted_clients / guest[0].name).unlink()
     with refused("BadUserAccessDenied"):
         asyncio.run(scene())
 
@@ -468,10 +470,10 @@ def test_a_damaged_certificate_of_the_server_is_named(tmp_path):
 
 
 def test_a_taken_port_is_named_and_the_door_can_be_closed(world, tmp_path):
-    door = OpcUaDoor(OpcUaSettings(port=world.door.address[1]), tmp_path, TOKEN)
+    endpoint = OpcUaEndpoint(OpcUaSettings(port=world.endpoint.address[1]), tmp_path, TOKEN)
     with pytest.raises(ConfigurationError, match=r"cannot listen for OPC UA on 127\.0\.0\.1"):
-        door.start(FakeControl())
-    door.stop()
+        endpoint.start(FakeControl())
+    endpoint.stop()
 
 
 def test_a_missing_extra_is_named(tmp_path, monkeypatch):
@@ -480,5 +482,5 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch):
         if name.rpartition(".")[2] in ("server", "space", "guard", "methods"):
             monkeypatch.delitem(sys.modules, name)
     with pytest.raises(ConfigurationError, match="asyncua is not installed") as caught:
-        OpcUaDoor(OpcUaSettings(), tmp_path, TOKEN).start(FakeControl())
+        OpcUaEndpoint(OpcUaSettings(), tmp_path, TOKEN).start(FakeControl())
     assert "volcal[opcua]" in caught.value.hint

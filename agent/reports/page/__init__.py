@@ -1,12 +1,12 @@
 """The report of a run: what was measured, identified, decided and proved, on one printable page."""
 
 from agent.reports.page.data import (
-    Asked,
     EventLine,
     Header,
-    Identified,
+    IdentificationData,
     NightFacts,
     Provenance,
+    QuestionFacts,
     ReportData,
     ReportedEstimate,
     RunFacts,
@@ -17,12 +17,12 @@ from agent.reports.page.data import (
 from agent.reports.page.position_naming import name_of_positions
 
 __all__ = [
-    "Asked",
     "EventLine",
     "Header",
-    "Identified",
+    "IdentificationData",
     "NightFacts",
     "Provenance",
+    "QuestionFacts",
     "ReportData",
     "ReportedEstimate",
     "RunFacts",

@@ -95,7 +95,7 @@ class EventLine:
 
 
 @dataclass(frozen=True)
-class Asked:
+class QuestionFacts:
     """A question to a person, the machine minute of the run, and the answer; None: none was given."""
 
     minute: float
@@ -138,7 +138,7 @@ class RunFacts:
     banks: tuple[tuple[str, str], ...] = ()
     verification: Verification | None = None
     night: NightFacts | None = None
-    asked: tuple[Asked, ...] = ()
+    asked: tuple[QuestionFacts, ...] = ()
     provenance: Provenance | None = None
     trend: str = ""
     temperatures: tuple[TemperatureTrace, ...] = ()
@@ -148,7 +148,7 @@ class RunFacts:
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
+class IdentificationData:
     """What an identification found. `positions` are the poses that `observations.position` counts; `residuals_mm`
     (n, 3) in the order of the observations."""
 
@@ -182,7 +182,7 @@ class ReportData:
     artefact: ArtefactFacts
     tool_name: str
     tool_offset: tuple[float, float, float]
-    found: Identified | None = None
+    identification: IdentificationData | None = None
     gates: tuple[Gate, ...] = ()
     gates_enforced: bool = True
     warnings: tuple[str, ...] = ()

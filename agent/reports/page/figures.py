@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent.reports.page.curve_figure import draw_cross_effect, draw_error_curves
-from agent.reports.page.data import Identified, ReportData
+from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.error_curves import cross_effect_curves, geometric_error_curves
 from agent.reports.page.map_figure import draw_planes
 from agent.reports.page.probe_figure import draw_qualification
@@ -17,25 +17,25 @@ from twin.arrays import Array
 
 def report_figures(data: ReportData) -> dict[str, str]:
     """SVG by the name that the page's template gives it; an empty text where there is nothing to draw."""
-    traces, probe, found = data.run.temperatures, data.run.probe, data.found
+    traces, probe, identification = data.run.temperatures, data.run.probe, data.identification
     figures = {
         "qualification": draw_qualification(probe) if probe and probe.rings else "",
         "temperatures": draw_temperatures(traces, data.run.drifts_um) if traces else "",
         "trend": data.run.trend,
     }
-    if found is None:
+    if identification is None:
         return figures
-    seen = found.observations
+    seen = identification.observations
     if not traces:
         figures["temperatures"] = draw_position_temperatures(seen.position, seen.temperature_c)
-    return {**figures, **_of_estimate(found, np.asarray(data.tool_offset))}
+    return {**figures, **_of_estimate(identification, np.asarray(data.tool_offset))}
 
 
-def _of_estimate(found: Identified, tool_offset: Array) -> dict[str, str]:
-    estimate = found.estimate
+def _of_estimate(identification: IdentificationData, tool_offset: Array) -> dict[str, str]:
+    estimate = identification.estimate
     model, values, covariance = estimate.model, estimate.parameters, estimate.covariance
-    residuals = ball_residuals(found)
-    maps = workspace_maps(estimate, tool_offset, found.observations.axis_positions)
+    residuals = ball_residuals(identification)
+    maps = workspace_maps(estimate, tool_offset, identification.observations.axis_positions)
     cross = cross_effect_curves(model, values, covariance)
     return {
         "curves": draw_error_curves(geometric_error_curves(model, values, covariance)),
@@ -47,24 +47,24 @@ def _of_estimate(found: Identified, tool_offset: Array) -> dict[str, str]:
     }
 
 
-def ball_residuals(found: Identified) -> BallResiduals:
+def ball_residuals(identification: IdentificationData) -> BallResiduals:
     """Residuals in µm and in standard deviations, with what was rejected and where a new station begins."""
-    seen, estimate = found.observations, found.estimate
+    seen, estimate = identification.observations, identification.estimate
     gone = set(estimate.rejected)
     keys = zip(seen.position.tolist(), seen.ball.tolist(), seen.tool.tolist(), strict=True)
     kept = np.array([key not in gone for key in keys])
-    stations = [position.station for position in found.positions]
+    stations = [position.station for position in identification.positions]
     return BallResiduals(
         position=seen.position,
         ball=seen.ball,
-        residual_um=1e3 * found.residuals_mm,
-        standardised=found.residuals_mm / _expected_spread(found, int(kept.sum())),
+        residual_um=1e3 * identification.residuals_mm,
+        standardised=identification.residuals_mm / _expected_spread(identification, int(kept.sum())),
         kept=kept,
         station_starts=tuple(count for count in range(1, len(stations)) if stations[count] != stations[count - 1]),
     )
 
 
-def _expected_spread(found: Identified, kept: int) -> Array:
-    """(n, 3) mm: touch noise as found, less what the fit takes up with its poses and parameters."""
-    sigma = np.sqrt(np.einsum("nii->ni", found.observations.covariance)) * found.estimate.scales.noise
-    return np.asarray(sigma * np.sqrt(found.estimate.degrees_of_freedom / (3.0 * kept)))
+def _expected_spread(identification: IdentificationData, kept: int) -> Array:
+    """(n, 3) mm: touch noise as identification, less what the fit takes up with its poses and parameters."""
+    sigma = np.sqrt(np.einsum("nii->ni", identification.observations.covariance)) * identification.estimate.scales.noise
+    return np.asarray(sigma * np.sqrt(identification.estimate.degrees_of_freedom / (3.0 * kept)))

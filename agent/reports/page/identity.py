@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.reports.page.data import Identified, ReportData
+from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.number_format import Rows, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity
@@ -12,9 +12,9 @@ from agent.results.facts import Quantity
 
 def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
     """Four figures at the top."""
-    found, night = data.found, data.run.night
-    if found is not None:
-        shown = _of_estimate(data, found, t)
+    identification, night = data.identification, data.run.night
+    if identification is not None:
+        shown = _of_estimate(data, identification, t)
     elif night is not None and night.ve_now_um is not None:
         shown = [
             (t["tile_ve_now"], micrometres(Quantity(night.ve_now_um))),
@@ -26,16 +26,16 @@ def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
     return [{"text": text, "value": value} for text, value in shown]
 
 
-def _of_estimate(data: ReportData, found: Identified, t: Texts) -> list[tuple[str, str]]:
-    proof, estimate = data.run.verification, found.estimate
+def _of_estimate(data: ReportData, identification: IdentificationData, t: Texts) -> list[tuple[str, str]]:
+    proof, estimate = data.run.verification, identification.estimate
     third = (
         (t["tile_chi2"], fixed(estimate.chi2_normalised, 2))
         if proof is None
         else (t["tile_held_out"], micrometres(proof.after))
     )
     return [
-        (t["tile_before"], micrometres(found.volumetric.before_aligned)),
-        (t["tile_after"], micrometres(found.volumetric.after_aligned)),
+        (t["tile_before"], micrometres(identification.volumetric.before_aligned)),
+        (t["tile_after"], micrometres(identification.volumetric.after_aligned)),
         third,
         (t["tile_seen"], t["of_value"].format(value=estimate.rank, all=estimate.model.size)),
     ]
@@ -60,21 +60,22 @@ def _quantity(value_um: float | None) -> Quantity | None:
 
 
 def identity(data: ReportData) -> Rows:
-    artefact, run, found = data.artefact, data.run, data.found
+    artefact, run, identification = data.artefact, data.run, data.identification
     rows = [("Run", data.header.run_id), *run.times]
     if run.provenance is not None:
         rows.append(("Started by", run.provenance.started_by))
-    if found is not None:
-        rows += _machine(found)
+    if identification is not None:
+        rows += _machine(identification)
     rows += [
         ("Tool offset", f"{data.tool_name} {point(data.tool_offset)}"),
         ("Artefact", f"{artefact.name}, {artefact.balls} balls of {number(artefact.ball_diameter_mm, 5)} mm"),
         ("Certificate", artefact.certificate),
         ("Position set", data.header.position_set),
     ]
-    if found is not None:
-        measured = f"{plural(found.observations.size, 'ball centre')} in {plural(len(found.positions), 'position')}"
-        rows += [("Measured", measured), ("Formulation", found.estimate.formulation)]
+    if identification is not None:
+        centres = plural(identification.observations.size, "ball centre")
+        measured = f"{centres} in {plural(len(identification.positions), 'position')}"
+        rows += [("Measured", measured), ("Formulation", identification.estimate.formulation)]
     rows += data.header.settings.items()
     if run.touches is not None:
         rows.append(("Touches", str(run.touches)))
@@ -85,8 +86,8 @@ def identity(data: ReportData) -> Rows:
     return rows
 
 
-def _machine(found: Identified) -> Rows:
-    model = found.estimate.model
+def _machine(identification: IdentificationData) -> Rows:
+    model = identification.estimate.model
     ranges = ", ".join(
         f"{axis} {number(low, 6)} to {number(high, 6)}"
         for axis, (low, high) in zip("XYZ", model.ranges_mm, strict=True)
@@ -94,9 +95,9 @@ def _machine(found: Identified) -> Rows:
     return [("Kinematic chain", str(model.chain)), ("Workspace", f"{ranges} mm")]
 
 
-def validity(data: ReportData, found: Identified) -> list[str]:
+def validity(data: ReportData, identification: IdentificationData) -> list[str]:
     """For which tool and which region the result holds."""
-    seen = found.observations
+    seen = identification.observations
     used = [seen.tool_offsets[tool] for tool in np.unique(seen.tool)]
     lengths = " and ".join(point(offset) for offset in used)
     if len(used) == 1:
@@ -108,4 +109,7 @@ def validity(data: ReportData, found: Identified) -> list[str]:
         first = f"Measured with {len(used)} tool offsets, {lengths}; the table is made for {point(data.tool_offset)}."
     low, high = seen.axis_positions.min(axis=0), seen.axis_positions.max(axis=0)
     spans = ", ".join(f"{axis} {low[i]:.0f} to {high[i]:.0f}" for i, axis in enumerate("XYZ"))
-    return [first, f"Balls were found between axis positions {spans} mm; elsewhere the model goes on by itself."]
+    return [
+        first,
+        f"Balls were measured at axis positions {spans} mm. Outside of them the model extrapolates.",
+    ]

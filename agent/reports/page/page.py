@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.reports.page import found_sections, run_sections
-from agent.reports.page.data import Identified, ReportData
+from agent.reports.page import identification_sections, run_sections
+from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.identity import identity, tiles, validity
 from agent.reports.page.number_format import plural
 from agent.reports.page.texts import Texts
@@ -44,29 +44,29 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
         "inputs": run_sections.inputs(data.run.provenance, t),
         "events": run_sections.events(data, t),
         "signatures": run_sections.signatures(t),
-        "found": None if data.found is None else _found(data, data.found, t),
+        "identification": None if data.identification is None else _identification(data, data.identification, t),
     }
 
 
-def _found(data: ReportData, found: Identified, t: Texts) -> dict[str, Any]:
+def _identification(data: ReportData, identification: IdentificationData, t: Texts) -> dict[str, Any]:
     """Values of the sections that need an estimate."""
     return {
-        "summary": found_sections.summary_table(data, found, t),
-        "validity": validity(data, found),
-        "squareness": found_sections.squareness(found),
-        "residual_note": found_sections.residual_note(found),
-        "rejected": found_sections.rejected(found),
-        "fit": found_sections.fit(found),
-        "null_intro": found_sections.null_intro(found),
-        "null_directions": found.estimate.null_summary,
-        "table": found_sections.table_rows(found),
-        "parameters": found_sections.parameters(found),
+        "summary": identification_sections.summary_table(data, identification, t),
+        "validity": validity(data, identification),
+        "squareness": identification_sections.squareness(identification),
+        "residual_note": identification_sections.residual_note(identification),
+        "rejected": identification_sections.rejected(identification),
+        "fit": identification_sections.fit(identification),
+        "null_intro": identification_sections.null_intro(identification),
+        "null_directions": identification.estimate.null_summary,
+        "table": identification_sections.table_rows(identification),
+        "parameters": identification_sections.parameters(identification),
     }
 
 
 def _temperatures(data: ReportData) -> np.ndarray:
     """Of the artefact, of everything that was measured."""
-    if data.found is not None:
-        return data.found.observations.temperature_c
+    if data.identification is not None:
+        return data.identification.observations.temperature_c
     traces = [trace.temperature_c for trace in data.run.temperatures if trace.name == "artefact"]
     return np.concatenate(traces) if traces else np.empty(0)

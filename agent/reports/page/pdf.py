@@ -36,23 +36,23 @@ def render_pdf(page: str) -> bytes:
 
     style = resources.files("agent.reports.page").joinpath("print.css").read_text(encoding="utf-8")
     fetcher = URLFetcher(allowed_protocols=("data",))
-    printed = _SVG.sub(lambda found: _printed(found[0]), page).replace("</style>", f"{style}</style>", 1)
+    printed = _SVG.sub(lambda found: _in_print_colours(found[0]), page).replace("</style>", f"{style}</style>", 1)
     document = HTML(string=printed, url_fetcher=fetcher)
     identifier = hashlib.sha256(page.encode()).hexdigest()[:32].encode()
-    with _no_failure():
+    with _fail_on_logged_errors():
         written = document.write_pdf(pdf_identifier=identifier)
     assert isinstance(written, bytes)  # noqa: S101  no target was named
     return written
 
 
-def _printed(svg: str) -> str:
+def _in_print_colours(svg: str) -> str:
     for name, colour in PRINT_COLOURS.items():
         svg = svg.replace(name, colour)
     return svg
 
 
 @contextmanager
-def _no_failure() -> Iterator[None]:
+def _fail_on_logged_errors() -> Iterator[None]:
     """The library leaves out what it cannot draw and tells its log; a report with a hole in it is none."""
     told: list[str] = []
 

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from agent.figures.report_style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing, Margins
 from agent.reports.page.data import TemperatureTrace, VerifiedPosition
 
-MOST_UPRIGHT = 8
+MAX_UPRIGHT = 8
 SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
 
@@ -60,7 +60,7 @@ def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
         panel.plot(place, [item.after_um for item in positions], "o", color=BLUE, markersize=5, label="after")
         limits = [2.0 * item.predicted_um for item in positions]
         panel.plot(place, limits, "_", color=INK, markersize=14, label="2σ of the prediction")
-        many = len(positions) > MOST_UPRIGHT
+        many = len(positions) > MAX_UPRIGHT
         labels = [item.label if many else item.label.replace(", ", "\n", 1) for item in positions]
         panel.set_xticks(place, labels, rotation=25 if many else 0, ha="right" if many else "center")
         panel.set_xlim(-0.5, len(positions) - 0.5)

@@ -1,4 +1,4 @@
-"""A door: a way in to the one `Control`. What opens them knows nothing else of them."""
+"""Interface of the endpoints that connect clients to the one `Control`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import Protocol
 from agent.service.control import Control
 
 
-class Door(Protocol):
-    """`start` returns when it is open, or raises; `stop` returns when nobody comes through any more."""
+class Endpoint(Protocol):
+    """Endpoint: `start` returns when it accepts clients, or raises; `stop` returns when no client is served any
+    more."""
 
     @property
     def name(self) -> str: ...
@@ -21,10 +22,10 @@ class Door(Protocol):
 
 
 @contextmanager
-def opened(doors: Sequence[Door], control: Control) -> Iterator[None]:
-    """All of them for the block; those already open are closed where one does not open."""
+def open_endpoints(endpoints: Sequence[Endpoint], control: Control) -> Iterator[None]:
+    """Open all endpoints for the block; if one fails to open, close those already open."""
     with ExitStack() as stack:
-        for door in doors:
-            door.start(control)
-            stack.callback(door.stop)
+        for endpoint in endpoints:
+            endpoint.start(control)
+            stack.callback(endpoint.stop)
         yield

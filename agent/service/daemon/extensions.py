@@ -1,32 +1,32 @@
-"""What the service consists of besides the owner and HTTP: further doors, and what HTTP serves besides its endpoints.
+"""Further endpoints of the service besides HTTP, and extensions of the HTTP application.
 
-What an optional extra is needed for imports it when it opens.
+An endpoint that needs an optional dependency imports it when it opens.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agent.service.daemon.endpoints import Door
-from agent.service.gateway.endpoint import GatewayDoor
+from agent.service.daemon.endpoints import Endpoint
+from agent.service.gateway.endpoint import GatewayEndpoint
 from agent.service.http.app import Extension
 from agent.service.http.metrics import mount_metrics
-from agent.service.opcua.endpoint import OpcUaDoor
+from agent.service.opcua.endpoint import OpcUaEndpoint
 from agent.service.page.static_files import mount_page
 from agent.service.token import read_token, token_path
 from agent.settings.schema import Settings
 
 
-def further_doors(settings: Settings) -> Sequence[Door]:
-    """Those that the settings ask for, in the order in which they open."""
-    doors: list[Door] = []
+def further_endpoints(settings: Settings) -> Sequence[Endpoint]:
+    """Return the endpoints enabled in the settings, in the order in which they are opened."""
+    endpoints: list[Endpoint] = []
     if settings.opcua.enabled:
-        doors.append(OpcUaDoor(settings.opcua, settings.state_directory, read_token(token_path(settings))))
+        endpoints.append(OpcUaEndpoint(settings.opcua, settings.state_directory, read_token(token_path(settings))))
     if settings.gateway.enabled:
-        doors.append(GatewayDoor(settings.gateway, settings.state_directory))
-    return doors
+        endpoints.append(GatewayEndpoint(settings.gateway, settings.state_directory))
+    return endpoints
 
 
 def http_extensions(_: Settings) -> Sequence[Extension]:
-    """Pages and routers behind the guard of the HTTP door."""
+    """Return the pages and routers behind the guard of the HTTP endpoint."""
     return (mount_page, mount_metrics)

@@ -1,4 +1,4 @@
-"""One JSON object a line on stdout, for the journal of the system; run and step are bound where they are known."""
+"""Logging as one JSON object per line on stdout, for the system journal; run and step are bound where known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SHARED: tuple[Processor, ...] = (
 
 
 def log_as_json(level: int) -> None:
-    """Of this house and of the libraries alike."""
+    """Log messages of this program and of the libraries in the same format."""
     as_line = structlog.processors.JSONRenderer(ensure_ascii=False, default=str)
     rendered: tuple[Processor, ...] = (structlog.processors.format_exc_info, as_line)
     structlog.configure(

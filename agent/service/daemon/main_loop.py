@@ -1,4 +1,4 @@
-"""What the main thread does while the service lives: signals, systemd's watchdog and status text."""
+"""Main loop of the service process: signals, systemd's watchdog and status text."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from drivers.errors import VolcalError
 log = structlog.get_logger()
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-LOOK_EVERY_S = 1.0
-FEEDS_A_PERIOD = 3.0
-"""sd_watchdog_enabled(3) advises to feed at least twice in a period."""
+POLL_PERIOD_S = 1.0
+FEEDS_PER_PERIOD = 3.0
+"""sd_watchdog_enabled(3) recommends at least two notifications per period."""
 US_PER_S = 1e6
 
 
 @contextmanager
-def heard_signals() -> Iterator[SimpleQueue[int]]:
-    """For the block the signals end up in the queue instead of ending the process."""
+def queued_signals() -> Iterator[SimpleQueue[int]]:
+    """Put signals into a queue for the block, instead of letting them end the process."""
     queue: SimpleQueue[int] = SimpleQueue()
 
-    def hear(number: int, _: FrameType | None) -> None:
+    def enqueue(number: int, _: FrameType | None) -> None:
         queue.put(number)
 
-    former = {number: signal.signal(number, hear) for number in SIGNALS}
+    former = {number: signal.signal(number, enqueue) for number in SIGNALS}
     try:
         yield queue
     finally:
@@ -46,29 +46,30 @@ def heard_signals() -> Iterator[SimpleQueue[int]]:
 
 
 @dataclass
-class Life:
-    """Lives until it is told to end."""
+class MainLoop:
+    """Main loop of the service; ends on SIGTERM or SIGINT."""
 
     owner: Owner
     health: Health
     notifier: Notifier
     signals: SimpleQueue[int]
     config: Path
-    _said: str = ""
+    _last_text: str = ""
     _hung: bool = False
 
-    def live(self) -> None:
-        """Ready; then feed, tell and reload, until SIGTERM or SIGINT; then hold, withdraw and close."""
+    def run(self) -> None:
+        """Report readiness; feed the watchdog, report the status and reload until SIGTERM or SIGINT; then hold,
+        withdraw and close."""
         self.owner.reconcile_if_reached()
         self.notifier.send(READY=1, STATUS=self._text())
-        period_s = LOOK_EVERY_S
+        period_s = POLL_PERIOD_S
         if self.notifier.watchdog_s is not None:
-            period_s = min(period_s, self.notifier.watchdog_s / FEEDS_A_PERIOD)
+            period_s = min(period_s, self.notifier.watchdog_s / FEEDS_PER_PERIOD)
         while (number := self._signal(period_s)) not in (signal.SIGTERM, signal.SIGINT):
             if number == signal.SIGHUP:
                 self._reload()
-            self._feed()
-        self._end(signal.Signals(number).name if number is not None else "")
+            self._feed_watchdog()
+        self._stop(signal.Signals(number).name if number is not None else "")
 
     def _signal(self, within_s: float) -> int | None:
         try:
@@ -76,51 +77,51 @@ class Life:
         except Empty:
             return None
 
-    def _feed(self) -> None:
-        """Nothing where the engine hangs: then systemd ends this process, and the machine's own watchdog has stopped
-        it long before."""
+    def _feed_watchdog(self) -> None:
+        """Notify the watchdog unless the engine hangs: systemd then ends this process, and the machine's own watchdog
+        has stopped it long before."""
         if self.health.alive(self.owner.status().state):
             self._hung = False
             self.notifier.send(WATCHDOG=1)
         elif not self._hung:
             self._hung = True
             log.error("the engine hangs", silent_s=round(self.health.silent_s(), 1))
-        self._tell()
+        self._report_status()
 
-    def _tell(self) -> None:
+    def _report_status(self) -> None:
         text = self._text()
-        if text != self._said:
-            self._said = text
+        if text != self._last_text:
+            self._last_text = text
             self.notifier.send(STATUS=text)
 
     def _text(self) -> str:
         return status_text(self.owner.status(), hung=self._hung)
 
     def _reload(self) -> None:
-        """The settings file again, for the runs to come; what is wrong with it is said, and the old ones stay."""
+        """Read the settings file again for the next runs; if it is invalid, report that and retain the old settings."""
         self.notifier.send(RELOADING=1, MONOTONIC_USEC=int(US_PER_S * RealClock().now()))
         try:
             self.owner.reload(load_settings(self.config))
         except VolcalError as error:
-            log.error("the settings were not reloaded; those from before stay", reason=str(error))
+            log.error("settings not reloaded; the previous ones stay in use", reason=str(error))
             text = f"settings not reloaded: {error}"
         else:
-            log.info("the settings were reloaded")
+            log.info("settings reloaded")
             text = self._text()
         self.notifier.send(READY=1, STATUS=text)
 
-    def _end(self, name: str) -> None:
+    def _stop(self, name: str) -> None:
         within_s = self.owner.settings.service.stop_timeout_s
-        log.info("ending", asked_by=name, within_s=within_s)
+        log.info("stopping", requested_by=name, within_s=within_s)
         self.notifier.send(
             STOPPING=1, STATUS="stopping: withdrawing the probe", EXTEND_TIMEOUT_USEC=int(US_PER_S * within_s)
         )
         if not self.owner.close(within_s):
-            log.error("the run did not end in time; the process ends with it", within_s=within_s)
+            log.error("the run did not end in time; the process ends anyway", within_s=within_s)
 
 
 def status_text(status: Status, *, hung: bool = False) -> str:
-    """One line for `systemctl status`."""
+    """Return one line for `systemctl status`."""
     parts = [f"{status.machine}: {status.doing}"]
     if status.minutes_left is not None:
         parts.append(f"{100.0 * status.fraction:.0f} %, {status.minutes_left:.0f} min left")

@@ -1,4 +1,4 @@
-"""systemd's notification protocol (sd_notify(3)): one datagram a message, to the socket named in NOTIFY_SOCKET."""
+"""systemd's notification protocol (sd_notify(3)): one datagram per message to the socket named in NOTIFY_SOCKET."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import structlog
 
 log = structlog.get_logger()
 S_PER_US = 1e-6
-TAKEN_WITHIN_S = 1.0
-"""A manager that does not read (its queue holds ten) must not keep the service from hearing its signals."""
+SEND_TIMEOUT_S = 1.0
+"""A service manager that does not read (its queue holds ten messages) must not delay the handling of signals."""
 
 
 class Notifier:
-    """Silent where nobody has asked for notifications; a socket that is gone is no reason to stop calibrating."""
+    """Sender of notifications; does nothing without NOTIFY_SOCKET. A lost socket is logged and does not stop the
+    service."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
-        place = environment.get("NOTIFY_SOCKET", "")
-        self._address = f"\0{place[1:]}" if place.startswith("@") else place
+        name = environment.get("NOTIFY_SOCKET", "")
+        self._address = f"\0{name[1:]}" if name.startswith("@") else name
         watchdog = environment.get("WATCHDOG_USEC", "")
         ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         self.watchdog_s = int(watchdog) * S_PER_US if watchdog.isdigit() and ours else None
@@ -30,7 +31,7 @@ class Notifier:
         message = "\n".join(f"{name}={value}" for name, value in assignments.items())
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
-                channel.settimeout(TAKEN_WITHIN_S)
+                channel.settimeout(SEND_TIMEOUT_S)
                 channel.sendto(message.encode(), self._address)
         except OSError as error:
             log.warning("systemd cannot be notified", error=str(error))

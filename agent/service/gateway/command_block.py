@@ -25,7 +25,7 @@ class ValueNotAllowed(Exception):
 
 
 @dataclass(frozen=True)
-class Order:
+class CommandRequest:
     """One command as it was written. `text` None where the characters were none."""
 
     numbers: Mapping[str, int]
@@ -70,16 +70,16 @@ class Order:
         return self.numbers["question_number"], _one_of("answer", self.numbers["answer"], {1: True, 2: False})
 
 
-def read_order(words: Sequence[int]) -> Order:
+def read_command(words: Sequence[int]) -> CommandRequest:
     """From the words of the whole command block."""
     numbers: dict[str, int] = {}
     for register in COMMAND:
         if register.form is not Form.TEXT:
-            numbers[register.name] = whole_number(_of(words, register.name))
-    return Order(numbers, plain_text(_of(words, "position_set")))
+            numbers[register.name] = whole_number(_words_of(words, register.name))
+    return CommandRequest(numbers, plain_text(_words_of(words, "position_set")))
 
 
-def _of(words: Sequence[int], name: str) -> Sequence[int]:
+def _words_of(words: Sequence[int], name: str) -> Sequence[int]:
     register = IN_COMMAND[name]
     return words[register.address - FIRST : register.end - FIRST]
 

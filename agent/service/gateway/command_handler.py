@@ -9,7 +9,7 @@ import structlog
 from agent.service.alarms import alarm_code
 from agent.service.control import Control
 from agent.service.gateway.access import AccessCode
-from agent.service.gateway.command_block import Order, ValueNotAllowed
+from agent.service.gateway.command_block import CommandRequest, ValueNotAllowed
 from agent.service.gateway.frames import ExceptionCode, RegisterError
 from agent.service.gateway.registers import FREE_COMMANDS, Command, Result
 from agent.service.gateway.sequence_ledger import SequenceLedger, next_sequence
@@ -19,14 +19,14 @@ ABORT_REASON = "abort from a panel"
 log = structlog.get_logger()
 
 
-class CommandDesk:
-    """Shared by all connections; any thread may hand in, one order is looked at at a time. Abort waits for nobody."""
+class CommandHandler:
+    """Shared by all connections; any thread may hand in, one request is looked at at a time. Abort waits for nobody."""
 
     def __init__(self, control: Control, ledger: SequenceLedger, access: AccessCode) -> None:
         self._control = control
         self._ledger = ledger
         self._access = access
-        self._one_at_a_time = threading.Lock()
+        self._lock = threading.Lock()
         self._state: tuple[int, int] = (ledger.accepted, Result.NONE)
         self._latest_start: str | None = None
 
@@ -43,37 +43,37 @@ class CommandDesk:
         log.info("abort from a panel")
         self._control.abort(ABORT_REASON)
 
-    def hand_in(self, order: Order) -> None:
-        """Look at an order whose number is the next one, and keep its result.
+    def submit(self, request: CommandRequest) -> None:
+        """Look at an request whose number is the next one, and keep its result.
 
-        The same order again does nothing: its answer was lost. Raises RegisterError for any other number, and where
+        The same request again does nothing: its answer was lost. Raises RegisterError for any other number, and where
         the number could not be recorded; nothing has been done then.
         """
-        with self._one_at_a_time:
-            if order.sequence == self._ledger.accepted and order.content == self._ledger.content:
+        with self._lock:
+            if request.sequence == self._ledger.accepted and request.content == self._ledger.content:
                 return
-            if order.sequence != next_sequence(self._ledger.accepted):
+            if request.sequence != next_sequence(self._ledger.accepted):
                 raise RegisterError(ExceptionCode.VALUE)
-            self._record(order)
-            result = self._perform(order)
-            self._state = (order.sequence, result)
-            log.info("command from a panel", sequence=order.sequence, command=order.command(), result=result)
+            self._record(request)
+            result = self._perform(request)
+            self._state = (request.sequence, result)
+            log.info("command from a panel", sequence=request.sequence, command=request.command(), result=result)
 
-    def _record(self, order: Order) -> None:
+    def _record(self, request: CommandRequest) -> None:
         try:
-            self._ledger.record(order.sequence, order.content)
+            self._ledger.record(request.sequence, request.content)
         except InputError as error:
             log.error("command from a panel not accepted", reason=str(error))
             raise RegisterError(ExceptionCode.FAILURE) from error
 
-    def _perform(self, order: Order) -> int:
-        command = order.command()
+    def _perform(self, request: CommandRequest) -> int:
+        command = request.command()
         if command is None:
             return Result.UNKNOWN_COMMAND
-        if command not in FREE_COMMANDS and (refusal := self._refusal(order.access_code)):
+        if command not in FREE_COMMANDS and (refusal := self._refusal(request.access_code)):
             return refusal
         try:
-            self._give(command, order)
+            self._carry_out(command, request)
         except ValueNotAllowed as error:
             log.info("command from a panel refused", reason=str(error))
             return Result.VALUE_NOT_ALLOWED
@@ -95,14 +95,14 @@ class CommandDesk:
             return Result.WRONG_CODE
         return None
 
-    def _give(self, command: Command, order: Order) -> None:
+    def _carry_out(self, command: Command, request: CommandRequest) -> None:
         control = self._control
         if command is Command.START:
-            self._latest_start = control.start(order.run_request())
+            self._latest_start = control.start(request.run_request())
         elif command is Command.RESUME_RUN:
             self._latest_start = control.resume_run("panel")
         elif command is Command.ANSWER:
-            control.answer(*order.answer())
+            control.answer(*request.answer())
         elif command is Command.ABORT:
             self.abort()
         elif command is Command.HOLD:

@@ -11,9 +11,9 @@ import structlog
 
 from agent.service.control import Control
 from agent.service.gateway.access import AccessCode, access_code_path, read_access_code
-from agent.service.gateway.command_handler import CommandDesk
+from agent.service.gateway.command_handler import CommandHandler
 from agent.service.gateway.gateway import Gateway
-from agent.service.gateway.heartbeat import Watch
+from agent.service.gateway.heartbeat import Heartbeats
 from agent.service.gateway.sequence_ledger import SequenceLedger
 from agent.service.gateway.server import JOIN_S, ModbusServer
 from agent.service.gateway.session import Session
@@ -23,7 +23,7 @@ TICK_S: Final = 1.0
 log = structlog.get_logger()
 
 
-class GatewayDoor:
+class GatewayEndpoint:
     """Panels and PLCs over Modbus TCP."""
 
     def __init__(self, settings: GatewaySettings, state_directory: Path) -> None:
@@ -74,8 +74,10 @@ class GatewayDoor:
     def _gateway(self, control: Control) -> Gateway:
         code_file = access_code_path(self._settings)
         access = AccessCode(None if code_file is None else read_access_code(code_file))
-        desk = CommandDesk(control, SequenceLedger(self._state_directory), access)
-        return Gateway(control, desk, access, Watch(self._settings.panel_timeout_s), self._settings.on_panel_timeout)
+        handler = CommandHandler(control, SequenceLedger(self._state_directory), access)
+        return Gateway(
+            control, handler, access, Heartbeats(self._settings.panel_timeout_s), self._settings.on_panel_timeout
+        )
 
     def _tick_forever(self, gateway: Gateway) -> None:
         while not self._stopped.wait(TICK_S):

@@ -12,11 +12,11 @@ from enum import IntEnum
 from typing import Final, Protocol
 
 HEADER: Final = struct.Struct(">HHHB")
-LONGEST_PDU: Final = 253
-MOST_READ: Final = 125
-MOST_WRITTEN: Final = 123
-MOST_COILS_READ: Final = 2000
-MOST_COILS_WRITTEN: Final = 1968
+MAX_PDU_BYTES: Final = 253
+MAX_REGISTERS_READ: Final = 125
+MAX_REGISTERS_WRITTEN: Final = 123
+MAX_COILS_READ: Final = 2000
+MAX_COILS_WRITTEN: Final = 1968
 _PAIR = struct.Struct(">HH")
 _COIL_ON, _COIL_OFF = 0xFF00, 0x0000
 
@@ -65,7 +65,7 @@ class Table(Protocol):
 def body_length(header: bytes) -> int:
     """Bytes that follow the seven of the header. Raises FramingError where it is no header of Modbus TCP."""
     _, protocol, length, _ = HEADER.unpack(header)
-    if protocol != 0 or not 2 <= length <= LONGEST_PDU + 1:
+    if protocol != 0 or not 2 <= length <= MAX_PDU_BYTES + 1:
         raise FramingError(f"MBAP header {header.hex(' ')}")
     return int(length) - 1
 
@@ -88,13 +88,13 @@ def answer_request(request: bytes, table: Table) -> bytes:
 
 
 def _read_registers(request: bytes, table: Table) -> bytes:
-    address, count = _range(request, MOST_READ, exact=True)
+    address, count = _range(request, MAX_REGISTERS_READ, exact=True)
     words = table.read(address, count)
     return bytes((2 * count,)) + struct.pack(f">{count}H", *words)
 
 
 def _read_coils(request: bytes, table: Table) -> bytes:
-    address, count = _range(request, MOST_COILS_READ, exact=True)
+    address, count = _range(request, MAX_COILS_READ, exact=True)
     bits = sum(1 << place for place, on in enumerate(table.read_coils(address, count)) if on)
     size = (count + 7) // 8
     return bytes((size,)) + bits.to_bytes(size, "little")
@@ -116,14 +116,14 @@ def _write_coil(request: bytes, table: Table) -> bytes:
 
 
 def _write_registers(request: bytes, table: Table) -> bytes:
-    address, count = _range(request, MOST_WRITTEN)
+    address, count = _range(request, MAX_REGISTERS_WRITTEN)
     _require(request[5] == 2 * count == len(request) - 6)
     table.write(address, struct.unpack_from(f">{count}H", request, 6))
     return request[1:5]
 
 
 def _write_coils(request: bytes, table: Table) -> bytes:
-    address, count = _range(request, MOST_COILS_WRITTEN)
+    address, count = _range(request, MAX_COILS_WRITTEN)
     _require(request[5] == (count + 7) // 8 == len(request) - 6)
     bits = int.from_bytes(request[6:], "little")
     table.write_coils(address, [bool(bits >> place & 1) for place in range(count)])

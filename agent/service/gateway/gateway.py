@@ -1,4 +1,4 @@
-"""What all connections share: the owner of the machine, the desk for commands and the heartbeats."""
+"""What all connections share: the owner of the machine, the handler for commands and the heartbeats."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import structlog
 
 from agent.service.control import Control, Status
 from agent.service.gateway.access import AccessCode
-from agent.service.gateway.command_handler import CommandDesk
-from agent.service.gateway.heartbeat import Watch
+from agent.service.gateway.command_handler import CommandHandler
+from agent.service.gateway.heartbeat import Heartbeats
 from agent.service.gateway.status_registers import GatewayFacts, status_image
 from drivers.errors import VolcalError
 
@@ -22,9 +22,9 @@ class Gateway:
     """`on_panel_timeout`: what becomes of a run that a panel began, when the panel's beat stops."""
 
     control: Control
-    desk: CommandDesk
+    handler: CommandHandler
     access: AccessCode
-    watch: Watch
+    heartbeats: Heartbeats
     on_panel_timeout: Literal["note", "hold"]
 
     def status(self) -> Status:
@@ -33,10 +33,10 @@ class Gateway:
     def image(self) -> tuple[int, ...]:
         """Status registers of one instant. What was accepted is read before the status: a panel that sees its number
         accepted sees the state that came of it, never one from before."""
-        accepted, result = self.desk.state()
+        accepted, result = self.handler.state()
         facts = GatewayFacts(
-            heartbeat=self.watch.beat_of_ours,
-            panel_alive=self.watch.panel_alive,
+            heartbeat=self.heartbeats.service_beat,
+            panel_alive=self.heartbeats.panel_alive,
             access_code_set=self.access.is_set,
             accepted_sequence=accepted,
             result=result,
@@ -47,9 +47,9 @@ class Gateway:
         """Once a second."""
         self.access.tick()
         status = self._status_or_none()
-        if self.watch.tick(well=status is not None):
+        if self.heartbeats.tick(service_alive=status is not None):
             log.warning("panel fell silent", then=self.on_panel_timeout)
-            ours = status is not None and status.run_id is not None and status.run_id == self.desk.latest_start
+            ours = status is not None and status.run_id is not None and status.run_id == self.handler.latest_start
             if ours and self.on_panel_timeout == "hold":
                 self._hold()
 

@@ -18,7 +18,7 @@ from agent.files import read_text, write_atomically
 from drivers.errors import ConfigurationError, InputError
 
 FILE_NAME: Final = "gateway-sequence.json"
-LARGEST: Final = 0xFFFF
+MAX_SEQUENCE: Final = 0xFFFF
 log = structlog.get_logger()
 
 Content = tuple[int | str | None, ...]
@@ -26,11 +26,11 @@ Content = tuple[int | str | None, ...]
 
 def next_sequence(number: int) -> int:
     """The number after this one; 0 is never used, because cleared registers hold it."""
-    return number % LARGEST + 1
+    return number % MAX_SEQUENCE + 1
 
 
 class SequenceLedger:
-    """Which number was accepted last, and with what content. One writer (the desk) at a time."""
+    """Which number was accepted last, and with what content. One writer (the handler) at a time."""
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / FILE_NAME
@@ -44,11 +44,11 @@ class SequenceLedger:
     def _load(self) -> tuple[int, Content | None]:
         """Where nothing is recorded the count begins anywhere, so that no register left over from before fits."""
         if not self._path.exists():
-            return _anywhere(), None
+            return _random_start(), None
         try:
             stored = json.loads(read_text(self._path))
             accepted, content = stored["accepted"], tuple(stored["content"])
-            if not (isinstance(accepted, int) and 1 <= accepted <= LARGEST):
+            if not (isinstance(accepted, int) and 1 <= accepted <= MAX_SEQUENCE):
                 raise ValueError(f"accepted is {accepted!r}")
         except (InputError, ValueError, KeyError, TypeError) as error:
             raise ConfigurationError(
@@ -59,5 +59,5 @@ class SequenceLedger:
         return accepted, content
 
 
-def _anywhere() -> int:
-    return random.SystemRandom().randint(1, LARGEST)
+def _random_start() -> int:
+    return random.SystemRandom().randint(1, MAX_SEQUENCE)

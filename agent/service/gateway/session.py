@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agent.execution.states import RunState
-from agent.service.gateway.command_block import FIRST, SIZE, read_order
+from agent.service.gateway.command_block import FIRST, SIZE, read_command
 from agent.service.gateway.frames import ExceptionCode, RegisterError
 from agent.service.gateway.gateway import Gateway
 from agent.service.gateway.registers import ABORT_COIL, IN_COMMAND, PANEL, STATUS
@@ -34,12 +34,12 @@ class Session:
             shown[_CODE] = (0, 0)
             return shown[address - FIRST : address - FIRST + count]
         if (address, count) == (_BEAT, 1):
-            return (self._gateway.watch.panel_beat or 0,)
+            return (self._gateway.heartbeats.panel_beat or 0,)
         raise RegisterError(ExceptionCode.ADDRESS)
 
     def write(self, address: int, words: Sequence[int]) -> None:
         if (address, len(words)) == (_BEAT, 1):
-            self._gateway.watch.beat(words[0])
+            self._gateway.heartbeats.beat(words[0])
             return
         if not _within(address, len(words), FIRST, FIRST + SIZE):
             raise RegisterError(ExceptionCode.ADDRESS)
@@ -54,7 +54,7 @@ class Session:
     def _commit(self, draft: Sequence[int]) -> None:
         """Whatever comes of it, the next command is written anew: no consent or code is left from this one."""
         self._draft = [0] * SIZE
-        self._gateway.desk.hand_in(read_order(draft))
+        self._gateway.handler.submit(read_command(draft))
 
     def read_coils(self, address: int, count: int) -> Sequence[bool]:
         if (address, count) != (ABORT_COIL, 1):
@@ -65,7 +65,7 @@ class Session:
         if (address, len(states)) != (ABORT_COIL, 1):
             raise RegisterError(ExceptionCode.ADDRESS)
         if states[0]:
-            self._gateway.desk.abort()
+            self._gateway.handler.abort()
 
 
 def _within(address: int, count: int, start: int, end: int) -> bool:

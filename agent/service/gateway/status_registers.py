@@ -51,9 +51,9 @@ def _run_values(status: Status) -> dict[str, float | str | None]:
         "packml_state": PACKML_NUMBERS.get(status.packml, 0),
         "kind": KIND_NUMBERS.get(status.kind or "", 0),
         "progress": 10000 * status.fraction,
-        "minutes_left": _times(100, status.minutes_left),
-        "ve_before": _times(1000, status.ve_before_um),
-        "ve_now": _times(1000, status.ve_now_um),
+        "minutes_left": _scaled(100, status.minutes_left),
+        "ve_before": _scaled(1000, status.ve_before_um),
+        "ve_now": _scaled(1000, status.ve_now_um),
         "balls": status.balls,
         "touches": status.touches,
         "active_bank": status.active_bank,
@@ -102,5 +102,5 @@ def _bits(names: tuple[str, ...], set_ones: frozenset[str]) -> int:
     return sum(1 << place for place, name in enumerate(names) if name in set_ones)
 
 
-def _times(factor: float, value: float | None) -> float | None:
+def _scaled(factor: float, value: float | None) -> float | None:
     return None if value is None else factor * value

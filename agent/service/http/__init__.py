@@ -1,1 +1,1 @@
-"""The door over HTTP: status, journal and events for everybody, requests for who has the token."""
+"""HTTP endpoint: status, journal and events for everyone, commands for holders of the token."""

@@ -1,4 +1,4 @@
-"""The application: routers behind the guard. What else is served (page, metrics) is an extension."""
+"""HTTP application: routers behind the guard; page and metrics are extensions."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from importlib.metadata import version
 from fastapi import FastAPI
 
 from agent.service.http import commands, diagnostics, events, problems, queries
-from agent.service.http.app_state import Site
+from agent.service.http.app_state import AppState
 from agent.service.http.guard import Guard
 
-Extension = Callable[[FastAPI, Site], None]
-"""Adds routers or mounts static files; it is behind the same guard."""
+Extension = Callable[[FastAPI, AppState], None]
+"""Function that adds routers or mounts static files behind the same guard."""
 
 
-def create_app(site: Site, names: Collection[str] = (), extensions: Sequence[Extension] = ()) -> FastAPI:
-    """`names`: host names besides loopback's that requests may be addressed to."""
+def create_app(app_state: AppState, names: Collection[str] = (), extensions: Sequence[Extension] = ()) -> FastAPI:
+    """Return the application. `names`: host names besides loopback that requests may be addressed to."""
     app = FastAPI(
         title="volcal",
         version=version("volcal"),
-        summary="The night service of one machine.",
+        summary="Calibration service of one machine.",
         openapi_url="/api/openapi.json",
         docs_url=None,
         redoc_url=None,
     )
-    app.state.site = site
+    app.state.app_state = app_state
     app.add_middleware(Guard, names=names)
     problems.install(app)
     add_endpoints(app)
     for extend in extensions:
-        extend(app, site)
+        extend(app, app_state)
     return app
 
 
 def add_endpoints(app: FastAPI) -> None:
-    for router in (queries.router, events.router, commands.open_to_all, commands.with_token, diagnostics.router):
+    for router in (queries.router, events.router, commands.without_token, commands.with_token, diagnostics.router):
         app.include_router(router)

@@ -1,4 +1,4 @@
-"""What the pages and endpoints are made from; handed to every router."""
+"""Shared state of the HTTP application, a dependency of its routes."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from fastapi import Depends, Request
 from agent.service.control import Control
 from agent.service.state.archive import Archive
 from agent.service.state.event_log import EventLog
-from agent.service.state.live_view import Scenes
+from agent.service.state.live_view import LiveView
 from agent.settings.schema import Settings
 
 
 @dataclass(frozen=True)
-class Site:
-    """`settings`: those that the next run will have; `config`: the file they come from."""
+class AppState:
+    """Shared state. `settings`: those of the next run; `config`: the file that they are read from."""
 
     control: Control
     event_log: EventLog
     archive: Archive
-    scenes: Scenes
+    live_view: LiveView
     settings: Callable[[], Settings]
     config: Path
     token: str
 
 
-def site_of(request: Request) -> Site:
-    site: Site = request.app.state.site
-    return site
+def app_state_of(request: Request) -> AppState:
+    app_state: AppState = request.app.state.app_state
+    return app_state
 
 
-SiteHere = Annotated[Site, Depends(site_of)]
+AppStateDependency = Annotated[AppState, Depends(app_state_of)]

@@ -1,19 +1,19 @@
-"""Requests. What moves or writes needs the token; abort needs none, from whoever stands there."""
+"""Command endpoints. All require the token except abort, which anyone may call."""
 
 from __future__ import annotations
 
 from fastapi import APIRouter, Depends
 
 from agent.files import translated
-from agent.service.http.app_state import SiteHere
+from agent.service.http.app_state import AppStateDependency
 from agent.service.http.guard import require_token
 from agent.service.http.models import (
     AbortBody,
     AnswerBody,
-    Done,
+    RequestAccepted,
     RestoreBody,
     ResumeRunBody,
-    RunBegun,
+    RunStarted,
     SettingsBody,
     StartBody,
 )
@@ -21,63 +21,66 @@ from agent.service.http.problems import DOCUMENTED
 from agent.settings.schema import parse_settings
 from drivers.errors import ConfigurationError
 
-open_to_all = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED)
+without_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED)
 with_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED, dependencies=[Depends(require_token)])
 
 
-@open_to_all.post("/abort")
-def abort(site: SiteHere, body: AbortBody | None = None) -> Done:
-    """Stop, withdraw, restore. Always taken; between runs nothing happens."""
-    site.control.abort((body or AbortBody()).reason)
-    return Done()
+@without_token.post("/abort")
+def abort(app_state: AppStateDependency, body: AbortBody | None = None) -> RequestAccepted:
+    """Stop, withdraw the probe and restore the previous table. Always accepted; without effect between runs."""
+    app_state.control.abort((body or AbortBody()).reason)
+    return RequestAccepted()
 
 
 @with_token.post("/start", status_code=202)
-def start(site: SiteHere, body: StartBody) -> RunBegun:
-    return RunBegun(run_id=site.control.start(body))
+def start(app_state: AppStateDependency, body: StartBody) -> RunStarted:
+    """Start a run."""
+    return RunStarted(run_id=app_state.control.start(body))
 
 
 @with_token.post("/resume-run", status_code=202)
-def resume_run(site: SiteHere, body: ResumeRunBody | None = None) -> RunBegun:
-    """Go on with the run that broke off."""
-    return RunBegun(run_id=site.control.resume_run((body or ResumeRunBody()).source))
+def resume_run(app_state: AppStateDependency, body: ResumeRunBody | None = None) -> RunStarted:
+    """Resume the interrupted run."""
+    return RunStarted(run_id=app_state.control.resume_run((body or ResumeRunBody()).source))
 
 
 @with_token.post("/hold")
-def hold(site: SiteHere) -> Done:
-    site.control.hold()
-    return Done()
+def hold(app_state: AppStateDependency) -> RequestAccepted:
+    """Hold the run at the next safe point."""
+    app_state.control.hold()
+    return RequestAccepted()
 
 
 @with_token.post("/resume")
-def resume(site: SiteHere) -> Done:
-    """Go on after a hold."""
-    site.control.resume()
-    return Done()
+def resume(app_state: AppStateDependency) -> RequestAccepted:
+    """Continue after a hold."""
+    app_state.control.resume()
+    return RequestAccepted()
 
 
 @with_token.post("/reset")
-def reset(site: SiteHere) -> Done:
-    """Acknowledge a fault or an abort. Moves nothing."""
-    site.control.reset()
-    return Done()
+def reset(app_state: AppStateDependency) -> RequestAccepted:
+    """Acknowledge a fault or an abort. Nothing moves."""
+    app_state.control.reset()
+    return RequestAccepted()
 
 
 @with_token.post("/answer")
-def answer(site: SiteHere, body: AnswerBody) -> Done:
-    site.control.answer(body.number, body.yes)
-    return Done()
+def answer(app_state: AppStateDependency, body: AnswerBody) -> RequestAccepted:
+    """Answer the open question."""
+    app_state.control.answer(body.number, body.yes)
+    return RequestAccepted()
 
 
 @with_token.post("/tables/restore", status_code=202)
-def restore_table(site: SiteHere, body: RestoreBody) -> RunBegun:
-    """Have a kept table act again. Nothing moves."""
-    return RunBegun(run_id=site.control.restore_table(body.run_id, body.role, body.source))
+def restore_table(app_state: AppStateDependency, body: RestoreBody) -> RunStarted:
+    """Reactivate a stored table. Nothing moves."""
+    return RunStarted(run_id=app_state.control.restore_table(body.run_id, body.role, body.source))
 
 
 @with_token.post("/settings/check")
-def check_settings(site: SiteHere, body: SettingsBody) -> Done:
-    """Whether a settings file would be taken; the problem names key and reason."""
+def check_settings(app_state: AppStateDependency, body: SettingsBody) -> RequestAccepted:
+    """Validate a settings file without using it. If it is invalid, the problem names key and reason."""
     with translated(ConfigurationError):
         parse_settings(body.toml, "settings")
-    return Done()
+    return RequestAccepted()

@@ -1,4 +1,4 @@
-"""The OpenAPI document of the application, without a service: `python -m agent.service.http.description`."""
+"""OpenAPI document of the HTTP interface without a running service: `python -m agent.service.http.description`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from agent.service.http.app import add_endpoints
 
 
 def openapi_document() -> dict[str, Any]:
-    """Without the version of the package: a release alone changes no interface."""
-    app = FastAPI(title="volcal", version="1", summary="The night service of one machine.")
+    """Return the document with a fixed version, since a release alone does not change the interface."""
+    app = FastAPI(title="volcal", version="1", summary="Calibration service of one machine.")
     add_endpoints(app)
     return app.openapi()
 

@@ -1,4 +1,4 @@
-"""Everything that helps to understand a failure, in one ZIP, with secrets removed."""
+"""Diagnostics archive for failure analysis: one ZIP file with secrets removed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def without_secrets(document: Any) -> Any:
     return document
 
 
-def diagnosis(settings: Settings, status: Mapping[str, Any], events: Sequence[Event]) -> bytes:
+def diagnostics_zip(settings: Settings, status: Mapping[str, Any], events: Sequence[Event]) -> bytes:
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("status.json", _text(status))

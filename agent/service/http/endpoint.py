@@ -1,4 +1,4 @@
-"""Uvicorn on a thread of its own, on a socket that is bound before anybody says that the service is ready."""
+"""HTTP endpoint: Uvicorn in its own thread, on a socket that is bound before the service reports readiness."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from agent.service.control import Control
 from agent.settings.service import ServiceSettings
 from drivers.errors import ConfigurationError
 
-OPEN_WITHIN_S = 10.0
-GRACE_S = 2
-LARGEST_CONCURRENCY = 64
+OPEN_TIMEOUT_S = 10.0
+GRACE_PERIOD_S = 2
+MAX_CONCURRENCY = 64
 
 
-class HttpDoor:
-    """`make_app` is handed the control; `told` is called with the address that was bound (port 0 means any)."""
+class HttpEndpoint:
+    """HTTP server of the service; `make_app` makes the application from the control. Port 0 means any free port."""
 
     name = "http"
 
@@ -34,7 +34,7 @@ class HttpDoor:
         self.url = ""
 
     def start(self, control: Control) -> None:
-        """ConfigurationError where the address cannot be had."""
+        """Bind and start the server. Raise ConfigurationError if the address cannot be bound."""
         settings = self._settings
         bound = self._bound()
         port = bound.getsockname()[1]
@@ -46,21 +46,21 @@ class HttpDoor:
             lifespan="off",
             server_header=False,
             proxy_headers=False,
-            limit_concurrency=LARGEST_CONCURRENCY,
-            timeout_graceful_shutdown=GRACE_S,
+            limit_concurrency=MAX_CONCURRENCY,
+            timeout_graceful_shutdown=GRACE_PERIOD_S,
             ssl_certfile=settings.certificate_file,
             ssl_keyfile=settings.key_file,
         )
         server = self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, name="http", daemon=True)
         self._thread.start()
-        address_file.tell(self._directory, self.url)
+        address_file.write_address(self._directory, self.url)
 
     def stop(self) -> None:
-        address_file.withdraw(self._directory)
+        address_file.remove_address(self._directory)
         if self._server is not None and self._thread is not None:
             self._server.should_exit = True
-            self._thread.join(GRACE_S + OPEN_WITHIN_S)
+            self._thread.join(GRACE_PERIOD_S + OPEN_TIMEOUT_S)
 
     @property
     def alive(self) -> bool:
@@ -69,7 +69,9 @@ class HttpDoor:
     def _bound(self) -> socket.socket:
         settings = self._settings
         family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-        listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # asyncio: no delay only if named
+        listening = socket.socket(
+            family, socket.SOCK_STREAM, socket.IPPROTO_TCP
+        )  # asyncio sets TCP_NODELAY only if the protocol is given
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((settings.host, settings.port))
@@ -79,6 +81,6 @@ class HttpDoor:
             raise ConfigurationError(
                 f"cannot listen at {settings.host} port {settings.port}: {error.strerror or error}",
                 key="service.port",
-                hint="choose another port, or see which program has it",
+                hint="choose another port, or stop the program that uses this one",
             ) from error
         return listening

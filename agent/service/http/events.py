@@ -1,4 +1,4 @@
-"""Server-sent events: first the status, then what happens, from where the reader left off."""
+"""Server-sent events: first the status, then the events since the last one that the reader has received."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fastapi import APIRouter, Header
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from agent.service.control import Event
-from agent.service.http.app_state import Site, SiteHere
+from agent.service.http.app_state import AppState, AppStateDependency
 from agent.service.http.problems import DOCUMENTED
 from agent.service.http.queries import status_now
 
@@ -21,19 +21,21 @@ RECONNECT_AFTER_MS = 2000
 
 @router.get("/events", response_class=EventSourceResponse)
 async def events(
-    site: SiteHere, last_event_id: Annotated[str | None, Header()] = None
+    app_state: AppStateDependency, last_event_id: Annotated[str | None, Header()] = None
 ) -> AsyncIterator[ServerSentEvent]:
-    """`status` once at the beginning (and again where events were lost), then every event with its number as id. With
-    `Last-Event-ID` those since that number come first. A comment every 15 s keeps the connection."""
+    """Stream `status` once at the beginning (and again if events were lost), then every event with its number as id.
+
+    With `Last-Event-ID` the events since that number come first. A comment every 15 s keeps the connection alive.
+    """
     known = last_event_id is not None and last_event_id.isdigit()
-    seen = int(last_event_id or 0) if known else site.event_log.last_number
-    yield _status(site)
+    seen = int(last_event_id or 0) if known else app_state.event_log.last_number
+    yield _status(app_state)
     loop, news = asyncio.get_running_loop(), asyncio.Event()
-    with site.event_log.waking(lambda: loop.call_soon_threadsafe(news.set)):
-        while not site.event_log.closed:
-            lost, happened = site.event_log.since(seen)
+    with app_state.event_log.call_on_event(lambda: loop.call_soon_threadsafe(news.set)):
+        while not app_state.event_log.closed:
+            lost, happened = app_state.event_log.since(seen)
             if lost:
-                yield _status(site)
+                yield _status(app_state)
             for event in happened:
                 seen = event.number
                 yield _sent(event)
@@ -42,8 +44,8 @@ async def events(
             news.clear()
 
 
-def _status(site: Site) -> ServerSentEvent:
-    return ServerSentEvent(event="status", data=status_now(site), retry=RECONNECT_AFTER_MS)
+def _status(app_state: AppState) -> ServerSentEvent:
+    return ServerSentEvent(event="status", data=status_now(app_state), retry=RECONNECT_AFTER_MS)
 
 
 def _sent(event: Event) -> ServerSentEvent:

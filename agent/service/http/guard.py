@@ -1,8 +1,8 @@
-"""What every request must pass before it is looked at: who it is addressed to, where it comes from, how large it is.
+"""Checks of every request before it is processed: addressed host, origin and size.
 
-A page of a stranger that is open in the panel's browser can send requests to loopback. It cannot send a token that it
-does not know, and beyond that: a `Host` that is none of ours is DNS rebinding, an `Origin` that is none of ours another
-page's request; both are refused, for reading as well.
+A foreign page open in the panel's browser can send requests to loopback. It does not know the token. In addition, a
+foreign `Host` indicates DNS rebinding and a foreign `Origin` a request of another page; both are refused, for reading
+as well.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from agent.service.http.app_state import SiteHere
-from agent.service.http.problems import Problem, Refused, answer
+from agent.service.http.app_state import AppStateDependency
+from agent.service.http.problems import Problem, RequestRefused, answer
 
-LARGEST_BODY = 64 * 1024
+MAX_BODY_BYTES = 64 * 1024
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]", "::1"})
 
 SECURITY_HEADERS = (
@@ -33,7 +33,7 @@ SECURITY_HEADERS = (
 
 
 class Guard:
-    """ASGI middleware. `names`: those that a browser may reach us by, without the port."""
+    """ASGI middleware. `names`: host names, without port, by which a browser may reach the service."""
 
     def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
         self._app = app
@@ -47,49 +47,59 @@ class Guard:
         if problem is not None:
             await answer(problem)(scope, receive, send)
             return
-        await self._app(scope, _limited(receive), _with_headers(send))
+        await self._app(scope, _limit_body(receive), _with_headers(send))
 
     def _objection(self, headers: Headers) -> Problem | None:
         host = headers.get("host", "")
-        if _name(f"//{host}") not in self._names:
+        if _host_name(f"//{host}") not in self._names:
             return _problem(
-                HTTPStatus.MISDIRECTED_REQUEST, f"this is not {host or 'nobody'}", "name it in `service.host_names`"
+                HTTPStatus.MISDIRECTED_REQUEST,
+                f"host name {host or '(empty)'} is not accepted",
+                "add it to `service.host_names`",
             )
         origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-            return _problem(HTTPStatus.FORBIDDEN, f"requests of a page of {origin} are not taken", "")
+            return _problem(HTTPStatus.FORBIDDEN, f"requests from pages of {origin} are not accepted", "")
         length = headers.get("content-length", "0")
-        if not length.isdigit() or int(length) > LARGEST_BODY:
-            return _problem(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"no more than {LARGEST_BODY} bytes are taken", "")
+        if not length.isdigit() or int(length) > MAX_BODY_BYTES:
+            return _problem(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request is longer than {MAX_BODY_BYTES} bytes", ""
+            )
         return None
 
 
-_BEARER = HTTPBearer(auto_error=False, description="The text of the file of `service.token_file`.")
+_BEARER = HTTPBearer(auto_error=False, description="Content of the file `service.token_file`.")
 
 
-def require_token(site: SiteHere, given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]) -> None:
-    """Dependency of what moves or writes."""
+def require_token(
+    app_state: AppStateDependency, given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]
+) -> None:
+    """Refuse requests without the valid token; dependency of all commands."""
     if given is None:
-        raise Refused(
+        raise RequestRefused(
             HTTPStatus.UNAUTHORIZED,
-            "this needs the token",
-            "send it as `Authorization: Bearer …`; it lies in the file of `service.token_file`",
+            "the token is required",
+            "send it as `Authorization: Bearer …`; it is stored in the file `service.token_file`",
             {"WWW-Authenticate": "Bearer"},
         )
-    if not secrets.compare_digest(given.credentials.encode(), site.token.encode()):
-        raise Refused(HTTPStatus.FORBIDDEN, "the token is wrong", "it lies in the file of `service.token_file`")
+    if not secrets.compare_digest(given.credentials.encode(), app_state.token.encode()):
+        raise RequestRefused(
+            HTTPStatus.FORBIDDEN, "the token is wrong", "it is stored in the file `service.token_file`"
+        )
 
 
-def _limited(receive: Receive) -> Receive:
-    """A body without a stated length is counted as it comes."""
-    seen = 0
+def _limit_body(receive: Receive) -> Receive:
+    """Count the bytes as they arrive, for bodies without a stated length, and refuse those that are too long."""
+    received = 0
 
     async def counted() -> Message:
-        nonlocal seen
+        nonlocal received
         message = await receive()
-        seen += len(message.get("body", b""))
-        if seen > LARGEST_BODY:
-            raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"no more than {LARGEST_BODY} bytes are taken")
+        received += len(message.get("body", b""))
+        if received > MAX_BODY_BYTES:
+            raise RequestRefused(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request is longer than {MAX_BODY_BYTES} bytes"
+            )
         return message
 
     return counted
@@ -108,8 +118,8 @@ def _problem(status: HTTPStatus, detail: str, hint: str) -> Problem:
     return Problem(title=status.phrase, status=status, detail=detail, hint=hint)
 
 
-def _name(address: str) -> str:
-    """The host's name without the port; empty where it is none."""
+def _host_name(address: str) -> str:
+    """Return the host name without the port; empty if there is none."""
     try:
         return (urlsplit(address).hostname or "").lower()
     except ValueError:

@@ -1,4 +1,4 @@
-"""`/metrics` for Prometheus: out of history, and what the service knows at the moment. Behind the guard, no token."""
+"""`/metrics` for Prometheus: from history and the current status. Behind the guard, without token."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fastapi.responses import Response
 from agent.execution.journal_reader import has_journal
 from agent.service.allowed_requests import AT_REST
 from agent.service.control import Status
-from agent.service.http.app_state import Site
+from agent.service.http.app_state import AppState
 from agent.settings.schema import Settings
 
 if TYPE_CHECKING:
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 PATH = "/metrics"
 
 
-def mount_metrics(app: FastAPI, site: Site) -> None:
-    """An `agent.service.http.app.Extension`. A database's client is loaded when somebody scrapes."""
-    known = _Known()
+def mount_metrics(app: FastAPI, app_state: AppState) -> None:
+    """Add the route (an `agent.service.http.app.Extension`). The database client is loaded by the first request."""
+    cache = _MetricsCache()
 
     @app.get(PATH, include_in_schema=False)
     def metrics() -> Response:
         from agent.history.metrics import CONTENT_TYPE  # noqa: PLC0415
 
-        return Response(known.text(site.settings(), site.control.status()), media_type=CONTENT_TYPE)
+        return Response(cache.text(app_state.settings(), app_state.control.status()), media_type=CONTENT_TYPE)
 
 
-class _Known:
-    """Trends are fitted once for the same runs, however often somebody scrapes."""
+class _MetricsCache:
+    """Cache of runs and trends, which are fitted again only if the runs have changed."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -44,21 +44,21 @@ class _Known:
         self._trends: tuple[Trend, ...] = ()
 
     def text(self, settings: Settings, status: Status) -> str:
-        """LinkLost or ConfigurationError where history cannot be read."""
-        from agent.history.database_url import place_of  # noqa: PLC0415
+        """Return the text page. Raise LinkLost or ConfigurationError if history cannot be read."""
+        from agent.history.database_url import database_address  # noqa: PLC0415
         from agent.history.metrics import metrics_text  # noqa: PLC0415
         from agent.history.store import HistoryStore  # noqa: PLC0415
 
-        with self._lock, closing(HistoryStore(place_of(settings))) as store:
-            self._look(settings, store)
-            return metrics_text(store.place.machine, self._runs, self._trends, live(status))
+        with self._lock, closing(HistoryStore(database_address(settings))) as store:
+            self._refresh(settings, store)
+            return metrics_text(store.address.machine, self._runs, self._trends, live_gauges(status))
 
-    def _look(self, settings: Settings, store: HistoryStore) -> None:
+    def _refresh(self, settings: Settings, store: HistoryStore) -> None:
         from agent.execution.run_record import run_ids  # noqa: PLC0415
         from agent.history.overview import trends_of  # noqa: PLC0415
         from agent.history.sync import sync  # noqa: PLC0415
 
-        machine = store.place.machine
+        machine = store.address.machine
         digests = dict(store.digests(machine))
         directory = settings.state_directory
         if has_journal(directory) and not set(run_ids(directory)) <= set(digests):
@@ -71,8 +71,8 @@ class _Known:
             self._key = key
 
 
-def live(status: Status) -> dict[str, float]:
-    """Gauges of this moment."""
+def live_gauges(status: Status) -> dict[str, float]:
+    """Return gauges of the current status."""
     return {
         "run_under_way": float(status.state not in AT_REST),
         "run_fraction": status.fraction,

@@ -1,4 +1,4 @@
-"""What requests carry and what they are answered with, as the OpenAPI document shows it."""
+"""Bodies of requests and responses, as documented in the OpenAPI document."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Body(BaseModel):
 
 
 class StartBody(RunRequest):
-    """`consent`: somebody stands at the machine and has confirmed that it may move. Without it the service decides from
-    permissions, hours and warm-up whether anything begins. None: as the settings say."""
+    """Request of a run. `consent`: a person at the machine has confirmed that it may move; without it the service
+    decides from permissions, hours and warm-up whether the run may start. null: as in the settings."""
 
     source: Literal["page", "command line", "timer"] = "page"
 
@@ -31,14 +31,14 @@ class AbortBody(Body):
 
 
 class AnswerBody(Body):
-    """`number`: of the question that is answered."""
+    """Answer to the question with this `number`."""
 
     number: PositiveInt
     yes: bool
 
 
 class RestoreBody(Body):
-    """A table as `/api/tables` lists it."""
+    """Stored table, as listed by `/api/tables`."""
 
     run_id: str = Field(max_length=40)
     role: Literal["backup", "staged", "restored"] = "backup"
@@ -46,17 +46,17 @@ class RestoreBody(Body):
 
 
 class SettingsBody(Body):
-    """The text of a settings file, to be checked and not kept."""
+    """Text of a settings file to be validated; it is not stored."""
 
     toml: str = Field(max_length=60_000)
 
 
-class RunBegun(BaseModel):
+class RunStarted(BaseModel):
     run_id: str
 
 
-class Done(BaseModel):
-    """The request was taken; what it leads to is told by status and events."""
+class RequestAccepted(BaseModel):
+    """The request was accepted; its effect is reported by status and events."""
 
     taken: Literal[True] = True
 
@@ -75,7 +75,7 @@ class QuestionView(BaseModel):
 
 
 class StatusView(BaseModel):
-    """`agent.service.control.Status`; `event`: number of the last event that it includes."""
+    """Status as in `agent.service.control.Status`; `event`: number of the last event that it includes."""
 
     machine: str
     state: RunState
@@ -102,7 +102,7 @@ class StatusView(BaseModel):
 
 
 class RunSummary(BaseModel):
-    """UTC times; `report`: whether there is one."""
+    """Summary of a run; times in UTC. `report`: true if a report exists."""
 
     run_id: str
     kind: str
@@ -117,7 +117,7 @@ class RunSummary(BaseModel):
 
 
 class RunDetails(RunSummary):
-    """`asked`: by whom and for what; `accepted`: its table is the one that nights are compared with."""
+    """Run with its request (`asked`), gates and decisions. `accepted`: its table is the reference of later nights."""
 
     position_set: str
     asked: dict[str, Any] | None
@@ -127,7 +127,7 @@ class RunDetails(RunSummary):
 
 
 class RunPage(BaseModel):
-    """The latest first; `before`: ask with it for those before, null where there are none."""
+    """Runs, latest first; `before`: parameter for the next page, null if there are no earlier runs."""
 
     runs: list[RunSummary]
     before: str | None
@@ -145,8 +145,8 @@ class TableView(BaseModel):
     shape: list[int] | None
 
 
-class Tables(BaseModel):
-    """`active_bank` and `written_not_active` as the last run read them; `kept`: what can be restored."""
+class TableList(BaseModel):
+    """`active_bank` and `written_not_active` as last read; `kept`: stored tables that can be restored."""
 
     active_bank: int | None
     written_not_active: int | None

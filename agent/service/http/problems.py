@@ -1,4 +1,4 @@
-"""Errors of the one tree as problem documents (RFC 9457): what is wrong, where, what to do; never a traceback."""
+"""Errors as problem documents (RFC 9457) with cause, location and remedy; never a traceback."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STATUS: dict[type[errors.VolcalError], HTTPStatus] = {
 
 
 class Problem(BaseModel):
-    """`title`: the error's class; `code`: its alarm number; `where`: device, step, file, key …"""
+    """Problem document. `title`: error class; `code`: alarm number; `where`: device, step, file, key …"""
 
     title: str
     status: int
@@ -43,8 +43,8 @@ class Problem(BaseModel):
     code: int | None = None
 
 
-class Refused(Exception):
-    """An answer of the door itself, before anybody inside is asked."""
+class RequestRefused(Exception):
+    """Refusal of a request by the HTTP endpoint itself, before it reaches the control."""
 
     def __init__(self, status: HTTPStatus, detail: str, hint: str = "", headers: dict[str, str] | None = None) -> None:
         super().__init__(detail)
@@ -70,27 +70,27 @@ def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONRespo
 
 
 def install(app: FastAPI) -> None:
-    """Every error that a request can end in has its document."""
+    """Install handlers, so that every error of a request is answered with a problem document."""
 
     @app.exception_handler(errors.VolcalError)
-    def of_the_tree(_: Request, error: errors.VolcalError) -> JSONResponse:
+    def volcal_error(_: Request, error: errors.VolcalError) -> JSONResponse:
         return answer(problem_of(error))
 
-    @app.exception_handler(Refused)
-    def of_the_door(_: Request, error: Refused) -> JSONResponse:
+    @app.exception_handler(RequestRefused)
+    def refused_request(_: Request, error: RequestRefused) -> JSONResponse:
         return answer(error.problem, error.headers)
 
     @app.exception_handler(RequestValidationError)
-    def of_the_body(_: Request, error: RequestValidationError) -> JSONResponse:
+    def invalid_request(_: Request, error: RequestValidationError) -> JSONResponse:
         return answer(_first_of(error))
 
     @app.exception_handler(HTTPException)
-    def of_the_framework(_: Request, error: HTTPException) -> JSONResponse:
+    def framework_error(_: Request, error: HTTPException) -> JSONResponse:
         status = HTTPStatus(error.status_code)
         return answer(Problem(title=status.phrase, status=status, detail=str(error.detail)), dict(error.headers or {}))
 
     @app.exception_handler(Exception)
-    def of_ours(_: Request, error: Exception) -> JSONResponse:
+    def defect(_: Request, error: Exception) -> JSONResponse:
         log.error("defect in the service", exc_info=error)
         status = HTTPStatus.INTERNAL_SERVER_ERROR
         detail = f"defect in the service: {type(error).__name__}"
@@ -114,6 +114,6 @@ def _first_of(error: RequestValidationError) -> Problem:
 
 
 DOCUMENTED: dict[int | str, dict[str, Any]] = {
-    "4XX": {"model": Problem, "description": "What is wrong, where, and what to do"}
+    "4XX": {"model": Problem, "description": "Problem document: cause, location and remedy"}
 }
-"""For the routes' `responses`."""
+"""Value for `responses` of the routes."""

@@ -16,7 +16,7 @@ from asyncua.ua.object_ids import ObjectIds
 
 from agent.service.control import Alarm, Control, Event, Status
 from agent.service.opcua.guard import GuardedServer
-from agent.service.opcua.methods import Calls
+from agent.service.opcua.methods import MethodCalls
 from agent.service.opcua.model import (
     ALARM_EVENT,
     EVENT_TYPES,
@@ -33,14 +33,14 @@ from agent.service.opcua.model import (
 )
 
 
-class Space:
+class AddressSpace:
     """Nodes under one root object; used in the server's loop only."""
 
     def __init__(self, server: Server, guarded: GuardedServer, control: Control) -> None:
         self._server = server
         self._guarded = guarded
         self._control = control
-        self._calls = Calls(control)
+        self._calls = MethodCalls(control)
         self._nodes: dict[str, Node] = {}
         self._forms: dict[str, str] = {}
         self._shown: dict[str, Any] = {}
@@ -69,15 +69,15 @@ class Space:
     async def show_outcome(self, event: Event) -> None:
         await self._write(OUTCOME, json.dumps({"text": event.text, **dict(event.data)}, default=str))
 
-    async def tell_state(self, status: Status) -> None:
-        await self._tell(
+    async def send_state_event(self, status: Status) -> None:
+        await self._send_event(
             STATE_EVENT.name, status.doing or status.state.value, PackMLState=status.packml, RunState=status.state.value
         )
 
-    async def tell_alarm(self, alarm: Alarm) -> None:
-        await self._tell(ALARM_EVENT.name, alarm.text, Code=alarm.code, Hint=alarm.hint)
+    async def send_alarm_event(self, alarm: Alarm) -> None:
+        await self._send_event(ALARM_EVENT.name, alarm.text, Code=alarm.code, Hint=alarm.hint)
 
-    async def _tell(self, name: str, message: str, **fields: Any) -> None:
+    async def _send_event(self, name: str, message: str, **fields: Any) -> None:
         generator = self._events[name]
         for field, value in fields.items():
             setattr(generator.event, field, value)

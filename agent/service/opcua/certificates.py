@@ -17,8 +17,8 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from drivers.errors import ConfigurationError
 
-VALID_FOR: Final = timedelta(days=3650)
-CLOCKS_APART: Final = timedelta(days=1)
+VALIDITY: Final = timedelta(days=3650)
+CLOCK_TOLERANCE: Final = timedelta(days=1)
 """A client whose clock is behind must not find the certificate to be of tomorrow."""
 
 
@@ -50,7 +50,7 @@ def own_certificate(directory: Path, application_uri: str, host_name: str, addre
     return own
 
 
-def trusted(certificate: bytes | None, directory: Path) -> bool:
+def is_trusted(certificate: bytes | None, directory: Path) -> bool:
     """Whether exactly this certificate (DER) lies in `directory` and is valid today. The directory is read anew, so
     that a client is let in or shut out without a restart."""
     if certificate is None:
@@ -121,8 +121,8 @@ def _self_signed(key: rsa.RSAPrivateKey, uri: str, host_name: str, address: str)
         .issuer_name(name)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - CLOCKS_APART)
-        .not_valid_after(now + VALID_FOR)
+        .not_valid_before(now - CLOCK_TOLERANCE)
+        .not_valid_after(now + VALIDITY)
         .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(usage, critical=True)

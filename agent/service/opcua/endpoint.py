@@ -18,12 +18,12 @@ from drivers.errors import ConfigurationError
 if TYPE_CHECKING:
     from agent.service.opcua.server import OpcUaServer
 
-OPEN_WITHIN_S: Final = 60.0
-CLOSED_WITHIN_S: Final = 15.0
+OPEN_TIMEOUT_S: Final = 60.0
+CLOSE_TIMEOUT_S: Final = 15.0
 log = structlog.get_logger()
 
 
-class OpcUaDoor:
+class OpcUaEndpoint:
     """The server's loop in one thread. `token`: the service's, which clients send as their password."""
 
     def __init__(self, settings: OpcUaSettings, state_directory: Path, token: str) -> None:
@@ -52,7 +52,7 @@ class OpcUaDoor:
         self._thread = threading.Thread(target=self._run, args=(control, opened), name="opc ua", daemon=True)
         self._thread.start()
         try:
-            opened.result(OPEN_WITHIN_S)
+            opened.result(OPEN_TIMEOUT_S)
         except BaseException:
             self.stop()
             raise
@@ -63,7 +63,7 @@ class OpcUaDoor:
         if self._loop is not None and self._stop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._stop.set)
         if self._thread is not None:
-            self._thread.join(CLOSED_WITHIN_S)
+            self._thread.join(CLOSE_TIMEOUT_S)
         self._thread = self._loop = self._stop = None
 
     def _run(self, control: Control, opened: Future[None]) -> None:
@@ -86,6 +86,6 @@ class OpcUaDoor:
             ) from error
         self.trusted_clients.mkdir(parents=True, exist_ok=True)
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        place = module.Place(self._directory, self.trusted_clients, self._token)
-        server: OpcUaServer = module.OpcUaServer(self._settings, place, control)
+        files = module.ServerFiles(self._directory, self.trusted_clients, self._token)
+        server: OpcUaServer = module.OpcUaServer(self._settings, files, control)
         await server.serve(self._stop, lambda: opened.set_result(None))

@@ -20,20 +20,20 @@ from asyncua.server.internal_session import InternalSession
 from asyncua.server.user_managers import UserManager
 from asyncua.ua.status_codes import StatusCodes
 
-from agent.service.opcua.certificates import trusted
+from agent.service.opcua.certificates import is_trusted
 
-MOST_CONNECTIONS: Final = 20
+MAX_CONNECTIONS: Final = 20
 OPERATOR: Final = "operator"
 ANONYMOUS: Final = "anonymous"
 log = structlog.get_logger()
 
 
-def refused(code: int) -> ua.CallMethodResult:
+def refusal_result(code: int) -> ua.CallMethodResult:
     """The result of a method that was not carried out."""
     return ua.CallMethodResult(StatusCode=ua.StatusCode(ua.UInt32(code)))
 
 
-class Users(UserManager):
+class ClientAuthentication(UserManager):
     """The channel's certificate must be trusted, whoever asks; then token or, if allowed, nothing."""
 
     def __init__(self, token: str, trusted_clients: Path, *, anonymous_reading: bool) -> None:
@@ -49,7 +49,7 @@ class Users(UserManager):
         certificate: bytes | None = None,
     ) -> User | None:
         """`certificate` is that of the secure channel: whoever sends it has proved to have its key."""
-        if not trusted(certificate, self._trusted_clients):
+        if not is_trusted(certificate, self._trusted_clients):
             log.warning("OPC UA client refused", reason="its certificate is not trusted")
             return None
         if username is None:
@@ -77,7 +77,7 @@ class GuardedSession(InternalSession):
         free = self.iserver.free_methods.get(request.MethodId, False)
         if not free and self.user.name != OPERATOR:
             log.warning("OPC UA method refused", user=self.user.name, method=str(request.MethodId))
-            return refused(StatusCodes.BadUserAccessDenied)
+            return refusal_result(StatusCodes.BadUserAccessDenied)
         (result,) = await super().call([request])
         return result
 
@@ -85,10 +85,10 @@ class GuardedSession(InternalSession):
 class GuardedServer(InternalServer):
     """`free_methods`: by a method's id, whether anybody with a session may call it; all others need the token."""
 
-    def __init__(self, users: Users) -> None:
+    def __init__(self, users: ClientAuthentication) -> None:
         super().__init__(user_manager=users)
         self.free_methods: Mapping[ua.NodeId, bool] = {}
-        self.max_connections = MOST_CONNECTIONS
+        self.max_connections = MAX_CONNECTIONS
 
     def create_session(self, name: str, user: User | None = None, external: bool = False) -> InternalSession:
         kind = GuardedSession if external else InternalSession

@@ -14,14 +14,14 @@ from agent.errors import Busy
 from agent.runs.run_request import run_request
 from agent.service.alarms import alarm_of
 from agent.service.control import Alarm, Control
-from agent.service.opcua.guard import refused
+from agent.service.opcua.guard import refusal_result
 from agent.service.opcua.model import METHODS, Argument
 from drivers.errors import InputError, PermissionMissing, UserError, VolcalError
 
 log = structlog.get_logger()
 
 
-class Calls:
+class MethodCalls:
     """The methods by their names, for any thread but that of the server's loop.
 
     `last_refusal`: why the last one that was refused was; OPC UA itself has room for a number only.
@@ -62,7 +62,7 @@ class Calls:
     def _refusal(self, error: Exception) -> ua.CallMethodResult:
         with self._guard:
             self._last_refusal = alarm_of(error)
-        return refused(_status_code(error))
+        return refusal_result(_status_code(error))
 
     def _start(self, kind: str, position_set: str, stations: list[int], slot: float, full: bool, consent: bool) -> str:
         return self._control.start(

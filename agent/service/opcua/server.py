@@ -15,9 +15,9 @@ from asyncua import ua
 from asyncua.server.server import Server
 
 from agent.service.control import Control, Event
-from agent.service.opcua.address_space import Space
+from agent.service.opcua.address_space import AddressSpace
 from agent.service.opcua.certificates import own_certificate
-from agent.service.opcua.guard import GuardedServer, Users
+from agent.service.opcua.guard import ClientAuthentication, GuardedServer
 from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
@@ -27,7 +27,7 @@ log = structlog.get_logger()
 
 
 @dataclass(frozen=True)
-class Place:
+class ServerFiles:
     """Where the server keeps its certificates, and which token opens it."""
 
     directory: Path
@@ -38,9 +38,9 @@ class Place:
 class OpcUaServer:
     """One run of the server. `serve` ends when `stop` is set; `opened` is called once it listens."""
 
-    def __init__(self, settings: OpcUaSettings, place: Place, control: Control) -> None:
+    def __init__(self, settings: OpcUaSettings, files: ServerFiles, control: Control) -> None:
         self._settings = settings
-        self._place = place
+        self._files = files
         self._control = control
 
     async def serve(self, stop: asyncio.Event, opened: Callable[[], None]) -> None:
@@ -53,15 +53,15 @@ class OpcUaServer:
         finally:
             await server.stop()
 
-    async def _open(self) -> tuple[Server, Space]:
-        users = Users(
-            self._place.token, self._place.trusted_clients, anonymous_reading=self._settings.anonymous_reading
+    async def _open(self) -> tuple[Server, AddressSpace]:
+        users = ClientAuthentication(
+            self._files.token, self._files.trusted_clients, anonymous_reading=self._settings.anonymous_reading
         )
         guarded = GuardedServer(users)
         server = Server(iserver=guarded)
         await server.init()
         await self._secure(server)
-        space = Space(server, guarded, self._control)
+        space = AddressSpace(server, guarded, self._control)
         await space.build()
         await space.show(self._control.status())
         try:
@@ -78,7 +78,7 @@ class OpcUaServer:
         """One endpoint, signed and encrypted; without it only the list of endpoints is told."""
         host = socket.gethostname()
         uri = f"urn:{host}:volcal"
-        own = own_certificate(self._place.directory, uri, host, self._settings.host)
+        own = own_certificate(self._files.directory, uri, host, self._settings.host)
         server.set_server_name("volcal")
         server.product_uri, server.manufacturer_name = "urn:volcal", "volcal"
         server.application_type = ua.ApplicationType.Server
@@ -91,15 +91,15 @@ class OpcUaServer:
         tokens: list[type] = [ua.UserNameIdentityToken]
         server.set_identity_tokens([*tokens, ua.AnonymousIdentityToken] if self._settings.anonymous_reading else tokens)
 
-    async def _feed(self, space: Space, events: Queue[Event], stop: asyncio.Event) -> None:
+    async def _feed(self, space: AddressSpace, events: Queue[Event], stop: asyncio.Event) -> None:
         known: tuple[str, tuple[int, ...]] = ("", ())
         while not stop.is_set():
-            for event in await asyncio.to_thread(_waiting, events):
+            for event in await asyncio.to_thread(_waiting_events, events):
                 if event.kind == "outcome":
                     await space.show_outcome(event)
             known = await self._refresh(space, known)
 
-    async def _refresh(self, space: Space, known: tuple[str, tuple[int, ...]]) -> tuple[str, tuple[int, ...]]:
+    async def _refresh(self, space: AddressSpace, known: tuple[str, tuple[int, ...]]) -> tuple[str, tuple[int, ...]]:
         """Nodes first, then the events about them: who hears of a change finds it when it looks."""
         try:
             status = self._control.status()
@@ -109,15 +109,15 @@ class OpcUaServer:
         await space.show(status)
         now = status.state.value, tuple(alarm.code for alarm in status.alarms)
         if now[0] != known[0]:
-            await space.tell_state(status)
+            await space.send_state_event(status)
         if now[1] != known[1]:
             for alarm in status.alarms:
                 if alarm.code not in known[1]:
-                    await space.tell_alarm(alarm)
+                    await space.send_alarm_event(alarm)
         return now
 
 
-def _waiting(events: Queue[Event]) -> list[Event]:
+def _waiting_events(events: Queue[Event]) -> list[Event]:
     """All that wait; waits for the first one, but not long."""
     found: list[Event] = []
     try:

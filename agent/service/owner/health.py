@@ -1,8 +1,8 @@
-"""Health of the run's thread, on which systemd's watchdog depends.
+"""Liveness of the run's thread, which decides whether systemd's watchdog is fed.
 
-Every wait of a driver and every step gives a beat. While something can move, silence is a hang after seconds; while
-the thread computes (preflight, identification, the report of a run that has ended) there are no beats, and silence is a
-hang after minutes. Between runs nothing can hang.
+Every wait of a driver and every step gives a beat. If something can move, missing beats mean a hang after seconds;
+while the thread computes (preflight, identification, writing results after the last state) it gives no beats and is
+allowed minutes. Between runs nothing can hang.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ COMPUTING = frozenset({RunState.PREFLIGHT, RunState.IDENTIFYING})
 
 
 class Health:
-    """Beats of the run's thread. `now`: seconds of a clock that does not depend on the engine."""
+    """Time of the last beat. `now`: seconds of a clock that is independent of the engine."""
 
     def __init__(self, now: Callable[[], float], *, hang_timeout_s: float, computing_s: float) -> None:
         self._now = now
         self._hung_after_s = hang_timeout_s
         self._computing_s = computing_s
         self._last_s = now()
-        self._concludes = False
+        self._concluding = False
 
-    def begins(self) -> None:
-        """Note the begin of a run."""
-        self._concludes = False
+    def begin_run(self) -> None:
+        """Start monitoring a run."""
+        self._concluding = False
         self.beat()
 
-    def concludes(self) -> None:
-        """Note the run's final state: nothing moves any more, its results are being written."""
-        self._concludes = True
+    def begin_conclusion(self) -> None:
+        """Allow the longer time from now on: the run is in its final state, nothing moves, its results are written."""
+        self._concluding = True
         self.beat()
 
     def beat(self) -> None:
@@ -44,5 +44,5 @@ class Health:
     def alive(self, state: RunState) -> bool:
         if state in AT_REST:
             return True
-        allowed = self._computing_s if self._concludes or state in COMPUTING else self._hung_after_s
+        allowed = self._computing_s if self._concluding or state in COMPUTING else self._hung_after_s
         return self.silent_s() <= allowed

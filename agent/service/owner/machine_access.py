@@ -28,19 +28,19 @@ class MachineAccess:
 
     def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
         """Open the machine, read its status, close it again; nothing moves."""
-        with self._opened(settings, base) as rig:
+        with self._opened_rig(settings, base) as rig:
             return rig.machine.status()
 
-    def reconciled(self, settings: Settings, base: Path) -> Reconciliation:
-        """Compare what the last run has left in the controller with its journal, and take an unproved table back.
+    def reconcile(self, settings: Settings, base: Path) -> Reconciliation:
+        """Compare the compensation in the controller with the journal of the last run, and undo an unverified table.
 
         Nothing moves.
         """
-        with self._opened(settings, base) as rig:
+        with self._opened_rig(settings, base) as rig:
             return reconcile(rig, settings.state_directory)
 
     @contextmanager
-    def _opened(self, settings: Settings, base: Path) -> Iterator[Rig]:
+    def _opened_rig(self, settings: Settings, base: Path) -> Iterator[Rig]:
         with closing_clock(self.devices.make_clock(settings.clock)) as clock:
             rig = self.devices.assemble(settings, clock, base)
             rig.open()
@@ -52,7 +52,7 @@ class MachineAccess:
     def devices_for_run(self, clock_settings: ClockSettings, questions: Questions, *, attended: bool) -> Devices:
         """Return the devices of one run: its clock, and the same rig with the endpoints in place of the console.
 
-        The clock is made now. Raises ConfigurationError if it cannot be had.
+        The clock is made now. Raise ConfigurationError if it cannot be created.
         """
         clock = self.devices.make_clock(clock_settings)
 

@@ -37,13 +37,13 @@ log = structlog.get_logger()
 
 
 class Owner:
-    """Implements `Control`."""
+    """Owner of the machine; implements `Control`."""
 
     def __init__(self, settings: Settings, parts: OwnerParts) -> None:
         self.settings = settings
         self._parts = parts
         self._board = parts.board
-        self._questions = Questions(self._board.ask)
+        self._questions = Questions(self._board.show_question)
         self._hooks = RunHooksFactory(parts, self._questions)
         self._changed = threading.Condition(threading.RLock())
         self._running: RunMailbox | None = None
@@ -99,20 +99,20 @@ class Owner:
             self._release()
             raise
         asked = {"source": source, "resumed": True}
-        self._board.begins(origin.run_id, origin.kind.name, source, origin.settings.procedure.position_set)
+        self._board.begin_run(origin.run_id, origin.kind.name, source, origin.settings.procedure.position_set)
         self._launch(running, lambda: self._parts.resume(self.settings.state_directory, hooks, asked=asked))
         return origin.run_id
 
     def hold(self) -> None:
-        self._require(allowed_requests.HOLD, "only what moves can be held")
-        self._on_running(RunMailbox.hold, "hold asked for")
+        self._require(allowed_requests.HOLD, "a run can be held only while it is moving")
+        self._on_running(RunMailbox.hold, "hold requested")
 
     def resume(self) -> None:
-        self._require(allowed_requests.RESUME, "only what is held can be resumed")
-        self._on_running(RunMailbox.resume, "resume asked for")
+        self._require(allowed_requests.RESUME, "only a run that is held can be resumed")
+        self._on_running(RunMailbox.resume, "resume requested")
 
     def abort(self, reason: str) -> None:
-        self._on_running(lambda running: running.abort(reason), f"abort asked for: {reason}")
+        self._on_running(lambda running: running.abort(reason), f"abort requested: {reason}")
 
     def reset(self) -> None:
         with self._changed:
@@ -120,7 +120,7 @@ class Owner:
             if self._board.state in allowed_requests.STICKY:
                 self._parts.journal_state.acknowledge(self._board.status().run_id)
             if self._board.state is not RunState.IDLE:
-                self._board.idle()
+                self._board.reset()
             self.reconcile_if_reached()
 
     def answer(self, number: int, yes: bool) -> None:
@@ -129,16 +129,18 @@ class Owner:
     # ------------------------------------------------------------------ for the service itself
 
     def reload(self, settings: Settings) -> None:
-        """Take `settings` for the next runs. Busy while one is under way."""
+        """Use `settings` for the next runs. Raise Busy while a run is in progress."""
         with self._changed:
             self._require_nothing_runs()
             if settings.state_directory != self.settings.state_directory:
-                raise UserError("`state_directory` changes only with a restart of the service", key="state_directory")
-            self._board.belongs_to(load_machine(settings.machine).name)
+                raise UserError(
+                    "`state_directory` can only be changed by restarting the service", key="state_directory"
+                )
+            self._board.set_machine(load_machine(settings.machine).name)
             self.settings = settings
 
     def close(self, within_s: float) -> bool:
-        """Take no more requests; hold, withdraw and end the run under way. True if it ended in time."""
+        """Accept no more requests; hold, withdraw and end the run in progress. Return True if it ended in time."""
         with self._changed:
             self._closing = True
             if self._running is not None:
@@ -147,34 +149,34 @@ class Owner:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def wait(self, within_s: float) -> bool:
-        """Wait until no run is under way. True if that happened in time."""
+        """Wait until no run is in progress. Return True if that happened in time."""
         with self._changed:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def reconcile(self) -> None:
-        """Compare what the last run has left in the controller with the journal, and take an unproved table back.
+        """Compare the compensation in the controller with the journal of the last run, and undo an unverified table.
 
-        Done at the start and again after an interrupted run. Raises DeviceError if the machine cannot be reached; it is
-        then asked before the next run.
+        Done at the start and again after an interrupted run. Raise DeviceError if the machine cannot be reached; it is
+        then repeated before the next run.
         """
         if not self._reconciled:
-            found = self._parts.machine.reconciled(self.settings, self._parts.config.parent)
+            found = self._parts.machine.reconcile(self.settings, self._parts.config.parent)
             self._reconciled = True
-            self._board.reconciled(found)
+            self._board.show_reconciliation(found)
 
     def reconcile_if_reached(self) -> None:
-        """As `reconcile`, but a machine that is still off is asked before the next run."""
+        """Reconcile as `reconcile`; if the machine is still off, leave it to the next run."""
         try:
             self.reconcile()
         except VolcalError as error:
-            log.warning("what the last run has left in the controller is not known yet", reason=str(error))
+            log.warning("compensation in the controller not checked yet", reason=str(error))
 
     # ------------------------------------------------------------------ starting
 
     def _reserve(self) -> RunMailbox:
         with self._changed:
             if self._closing:
-                raise Busy("the service is being stopped", hint="start it again")
+                raise Busy("the service is being stopped", hint="start the service again")
             self._require_nothing_runs()
             self._require_reset()
             self._running = RunMailbox(new_run_id(), self._parts.health.beat)
@@ -187,7 +189,7 @@ class Owner:
 
     def _require_nothing_runs(self) -> None:
         if self._running is not None:
-            raise Busy(f"run {self._running.run_id} is under way", hint="wait for it or abort it")
+            raise Busy(f"run {self._running.run_id} is in progress", hint="wait until it ends or abort it")
 
     def _require_reset(self) -> None:
         status = self._board.status()
@@ -196,13 +198,13 @@ class Owner:
         cause = status.alarms[0].text if status.alarms else status.doing
         raise PermissionMissing(
             f"run {status.run_id} ended {status.state.value} ({cause})",
-            hint="see to the cause, then reset (`volcal reset`), then start again",
+            hint="remove the cause, reset (`volcal reset`), then start again",
         )
 
     def _not_started(self, request: RunRequest, error: BaseException) -> None:
         self._release()
         if isinstance(error, VolcalError):
-            text = f"{request.kind} asked for by {request.source} was not started: {error.message}"
+            text = f"{request.kind} requested by {request.source} was not started: {error.message}"
             self._parts.event_log.publish("note", text, {"hint": error.hint, "source": request.source})
             log.warning(text, hint=error.hint)
 
@@ -210,18 +212,19 @@ class Owner:
         self, run: RunMailbox, job: Job, kind: Kind, hooks: RunHooks, source: Source, asked: Mapping[str, object]
     ) -> str:
         base = self._parts.config.parent
-        self._board.begins(run.run_id, kind.name, source, job.settings.procedure.position_set)
+        self._board.begin_run(run.run_id, kind.name, source, job.settings.procedure.position_set)
         self._launch(run, lambda: self._parts.carry_out(job, kind, base, hooks, run_id=run.run_id, asked=asked))
         return run.run_id
 
     def _slot_minutes(self, request: RunRequest) -> float | None:
-        """Return the available machine time; None: any. Without consent, raise if nothing may begin now."""
+        """Return the available machine time in min; None for no limit. Raise if a run without consent may not start
+        now."""
         self.reconcile()
         slots = [request.slot_minutes, None if request.consent else self._unattended_minutes()]
         return min((slot for slot in slots if slot is not None), default=None)
 
     def _unattended_minutes(self) -> float | None:
-        """Return the minutes until the permitted hours end, None for any number. Raise if no run may begin now without
+        """Return the minutes until the permitted hours end, None for no limit. Raise if no run may start now without
         consent."""
         service, circumstances = self.settings.service, self._parts.circumstances()
         left = minutes_until_end(circumstances, service.hours)
@@ -235,25 +238,25 @@ class Owner:
         threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True).start()
 
     def _work(self, run_id: str, carry_out: Callable[[], RunResult]) -> None:
-        self._parts.health.begins()
+        self._parts.health.begin_run()
         with structlog.contextvars.bound_contextvars(run_id=run_id):
             try:
                 ended = carry_out()
             except VolcalError as error:
                 self._conclude(_end_of(error), error)
-            except BaseException as defect:  # the machine must be free again, and the defect seen
+            except BaseException as defect:  # the machine must be released and the defect reported
                 log.exception("defect in the agent")
                 self._conclude(RunState.FAULTED, defect)
             else:
-                self._board.ended(ended.outcome)
+                self._board.show_outcome(ended.outcome)
                 self._conclude(ended.outcome.state, ended.error)
-                self._parts.reports.wanted(run_id)
+                self._parts.reports.request(run_id)
 
     def _conclude(self, state: RunState, error: BaseException | None) -> None:
         idle = self._idle_status()
         with self._changed:
             self._board.show_idle(idle)
-            self._parts.scenes.forget()
+            self._parts.live_view.end_run()
             if error is not None:
                 self._board.alarm(alarm_of(error))
             if state in allowed_requests.STICKY:
@@ -267,14 +270,14 @@ class Owner:
     def _idle_status(self) -> IdleStatus:
         try:
             return self._parts.journal_state.idle_status(self.settings, self._parts.config.parent)
-        except Exception:  # these figures are for display only: the machine must be free again without them
-            log.exception("the state in which the machine was left is not known")
+        except Exception:  # these figures are for display only: the machine must be released without them
+            log.exception("state of the machine between runs unknown")
             return IdleStatus()
 
     def _require(self, what: str, why: str) -> None:
         status = self._board.status()
         if what not in status.may:
-            raise UserError(f"{what} makes no sense now: the state is {status.state.value}", hint=why)
+            raise UserError(f"{what} is not allowed in state {status.state.value}", hint=why)
 
     def _on_running(self, action: Callable[[RunMailbox], None], text: str) -> None:
         with self._changed:
@@ -285,5 +288,5 @@ class Owner:
 
 
 def _end_of(error: VolcalError) -> RunState:
-    """Return the final state of a run that never began: nothing has moved."""
+    """Return the final state of a run that failed before it started: nothing has moved."""
     return RunState.REFUSED if isinstance(error, (PlanRefused, UserError)) else RunState.FAULTED

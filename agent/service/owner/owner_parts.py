@@ -1,4 +1,4 @@
-"""Parts that the owner of the machine works with; each can be replaced."""
+"""Components of the owner of the machine; each can be replaced."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from agent.service.owner.machine_access import MachineAccess
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.event_log import EventLog
 from agent.service.state.journal_state import JournalState
-from agent.service.state.live_view import Scenes
-from agent.service.state.reports import Reports
+from agent.service.state.live_view import LiveView
+from agent.service.state.reports import ReportQueue
 from agent.service.state.status_board import StatusBoard
 from drivers.clock import RealClock
 from twin.units import S_PER_MIN
 
 
-def here_and_now() -> Circumstances:
+def current_circumstances() -> Circumstances:
     """Return the current circumstances. The monotonic clock of Linux starts when the computer is switched on."""
     return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
 
 
 @dataclass(frozen=True)
 class OwnerParts:
-    """Parts of the owner. `config`: the settings file, for messages and relative paths; `carry_out`, `resume`: as in
-    `agent.runs.session` and `agent.runs.resume.resume`."""
+    """Components of the owner. `config`: the settings file, for messages and relative paths; `carry_out`, `resume`: as
+    in `agent.runs.session` and `agent.runs.resume.resume`."""
 
     config: Path
     event_log: EventLog
@@ -38,9 +38,9 @@ class OwnerParts:
     health: Health
     ownership: Ownership
     journal_state: JournalState
-    reports: Reports
-    scenes: Scenes = field(default_factory=Scenes)
+    reports: ReportQueue
+    live_view: LiveView = field(default_factory=LiveView)
     machine: MachineAccess = field(default_factory=MachineAccess)
     carry_out: Callable[..., RunResult] = carry_out
     resume: Callable[..., RunResult] = resume
-    circumstances: Callable[[], Circumstances] = here_and_now
+    circumstances: Callable[[], Circumstances] = current_circumstances

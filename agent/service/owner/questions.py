@@ -1,4 +1,4 @@
-"""Questions of a run to the operator: each goes to every endpoint, and the first answer counts."""
+"""Questions of a run to the operator: shown at every endpoint, the first answer counts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ POLL_S = 0.1
 
 
 class Questions:
-    """Open question of the run; at most one, since there is one run."""
+    """Questions of the run in progress; at most one is open."""
 
     def __init__(self, changed: Callable[[Question | None, str], None]) -> None:
         self._changed = changed
@@ -29,7 +29,7 @@ class Questions:
     def open(self) -> Question | None:
         return self._open
 
-    def put(self, text: str, station: int | None) -> Question:
+    def ask(self, text: str, station: int | None) -> Question:
         with self._lock:
             self._number += 1
             question = self._open = Question(self._number, text, station)
@@ -38,17 +38,17 @@ class Questions:
         return question
 
     def answer(self, number: int, yes: bool) -> None:
-        """Answer the open question. UserError if `number` is not the open question, or has been answered."""
+        """Answer question `number`. Raise UserError if it is not open or has been answered already."""
         with self._lock:
             question = self._open
             if question is None or question.number != number:
-                now = "none is open" if question is None else f"open is number {question.number}"
-                raise UserError(f"there is no open question {number}", hint=f"{now}; see `volcal status`")
+                now = "no question is open" if question is None else f"the open question has number {question.number}"
+                raise UserError(f"question {number} is not open", hint=f"{now}; see `volcal status`")
             if self._answer is not None:
-                raise UserError(f"question {number} has been answered already")
+                raise UserError(f"question {number} has already been answered")
             self._answer = yes
 
-    def answered(self) -> bool | None:
+    def given_answer(self) -> bool | None:
         return self._answer
 
     def close(self, outcome: str) -> None:
@@ -59,9 +59,9 @@ class Questions:
 
 @dataclass(frozen=True)
 class ServiceOperator:
-    """Operator at the endpoints. It waits on the run's own clock, so that hold and abort are noticed.
+    """Implementation of the role Operator. It waits on the run's own clock, so that hold and abort take effect.
 
-    `attended`: a person at the machine has consented to the start; otherwise nobody could answer.
+    `attended`: a person at the machine has consented to the start and can answer.
     """
 
     questions: Questions
@@ -70,20 +70,20 @@ class ServiceOperator:
     attended: bool
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Return the answer. PermissionMissing if the run is unattended, or nobody answers in time."""
+        """Return the answer. Raise PermissionMissing if the run is unattended or no answer comes in time."""
         if not self.attended:
             raise PermissionMissing(
-                f"nobody can be asked: {request.text}",
-                hint="the run was started without consent; start it with somebody at the machine",
+                f"no operator is present to answer: {request.text}",
+                hint="the run was started without consent; start it with an operator at the machine",
             )
         deadline = Deadline.after(self.clock, self.within_minutes * S_PER_MIN)
-        self.questions.put(request.text, request.station)
+        self.questions.ask(request.text, request.station)
         outcome = "not answered"
         try:
-            while (answer := self.questions.answered()) is None:
+            while (answer := self.questions.given_answer()) is None:
                 if deadline.expired:
                     raise PermissionMissing(
-                        f"nobody answered within {self.within_minutes:g} min: {request.text}",
+                        f"no answer within {self.within_minutes:g} min: {request.text}",
                         hint="see `service.answer_timeout_minutes`",
                     )
                 self.clock.sleep(POLL_S)

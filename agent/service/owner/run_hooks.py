@@ -1,4 +1,4 @@
-"""Hooks of the service into its runs, and the time that a run has."""
+"""Hooks of the service into its runs, and the limit on their machine time."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from agent.service.allowed_requests import AT_REST
 from agent.service.owner.owner_parts import OwnerParts
 from agent.service.owner.questions import Questions
 from agent.service.owner.run_mailbox import RunMailbox
-from agent.service.state.reports import none_yet
+from agent.service.state.reports import no_report_yet
 from agent.settings.schema import ClockSettings, NightlySettings
 
 
 @dataclass(frozen=True)
 class RunHooksFactory:
-    """Makes the hooks of a run: the status board hears it, the watchdog sees it, its slot limits it, and its questions
-    go to the endpoints."""
+    """Factory of the hooks that connect a run to status board, watchdog, time slot and the questions at the
+    endpoints."""
 
     parts: OwnerParts
     questions: Questions
@@ -33,46 +33,46 @@ class RunHooksFactory:
     def hooks(
         self, run: RunMailbox, clock: ClockSettings, *, attended: bool, slot_minutes: float | None = None
     ) -> RunHooks:
-        """Return the hooks of `run`. `attended`: a person can answer questions; `slot_minutes` of machine time, None:
-        any. Raises ConfigurationError if the clock cannot be had."""
+        """Return the hooks of `run`. `attended`: a person can answer questions; `slot_minutes`: limit on machine time,
+        None for no limit. Raise ConfigurationError if the clock cannot be created."""
         parts = self.parts
 
         def preflight_passed(job: Job, preflight: PreflightResult) -> None:
-            parts.scenes.preflight_passed(run.run_id, job, preflight)
+            parts.live_view.preflight_passed(run.run_id, job, preflight)
             require_within(preflight, slot_minutes)
 
         return RunHooks(
-            announce=self._hear,
+            announce=self._announce,
             attach=run.attach,
             observe=self._observe,
             preflight_passed=preflight_passed,
             lock=parts.ownership.for_run,
             devices=parts.machine.devices_for_run(clock, self.questions, attended=attended),
-            reports=none_yet,
+            reports=no_report_yet,
         )
 
-    def _hear(self, announcement: Announcement) -> None:
+    def _announce(self, announcement: Announcement) -> None:
         if announcement.kind == "state" and RunState(announcement.data["state"]) in AT_REST:
-            self.parts.health.concludes()
-        self.parts.board.hear(announcement)
+            self.parts.health.begin_conclusion()
+        self.parts.board.on_announcement(announcement)
 
     def _observe(self, step: Step, result: object) -> None:
         self.parts.health.beat()
         structlog.contextvars.bind_contextvars(step=step.key)
-        self.parts.board.see(step, result)
+        self.parts.board.on_step(step, result)
 
 
 def require_within(preflight: PreflightResult, slot_minutes: float | None) -> None:
-    """Raise PlanRefused if the run takes longer than the time available; None: any time."""
+    """Raise PlanRefused if the run takes longer than the time available (None: no limit)."""
     needed = preflight.machine_minutes
     if slot_minutes is not None and needed > slot_minutes:
         raise PlanRefused(
-            f"the run takes {needed:.0f} min of machine time, there are {slot_minutes:.0f}",
-            hint="give it a longer slot, fewer stations or a smaller position set",
+            f"the run takes {needed:.0f} min of machine time, {slot_minutes:.0f} min are available",
+            hint="use a longer slot, fewer stations or a smaller position set",
         )
 
 
 def night_slot(request: RunRequest, nightly: NightlySettings, available_minutes: float | None) -> float:
-    """Return the minutes of a night: as asked for, otherwise as the settings say, and no more than are available."""
+    """Return the minutes of a night: as requested or else as set in the settings, limited to those available."""
     slot = nightly.slot_minutes if request.slot_minutes is None else request.slot_minutes
     return slot if available_minutes is None else min(slot, available_minutes)

@@ -1,4 +1,4 @@
-"""Mailbox of one run of the service: requests to it, from the moment it is reserved until it has ended."""
+"""Mailbox of one run of the service: requests to it from its reservation to its end."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from agent.execution.supervisor import Supervisor
 
 
 class RunMailbox:
-    """Requests to one run. Those made before its supervisor exists are handed over when it does."""
+    """Requests to one run; those made before its supervisor exists are delivered when it is attached."""
 
     def __init__(self, run_id: str, alive: Callable[[], None]) -> None:
         self.run_id = run_id
         self._alive = alive
         self._lock = threading.Lock()
         self._supervisor: Supervisor | None = None
-        self._wanted: Callable[[Supervisor], None] | None = None
+        self._end_request: Callable[[Supervisor], None] | None = None
 
     def attach(self, supervisor: Supervisor) -> None:
         """Connect the run's supervisor; the hook `agent.runs.run_context.RunHooks.attach`."""
         with self._lock:
             supervisor.heartbeat = self._alive
             self._supervisor = supervisor
-            if self._wanted is not None:
-                self._wanted(supervisor)
+            if self._end_request is not None:
+                self._end_request(supervisor)
 
     def abort(self, reason: str) -> None:
-        """Abort the run. The first reason stays."""
+        """Abort the run. The first reason is retained."""
         self._end(lambda supervisor: supervisor.request_abort(reason))
 
     def interrupt(self, reason: str) -> None:
-        """Interrupt the run because the service must end; it can be resumed. The first reason stays."""
+        """Interrupt the run because the service must stop; it can be resumed. The first reason is retained."""
         self._end(lambda supervisor: supervisor.request_interruption(reason))
 
-    def _end(self, wanted: Callable[[Supervisor], None]) -> None:
+    def _end(self, end_request: Callable[[Supervisor], None]) -> None:
         with self._lock:
-            self._wanted = self._wanted or wanted
+            self._end_request = self._end_request or end_request
             if self._supervisor is not None:
-                self._wanted(self._supervisor)
+                self._end_request(self._supervisor)
 
     def hold(self) -> None:
         with self._lock:

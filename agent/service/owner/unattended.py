@@ -1,7 +1,7 @@
-"""Conditions for a run to which nobody at the machine has consented: hour, warm-up, permissions.
+"""Conditions for starting a run without consent of a person at the machine: hour, warm-up, permissions.
 
-A timer only asks. Its request is refused at the wrong hour, on a machine that has just been switched on, or on one that
-does not permit motion. Nothing has moved then, and a refusal is not a fault, so the next night is not lost.
+A timer only sends requests. A request at the wrong hour, on a machine that has just been switched on, or on one that
+does not permit motion is refused before anything moves; this is not a fault, so the next night is not affected.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MINUTES_A_DAY = 1440.0
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Circumstances of a request. `now`: local time; `up_minutes` since the computer at the machine was switched on."""
+    """Time of a start: `now` in local time; `up_minutes` since the computer at the machine was switched on."""
 
     now: datetime
     up_minutes: float
@@ -30,22 +30,22 @@ def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
     missing = warm_up_minutes - circumstances.up_minutes
     if missing > 0.0:
         raise GateRefused(
-            f"the machine has been on for {circumstances.up_minutes:.0f} min, it warms up for {warm_up_minutes:g}",
-            hint=f"ask again in {missing:.0f} min, or start it by hand with consent",
+            f"the machine has been on for {circumstances.up_minutes:.0f} min; warm-up takes {warm_up_minutes:g} min",
+            hint=f"try again in {missing:.0f} min, or start manually with consent",
             key="service.warm_up_minutes",
         )
 
 
 def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> float | None:
-    """Return the minutes left of the permitted hours; None if none are set. GateRefused outside of them."""
+    """Return the minutes left of the permitted hours; None if none are set. Raise GateRefused outside of them."""
     if not hours:
         return None
     now = 60.0 * circumstances.now.hour + circumstances.now.minute + circumstances.now.second / 60.0
     left = [span - since for begins, span in map(_span, hours) if (since := (now - begins) % MINUTES_A_DAY) < span]
     if not left:
         raise GateRefused(
-            f"it is {circumstances.now:%H:%M}, and no run may begin without consent outside {', '.join(hours)}",
-            hint="start it by hand with consent, or change the hours",
+            f"it is {circumstances.now:%H:%M}; unattended runs may start only within {', '.join(hours)}",
+            hint="start manually with consent, or change the permitted hours",
             key="service.hours",
         )
     return max(left)
@@ -54,13 +54,13 @@ def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> flo
 def require_permission(status: MachineStatus) -> None:
     """Raise PermissionMissing if the controller does not permit motion."""
     if status.state is MotionState.FAULT:
-        raise PermissionMissing(f"the machine is in fault: {status.fault}", hint="clear it at the machine")
+        raise PermissionMissing(f"the machine has a fault: {status.fault}", hint="clear the fault at the machine")
     if status.missing:
         names = ", ".join(permission.value for permission in status.missing)
         raise PermissionMissing(f"the machine does not permit motion; missing: {names}", hint="nothing was moved")
 
 
 def _span(text: str) -> tuple[float, float]:
-    """Return begin and length of a span in minutes; equal ends mean the whole day."""
+    """Return begin and length in minutes; equal times mean the whole day."""
     begins, ends = (60.0 * int(t[:2]) + int(t[3:]) for t in text.split("-"))
     return begins, (ends - begins) % MINUTES_A_DAY or MINUTES_A_DAY

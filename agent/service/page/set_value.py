@@ -18,23 +18,23 @@ from twin.machine.volumetric import evaluation_grid
 Document = dict[str, Any]
 
 
-class Worths:
+class SetValueCache:
     """Any thread may ask; the last set is kept."""
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._kept: tuple[str, Document] | None = None
+        self._cached: tuple[str, Document] | None = None
 
     def document(self, job: Job) -> Document:
         """ConfigurationError where nothing of the set is within reach."""
         key = job.settings.model_dump_json()
         with self._lock:
-            if self._kept is None or self._kept[0] != key:
-                self._kept = (key, worth_of(job))
-            return self._kept[1]
+            if self._cached is None or self._cached[0] != key:
+                self._cached = (key, set_value_document(job))
+            return self._cached[1]
 
 
-def worth_of(job: Job) -> Document:
+def set_value_document(job: Job) -> Document:
     """µm, rigidly aligned: what is to be expected of the machine's family before and after the set, and `lost_um` for
     each position: by how much the latter would grow without it."""
     with translated(ConfigurationError, key="procedure.position_set"):
@@ -57,21 +57,21 @@ def worth_of(job: Job) -> Document:
         "after_um": after_um,
         "percent": worth.percent,
         "positions": [_position(candidates, index, after_um) for index in everything],
-        "held_out": [_place(position) for position in job.held_out],
-        "out_of_reach": [_place(p) for p in dict.fromkeys(job.positions) if p not in candidates.positions],
+        "held_out": [_position_fields(position) for position in job.held_out],
+        "out_of_reach": [_position_fields(p) for p in dict.fromkeys(job.positions) if p not in candidates.positions],
     }
 
 
 def _position(candidates: CandidatePositions, index: int, after_um: float) -> Document:
     others = [other for other in range(candidates.count) if other != index]
     return {
-        **_place(candidates.positions[index]),
+        **_position_fields(candidates.positions[index]),
         "balls": int(candidates.balls[index]),
         "lost_um": candidates.vce(others).aligned_um - after_um,
     }
 
 
-def _place(position: Position) -> Document:
+def _position_fields(position: Position) -> Document:
     return {
         "station": position.station,
         "azimuth_deg": position.azimuth_deg,

@@ -10,7 +10,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
-from agent.service.http.app_state import Site
+from agent.service.http.app_state import AppState
 from agent.service.page.endpoints import page_router
 
 CONTENT_SECURITY_POLICY = "; ".join(
@@ -29,7 +29,7 @@ CONTENT_SECURITY_POLICY = "; ".join(
 """No script or style stands inside the document, and nothing is fetched from anywhere else."""
 
 
-def mount_page(app: FastAPI, _: Site) -> None:
+def mount_page(app: FastAPI, _: AppState) -> None:
     """`/`, `/assets/…`, `/drawing/…` and `/api/page/…`. Versions are not in the names, so browsers ask every time."""
     own, drawing = _directory("agent.service.page") / "assets", _directory("agent.planning.preview")
     scripts = {path.name: path for path in drawing.glob("*.js")}

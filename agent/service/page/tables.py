@@ -25,7 +25,7 @@ def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role
     return format_table(table_of(image, tool_offset_mm))
 
 
-def difference(one: TableImage | None, other: TableImage | None) -> Document:
+def table_difference(one: TableImage | None, other: TableImage | None) -> Document:
     """`other` less `one` in µm at the nodes of either: per axis the largest difference with its place, and the rms.
 
     No compensation counts as zero. InputError for two tables on different grids.

@@ -9,7 +9,7 @@ from typing import Any
 
 from agent.execution.journal_reader import has_journal
 from agent.execution.run_record import run_ids
-from agent.history.database_url import place_of
+from agent.history.database_url import database_address
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.schema import StoredRun
 from agent.history.series import Series, all_series
@@ -21,29 +21,29 @@ from agent.settings.schema import Settings
 Document = dict[str, Any]
 
 
-class Trends:
+class TrendCache:
     """Any thread may ask; the same runs give the same trends, so they are computed once."""
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._kept: dict[str | None, tuple[object, Document]] = {}
+        self._cached: dict[str | None, tuple[object, Document]] = {}
 
     def document(self, settings: Settings, of: str | None) -> Document:
         """LinkLost or ConfigurationError where history cannot be read."""
-        with closing(HistoryStore(place_of(settings))) as store:
-            digests = dict(store.digests(store.place.machine))
+        with closing(HistoryStore(database_address(settings))) as store:
+            digests = dict(store.digests(store.address.machine))
             if has_journal(settings.state_directory) and not set(run_ids(settings.state_directory)) <= set(digests):
                 sync(settings.state_directory, store)
-                digests = dict(store.digests(store.place.machine))
+                digests = dict(store.digests(store.address.machine))
             key = (settings.history.model_dump_json(), tuple(sorted(digests.items())))
             with self._lock:
-                if of not in self._kept or self._kept[of][0] != key:
-                    self._kept[of] = (key, _document(store.runs(store.place.machine), settings, of))
-                return self._kept[of][1]
+                if of not in self._cached or self._cached[of][0] != key:
+                    self._cached[of] = (key, _document(store.runs(store.address.machine), settings, of))
+                return self._cached[of][1]
 
 
 def _document(runs: Sequence[StoredRun], settings: Settings, of: str | None) -> Document:
-    chosen = [series for series in all_series(runs, settings.history) if _wanted(series, of)]
+    chosen = [series for series in all_series(runs, settings.history) if _is_selected(series, of)]
     trends = [trend_of(series, settings.history.warn_nights) for series in chosen]
     return {
         "trends": [_trend(trend) for trend in trends],
@@ -52,7 +52,7 @@ def _document(runs: Sequence[StoredRun], settings: Settings, of: str | None) -> 
     }
 
 
-def _wanted(series: Series, of: str | None) -> bool:
+def _is_selected(series: Series, of: str | None) -> bool:
     """Whole errors have no bracket in their name; each parameter of one has."""
     if of is None:
         return series.name in VOLUMETRIC or "[" not in series.name

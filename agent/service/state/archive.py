@@ -18,12 +18,13 @@ Document = dict[str, Any]
 
 
 class UnknownRun(InputError):
-    """The journal has no run of that identity, or the run has no such document."""
+    """The journal has no run with this identity, or the run has no such document."""
 
 
 @dataclass(frozen=True)
 class Archive:
-    """`directory`: the state directory; `reports` finds or makes the file of a report."""
+    """Runs, balls, events and tables of the journal in the state directory `directory`; `reports` returns the path of a
+    report, rendered if necessary."""
 
     directory: Path
     reports: Callable[[str], Path]
@@ -79,7 +80,7 @@ class Archive:
         with self._reading() as reader:
             text = reader.last_estimate(_run(reader, run_id).run)
         if text is None:
-            raise UnknownRun(f"run {run_id} has no estimate", hint="it ended before its errors were identified")
+            raise UnknownRun(f"run {run_id} has no estimate", hint="the run ended before the errors were identified")
         document: Document = json.loads(text)
         return document
 
@@ -88,7 +89,7 @@ class Archive:
         with self._reading() as reader:
             ended = _run(reader, run_id).ended
         if ended is None:
-            raise UnknownRun(f"run {run_id} has no report yet", hint="it has not ended")
+            raise UnknownRun(f"run {run_id} has no report yet", hint="the run has not ended")
         return self.reports(run_id)
 
     def tables(self, limit: int) -> list[Document]:
@@ -125,7 +126,7 @@ def _run(reader: JournalReader, run_id: str) -> RunRow:
 
 
 def _table(row: TableRow) -> Document:
-    """An empty bank has neither grid nor checksum."""
+    """Return a stored table; an empty bank has neither grid nor checksum."""
     return {
         "run_id": row.run_id,
         "at": row.at,

@@ -1,4 +1,4 @@
-"""Everything that happens, numbered without gaps, for whoever listens: a ring of the latest events, and queues."""
+"""Events of the service, numbered without gaps: a ring of the latest ones, and queues of subscribers."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from typing import Any
 from agent.execution.encoding import to_json
 from agent.service.control import Event
 
-KEPT = 2000
-"""A full calibration makes some 400 events; so a page that was away for a whole run still gets all of it."""
-QUEUED = 1000
+MOST_EVENTS = 2000
+"""A full calibration makes some 400 events; so a page that was disconnected for a whole run still gets all of it."""
+MOST_QUEUED = 1000
 
 
 class EventLog:
-    """Any thread may publish and read."""
+    """Event log; any thread may publish and read."""
 
-    def __init__(self, kept: int = KEPT, queued: int = QUEUED) -> None:
-        self._ring: deque[Event] = deque(maxlen=kept)
-        self._queued = queued
+    def __init__(self, retained: int = MOST_EVENTS, queue_limit: int = MOST_QUEUED) -> None:
+        self._ring: deque[Event] = deque(maxlen=retained)
+        self._queue_limit = queue_limit
         self._queues: list[Queue[Event]] = []
-        self._wakers: list[Callable[[], object]] = []
+        self._callbacks: list[Callable[[], object]] = []
         self._number = 0
         self._lock = threading.Lock()
         self.closed = False
 
     def close(self) -> None:
-        """Whoever follows is woken and sees that nothing more comes."""
+        """Close the log and wake all readers, which then see `closed`."""
         self.closed = True
         with self._lock:
-            wakers = tuple(self._wakers)
-        for wake in wakers:
-            wake()
+            callbacks = tuple(self._callbacks)
+        for callback in callbacks:
+            callback()
 
     def publish(self, kind: str, text: str, data: Mapping[str, Any] | None = None) -> Event:
-        """`data` becomes what JSON can say, as the journal has it."""
+        """Append an event and return it; `data` is converted to JSON values as in the journal."""
         plain = json.loads(to_json(data or {}))
         with self._lock:
             self._number += 1
             event = Event(self._number, kind, text, plain)
             self._ring.append(event)
             for queue in self._queues:
-                _put(queue, event, self._queued)
-            wakers = tuple(self._wakers)
-        for wake in wakers:
-            wake()
+                _put(queue, event, self._queue_limit)
+            callbacks = tuple(self._callbacks)
+        for callback in callbacks:
+            callback()
         return event
 
     @property
@@ -58,8 +58,8 @@ class EventLog:
             return self._number
 
     def since(self, number: int) -> tuple[bool, tuple[Event, ...]]:
-        """Events after `number`, and whether some of them are no longer kept (or `number` is of another life of the
-        service): then whoever asks must look at the status again."""
+        """Return (lost, events after `number`). `lost`: some of them are no longer retained, or `number` dates from
+        before a restart of the service; the reader must then fetch the status again."""
         with self._lock:
             first = self._ring[0].number if self._ring else self._number + 1
             lost = number > self._number or number + 1 < first
@@ -67,7 +67,7 @@ class EventLog:
 
     @contextmanager
     def subscribe(self) -> Iterator[Queue[Event]]:
-        """A queue of the events from now on."""
+        """Provide a queue of the events from now on."""
         queue: Queue[Event] = Queue()
         with self._lock:
             self._queues.append(queue)
@@ -78,19 +78,19 @@ class EventLog:
                 self._queues.remove(queue)
 
     @contextmanager
-    def waking(self, wake: Callable[[], object]) -> Iterator[None]:
-        """`wake` is called, on the publisher's thread, after every event; it must return at once."""
+    def call_on_event(self, callback: Callable[[], object]) -> Iterator[None]:
+        """Call `callback` after every event, on the publisher's thread; it must return at once."""
         with self._lock:
-            self._wakers.append(wake)
+            self._callbacks.append(callback)
         try:
             yield
         finally:
             with self._lock:
-                self._wakers.remove(wake)
+                self._callbacks.remove(callback)
 
 
 def _put(queue: Queue[Event], event: Event, limit: int) -> None:
-    """Of a queue that nobody empties the oldest progress goes first, then the oldest of all."""
+    """Append an event; a full queue first drops its oldest progress event, otherwise its oldest event."""
     with queue.mutex:
         waiting = queue.queue
         if len(waiting) >= limit:

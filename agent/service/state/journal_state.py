@@ -54,16 +54,16 @@ class JournalState:
                 return None
         state = RunState(run.state)
         if state in STICKY:
-            alarm = Alarm(FAULT_CODE, run.reason or state.value, "see to it, then reset")
+            alarm = Alarm(FAULT_CODE, run.reason or state.value, "remove the cause, then reset")
             return UnacknowledgedEnd(state, run.run_id, run.kind, alarm)
         if state in FINAL or state is RunState.WRITTEN:
             return None
         text = f"run {run.run_id} was interrupted while {state.value}"
-        hint = "check the machine: nothing is known of what happened since; then reset"
+        hint = "check the machine, since nothing was recorded after that; then reset"
         return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, Alarm(INTERRUPTED_CODE, text, hint))
 
     def acknowledge(self, run_id: str | None) -> None:
-        """Acknowledge the end of a run; durable when it returns. Raise JournalFailed if it cannot be written."""
+        """Acknowledge the end of a run durably. Raise JournalFailed if that cannot be written."""
         if run_id is None or not has_journal(self.directory):
             return
         journal = Journal(self.directory)
@@ -78,7 +78,7 @@ class JournalState:
             active_bank, unfinished = self._active_bank(), unfinished_run(self.directory)
             before_um, now_um = _volumetric_errors(settings, base)
         except VolcalError as error:
-            log.warning("the state in which the machine was left is not known", error=str(error))
+            log.warning("state of the machine between runs unknown", error=str(error))
             return IdleStatus()
         return IdleStatus(
             ve_before_um=before_um,
@@ -96,8 +96,10 @@ class JournalState:
 
 
 def _acknowledged(reader: JournalReader, run: int) -> bool:
-    """A reset stores the event "acknowledged" with the run, so that a fault stays one over a restart of the service. A
-    resumed run enters states after it, and a fault in which it then ends is a fault of its own."""
+    """Return True if a reset has acknowledged the end of the run.
+
+    A reset stores the event "acknowledged" with the run, so that an unacknowledged fault survives a restart of the
+    service. A resumed run enters states after it, so a later fault of the same run must be acknowledged again."""
     return reader.last_event_number(run, "acknowledged") > reader.last_event_number(run, "state")
 
 

@@ -25,38 +25,38 @@ from twin.collision.geometry import point, translate_point
 Document = dict[str, Any]
 
 
-class Scenes:
-    """Any thread may ask; what is computed is computed once."""
+class LiveView:
+    """Document of the live view, computed once per plan; safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._current: tuple[str, Job, PreflightResult] | None = None
-        self._kept: tuple[tuple[object, ...], Document] | None = None
+        self._cached: tuple[tuple[object, ...], Document] | None = None
 
     def preflight_passed(self, run_id: str, job: Job, preflight: PreflightResult) -> None:
         """Show the run `run_id`, whose preflight has passed."""
         self._current = (run_id, job, preflight)
 
-    def forget(self) -> None:
-        """The run is over: what comes next is the plan of the settings again."""
+    def end_run(self) -> None:
+        """Return to the plan of the settings after the end of the run."""
         self._current = None
 
     def plan(self, settings: Settings, base: Path) -> Document:
-        """Of the run under way, else of the next one. `run_id` is null for the latter."""
+        """Return the plan of the run in progress, otherwise of the next one (`run_id` is then null)."""
         current = self._current
         run_id = None if current is None else current[0]
         key = (run_id, None if run_id else settings.model_dump_json())
         with self._lock:
-            if self._kept is None or self._kept[0] != key:
-                self._kept = (
+            if self._cached is None or self._cached[0] != key:
+                self._cached = (
                     key,
-                    _of_run(*current[1:]) if current else document(preview_of(prepare_job(settings, base))),
+                    _document_of_run(*current[1:]) if current else document(preview_of(prepare_job(settings, base))),
                 )
-            return {"run_id": run_id, **self._kept[1]}
+            return {"run_id": run_id, **self._cached[1]}
 
 
 def machine_facts(job: Job) -> Document:
-    """Limits, tool and stations, for who draws or chooses."""
+    """Return limits, tool, stations and position set, for drawing and for the start dialog."""
     machine, settings = job.machine, job.settings
     return {
         "machine": machine.name,
@@ -77,7 +77,7 @@ def machine_facts(job: Job) -> Document:
     }
 
 
-def _of_run(job: Job, preflight: PreflightResult) -> Document:
+def _document_of_run(job: Job, preflight: PreflightResult) -> Document:
     waypoints = tuple(_waypoints(job, preflight.steps, preflight.timeline))
     return document(preview_of(job, waypoints=waypoints))
 

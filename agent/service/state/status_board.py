@@ -1,4 +1,4 @@
-"""What there is to see of the machine now, put together from what the run announces and does."""
+"""Status of the machine, assembled from the announcements and steps of the run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from agent.results.run_outcome import Outcome
 from agent.runs.reconcile_result import Reconciliation
 from agent.runs.run_request import Source
 from agent.service.alarms import alarm_of
-from agent.service.allowed_requests import AT_REST, may
+from agent.service.allowed_requests import AT_REST, allowed_in
 from agent.service.control import Alarm, Question, Status
 from agent.service.state.event_log import EventLog
 from agent.service.state.status_text import doing
@@ -27,7 +27,7 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class IdleStatus:
-    """State of the machine between runs, by the journal. µm, aligned, of the last accepted night."""
+    """State of the machine between runs, from the journal; VE in µm, aligned, of the last accepted night."""
 
     ve_before_um: float | None = None
     ve_now_um: float | None = None
@@ -38,7 +38,7 @@ class IdleStatus:
 
 @dataclass
 class StatusBoard:
-    """Written by the run's thread, read by everybody. Every change of state is published."""
+    """Status of the service: written by the run's thread, readable from any thread. Publishes every change of state."""
 
     machine: str
     event_log: EventLog
@@ -54,13 +54,13 @@ class StatusBoard:
 
     def status(self) -> Status:
         now = self._status
-        asked = now.question is not None
-        return replace(now, may=may(now.state, unfinished=now.unfinished is not None, asked=asked))
+        question_open, unfinished = now.question is not None, now.unfinished is not None
+        return replace(now, may=allowed_in(now.state, unfinished=unfinished, question_open=question_open))
 
     # ------------------------------------------------------------------ between runs
 
-    def belongs_to(self, machine: str) -> None:
-        """Another machine file, of the runs to come."""
+    def set_machine(self, machine: str) -> None:
+        """Set the name of the machine for the next runs."""
         self._change(machine=machine)
 
     def show_idle(self, idle: IdleStatus) -> None:
@@ -71,13 +71,13 @@ class StatusBoard:
         self._change(run_id=run_id, kind=kind, alarms=(alarm,))
         self.enter(state, alarm.text)
 
-    def idle(self) -> None:
+    def reset(self) -> None:
         self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
         self._change(balls=0, touches=0)
         self.enter(RunState.IDLE, "reset")
 
-    def reconciled(self, result: Reconciliation) -> None:
-        """Take over the bank that the controller reports; an instruction to a person becomes an alarm."""
+    def show_reconciliation(self, result: Reconciliation) -> None:
+        """Show the bank reported by the controller; an instruction to a person becomes an alarm."""
         self._change(active_bank=result.active_bank, written_not_active=result.waiting_bank)
         self.event_log.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
         log.info("reconciled", text=result.text)
@@ -86,7 +86,7 @@ class StatusBoard:
 
     # ------------------------------------------------------------------ a run
 
-    def begins(self, run_id: str, kind: str, source: Source, position_set: str | None) -> None:
+    def begin_run(self, run_id: str, kind: str, source: Source, position_set: str | None) -> None:
         self._change(
             run_id=run_id,
             kind=kind,
@@ -99,15 +99,15 @@ class StatusBoard:
             touches=0,
             alarms=(),
         )
-        self.enter(RunState.PREFLIGHT, f"{kind} asked for by {source}")
+        self.enter(RunState.PREFLIGHT, f"{kind} requested by {source}")
 
-    def hear(self, announcement: Announcement) -> None:
-        """The run's listener."""
+    def on_announcement(self, announcement: Announcement) -> None:
+        """Update status and event log from an announcement of the run."""
         data = announcement.data
         match announcement.kind:
             case "state":
                 state = RunState(data["state"])
-                if state not in AT_REST:  # the owner enters that when the machine is free again
+                if state not in AT_REST:  # the owner enters these once the machine is released
                     self.enter(state, announcement.text)
                 return
             case "progress":
@@ -116,14 +116,14 @@ class StatusBoard:
                 log.info(announcement.text, **data)
         self.event_log.publish(announcement.kind, announcement.text, data)
 
-    def see(self, step: Step, result: object) -> None:
-        """The engine's observer: at every step, so it must take microseconds."""
+    def on_step(self, step: Step, result: object) -> None:
+        """Update the status after a step. Called by the engine at every step, so it must take microseconds only."""
         now = self._status
         match step:
             case TouchTowards():
                 self._change(step=step.key, touches=now.touches + 1)
             case Record():
-                self._see_record(step)
+                self._on_record(step)
             case ReadTemperatures():
                 self.event_log.publish("temperature", step.key, _mapping(result))
             case ReadActiveBank():
@@ -133,19 +133,19 @@ class StatusBoard:
             case _:
                 self._change(step=step.key)
 
-    def ask(self, question: Question | None, text: str) -> None:
-        """A question is open, or no longer; `text` then says how it ended."""
+    def show_question(self, question: Question | None, text: str) -> None:
+        """Show a question, or with None that it is closed; `text` then gives the outcome."""
         self._change(question=question)
         data = {} if question is None else {"number": question.number, "station": question.station}
         self.event_log.publish("question", text, {"open": question is not None, **data})
         log.info("question", open=question is not None, text=text)
 
-    def ended(self, outcome: Outcome) -> None:
+    def show_outcome(self, outcome: Outcome) -> None:
         self._change(active_bank=outcome.table_bank, minutes_left=None)
         self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
     def alarm(self, alarm: Alarm) -> None:
-        """The first one stays in front: it is the cause."""
+        """Add an alarm after those already open: the first one is the cause."""
         self._change(alarms=(*self._status.alarms, alarm))
         data = {"code": alarm.code, "hint": alarm.hint, "where": dict(alarm.where)}
         self.event_log.publish("alarm", alarm.text, data)
@@ -159,7 +159,7 @@ class StatusBoard:
 
     # ------------------------------------------------------------------
 
-    def _see_record(self, step: Record) -> None:
+    def _on_record(self, step: Record) -> None:
         if step.key.endswith("/lost"):
             self.event_log.publish("lost", step.key, step.payload)
         if step.kind != "ball":

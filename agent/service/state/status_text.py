@@ -1,4 +1,4 @@
-"""What the machine is doing, in words, from the state and the step's key."""
+"""Plain-text status of the machine from the run state and the key of the step."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from agent.execution.states import RunState
 S = RunState
 
 _STATES: dict[RunState, str] = {
-    S.IDLE: "waiting for a start",
-    S.PREFLIGHT: "preflight: the whole run is simulated; nothing moves",
-    S.RESUMING: "preflight of the rest of the interrupted run; nothing moves",
+    S.IDLE: "ready to start",
+    S.PREFLIGHT: "preflight: simulating the whole run; nothing moves",
+    S.RESUMING: "preflight: simulating the rest of the interrupted run; nothing moves",
     S.MEASURING: "measuring",
     S.HELD: "held",
     S.IDENTIFYING: "identifying the errors of the machine",
     S.STAGING: "writing the new table into the inactive bank",
     S.ACTIVATING: "activating the new table",
-    S.VERIFYING: "measuring again with the new table active",
-    S.RESTORING: "having the former table act again",
+    S.VERIFYING: "verifying with the new table active",
+    S.RESTORING: "reactivating the previous table",
     S.WRITTEN: "written, not active: waiting for the controller to be restarted or referenced",
     S.COMPLETE: "complete",
-    S.REFUSED: "ended without a change: the run itself said no",
-    S.ABORTING: "stopping, withdrawing, restoring the former table",
-    S.ABORTED: "aborted; the former table acts",
+    S.REFUSED: "refused; the machine is unchanged",
+    S.ABORTING: "stopping, withdrawing, restoring the previous table",
+    S.ABORTED: "aborted; the previous table is active",
     S.FAULTED: "fault; waiting for a reset",
 }
 
@@ -34,7 +34,7 @@ _MOVING = frozenset({S.MEASURING, S.VERIFYING, S.HELD})
 
 
 def doing(state: RunState, step: str, kind: str | None) -> str:
-    """One line; the place only where something is measured."""
+    """Return one line; it includes station, orientation and ball while something is measured."""
     words = _STATES[state]
     place = _place(step) if state in _MOVING else ""
     if state is S.MEASURING and not place and kind is not None:

@@ -31,7 +31,7 @@ from agent.service.owner.owner_parts import OwnerParts
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.event_log import EventLog
 from agent.service.state.journal_state import JournalState
-from agent.service.state.reports import Reports
+from agent.service.state.reports import ReportQueue
 from agent.service.state.status_board import StatusBoard
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
@@ -70,7 +70,7 @@ class AbsentMachine(MachineAccess):
     def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
         return self.status
 
-    def reconciled(self, settings: Settings, base: Path) -> Reconciliation:
+    def reconcile(self, settings: Settings, base: Path) -> Reconciliation:
         self.asked.append("away" if self.away else "reached")
         if self.away:
             raise self.away.pop()
@@ -190,7 +190,7 @@ def house(
             health=Health(VirtualClock().now, hang_timeout_s=30.0, computing_s=900.0),
             ownership=owned,
             journal_state=JournalState(state),
-            reports=Reports(state, lambda *_: {}),
+            reports=ReportQueue(state, lambda *_: {}),
             machine=AbsentMachine(Devices(make_clock=lambda _: VirtualClock()), status=status),
             carry_out=puppet,
             circumstances=lambda: circumstances,

@@ -22,12 +22,12 @@ from prometheus_client.parser import text_string_to_metric_families
 from agent.cli.main import main
 from agent.execution.run_record import read_record, run_ids
 from agent.execution.states import RunState
-from agent.history.database_url import Place, place_of
+from agent.history.database_url import DatabaseAddress, database_address
 from agent.history.export import as_csv, as_json
 from agent.history.figure import trends_png, trends_svg
 from agent.history.metrics import metrics_text
-from agent.history.overview import alarms_of, chosen, foremost, trends_of
-from agent.history.series import ACTING, BARE, Series, nights_of
+from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of
+from agent.history.series import ACTIVE, BARE, Series, nights_of
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
 from agent.history.trends import AlarmKind, trend_of
@@ -64,7 +64,7 @@ def state() -> Iterator[Path]:
 @pytest.fixture
 def store(state: Path) -> Iterator[HistoryStore]:
     state.mkdir()
-    with closing(HistoryStore(place_of(settings(state)))) as opened:
+    with closing(HistoryStore(database_address(settings(state)))) as opened:
         yield opened
 
 
@@ -139,42 +139,42 @@ class TestPlace:
         with closing(sqlite3.connect(state / "history.sqlite")) as database, database:
             database.execute("UPDATE volcal_schema SET version = 2")
         with pytest.raises(ConfigurationError, match="version 2"):
-            HistoryStore(store.place)
+            HistoryStore(store.address)
 
     def test_a_password_in_the_url_is_refused(self, state: Path) -> None:
         with pytest.raises(ConfigurationError, match="holds a password") as told:
-            place_of(settings(state, url="postgresql://me:secret@plant/volcal"))
+            database_address(settings(state, url="postgresql://me:secret@plant/volcal"))
         assert "secret" not in str(told.value)
 
     def test_the_password_of_the_file_is_never_shown(self, state: Path, tmp_path: Path) -> None:
         file = tmp_path / "password"
         file.write_text("hush-hush\n")
         file.chmod(0o600)
-        place = place_of(settings(state, url="postgresql://me@plant/volcal", credentials_file=str(file)))
-        assert place.url.password == file.read_text().strip()
-        assert "hush-hush" not in place.text + repr(place)
+        address = database_address(settings(state, url="postgresql://me@plant/volcal", credentials_file=str(file)))
+        assert address.url.password == file.read_text().strip()
+        assert "hush-hush" not in address.text + repr(address)
 
     def test_a_file_that_others_can_read_is_refused(self, state: Path, tmp_path: Path) -> None:
         file = tmp_path / "password"
         file.write_text("hush-hush\n")
         file.chmod(0o644)
         with pytest.raises(ConfigurationError, match="others can read"):
-            place_of(settings(state, url="postgresql://me@plant/volcal", credentials_file=str(file)))
+            database_address(settings(state, url="postgresql://me@plant/volcal", credentials_file=str(file)))
 
     @pytest.mark.parametrize("url", ["mysql://me@plant/volcal", "not a url"])
     def test_other_databases_are_refused(self, state: Path, url: str) -> None:
         with pytest.raises(ConfigurationError):
-            place_of(settings(state, url=url))
+            database_address(settings(state, url=url))
 
     def test_a_database_that_is_away_is_a_lost_link(self, state: Path, tmp_path: Path) -> None:
         file = tmp_path / "password"
         file.write_text("hush-hush")
         file.chmod(0o600)
-        chosen = settings(
+        configured = settings(
             state, url="postgresql://me@127.0.0.1:1/volcal", credentials_file=str(file), timeout_s=1.0, machine="m"
         )
         with pytest.raises(LinkLost, match="history sync") as told:
-            HistoryStore(place_of(chosen))
+            HistoryStore(database_address(configured))
         assert "hush-hush" not in str(told.value)
 
 
@@ -189,7 +189,7 @@ class TestTrends:
         """4.8 µm growing by 0.4 a night for ten nights is 8.4; 3.6 of 12 are left: nine nights."""
         fed(state, store, [4.8 + 0.4 * night for night in range(10)])
         trends = trends_of(store.runs(), HistorySettings(parameter_tolerances={"EXX[1]": 12.0}))
-        (trend,) = chosen(trends, ["EXX[1]"])
+        (trend,) = select_trends(trends, ["EXX[1]"])
         assert trend.drift is not None
         assert trend.drift.slope == pytest.approx(0.4)
         (alarm,) = [one for one in alarms_of(trends) if one.series == "EXX[1]" and one.kind is AlarmKind.TREND]
@@ -209,7 +209,7 @@ class TestTrends:
     def test_an_error_is_judged_by_its_largest_value(self, state: Path, store: HistoryStore) -> None:
         """EXX = c1 P1: largest at the ends, where it is |c1|."""
         fed(state, store, [-7.0, -8.0, -9.0])
-        whole, *_ = chosen(trends_of(store.runs(), HistorySettings()), ["EXX"])
+        whole, *_ = select_trends(trends_of(store.runs(), HistorySettings()), ["EXX"])
         assert whole.series.name == "EXX"
         assert whole.series.values == pytest.approx([7.0, 8.0, 9.0])
 
@@ -238,14 +238,14 @@ class TestTrends:
     def test_unknown_names_are_told_what_there_is(self, state: Path, store: HistoryStore) -> None:
         fed(state, store, [1.0])
         with pytest.raises(InputError, match="ve_bare"):
-            chosen(trends_of(store.runs(), HistorySettings()), ["EWX"])
+            select_trends(trends_of(store.runs(), HistorySettings()), ["EWX"])
 
     def test_figures(self, state: Path, store: HistoryStore) -> None:
         fed(state, store, [4.8 + 0.4 * night for night in range(10)])
-        shown = foremost(trends_of(store.runs(), HistorySettings()))
+        shown = most_relevant(trends_of(store.runs(), HistorySettings()))
         assert trends_png(shown).startswith(b"\x89PNG")
         assert trends_svg(shown) == trends_svg(shown)
-        assert [trend.series.name for trend in shown[:2]] == [BARE, ACTING]
+        assert [trend.series.name for trend in shown[:2]] == [BARE, ACTIVE]
 
 
 class TestExports:
@@ -318,8 +318,8 @@ class TestCommands:
         assert len(out.read_text().splitlines()) == 11
 
 
-def test_a_place_in_a_file(state: Path) -> None:
-    place = place_of(settings(state))
-    assert isinstance(place, Place)
-    assert place.is_file
-    assert place.machine == "case-study"
+def test_the_database_is_a_file_by_default(state: Path) -> None:
+    address = database_address(settings(state))
+    assert isinstance(address, DatabaseAddress)
+    assert address.is_file
+    assert address.machine == "case-study"

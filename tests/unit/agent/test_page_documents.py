@@ -14,10 +14,10 @@ from service_house import settings_document
 
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job, prepare_job
-from agent.service.page.result_data import Findings
-from agent.service.page.set_value import worth_of
-from agent.service.page.tables import difference, table_csv
-from agent.service.page.trends import Trends
+from agent.service.page.result_cache import ResultCache
+from agent.service.page.set_value import set_value_document
+from agent.service.page.tables import table_csv, table_difference
+from agent.service.page.trends import TrendCache
 from agent.settings.schema import Settings
 from drivers.errors import InputError
 from drivers.roles import TableImage
@@ -34,7 +34,7 @@ def image(seed: int, resolution_mm: float = 1e-4) -> TableImage:
 
 def test_the_difference_of_two_tables_is_found_node_by_node() -> None:
     one, other = image(1), image(2, resolution_mm=2e-4)
-    found = difference(one, other)
+    found = table_difference(one, other)
     assert (found["same"], found["nodes"]) == (False, 24)
     for axis, row in enumerate(found["axes"]):
         changes = {}
@@ -49,17 +49,17 @@ def test_the_difference_of_two_tables_is_found_node_by_node() -> None:
 
 def test_no_compensation_is_a_table_of_zeros_and_nothing_differs_from_itself() -> None:
     table = image(3)
-    found = difference(None, table)
+    found = table_difference(None, table)
     assert found["axes"][0]["largest_um"] == pytest.approx(0.1 * max(table.counts[..., 0].ravel().tolist(), key=abs))
-    assert difference(table, None)["axes"][1]["largest_um"] == pytest.approx(-found["axes"][1]["largest_um"])
-    assert difference(table, image(3))["same"]
-    assert difference(None, None)["same"]
+    assert table_difference(table, None)["axes"][1]["largest_um"] == pytest.approx(-found["axes"][1]["largest_um"])
+    assert table_difference(table, image(3))["same"]
+    assert table_difference(None, None)["same"]
     assert found["crc32"][0] is None
 
 
 def test_tables_on_different_grids_are_not_compared() -> None:
     with pytest.raises(InputError, match="different grids"):
-        difference(image(1), replace(image(1), step_mm=(100.0, 50.0, 20.0)))
+        table_difference(image(1), replace(image(1), step_mm=(100.0, 50.0, 20.0)))
 
 
 def test_a_kept_table_as_a_file() -> None:
@@ -81,7 +81,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
 
 
 def test_what_a_position_is_worth_is_what_the_set_without_it_leaves(job: Job) -> None:
-    found = worth_of(job)
+    found = set_value_document(job)
     whole = valuation_of(job, PLACES)
     assert found["after_um"] == pytest.approx(whole.after.aligned_um, rel=1e-6)
     assert found["before_um"] == pytest.approx(whole.before.aligned_um, rel=1e-6)
@@ -95,11 +95,11 @@ def test_what_a_position_is_worth_is_what_the_set_without_it_leaves(job: Job) ->
     assert found["out_of_reach"] == []
 
 
-def test_before_the_first_run_there_are_no_trends_and_no_findings(tmp_path: Path) -> None:
+def test_before_the_first_run_there_are_no_trends_and_no_results(tmp_path: Path) -> None:
     settings = Settings.model_validate(settings_document(tmp_path))
-    assert Trends().document(settings, None) == {"trends": [], "alarms": [], "runs": {}}
+    assert TrendCache().document(settings, None) == {"trends": [], "alarms": [], "runs": {}}
     with pytest.raises(InputError, match="no journal"):
-        Findings().curves(tmp_path, "20260101T000000Z-0000")
+        ResultCache().curves(tmp_path, "20260101T000000Z-0000")
 
 
 def test_trends_have_the_line_and_the_band_that_are_drawn(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_trends_have_the_line_and_the_band_that_are_drawn(tmp_path: Path) -> Non
     for night in range(10):
         journaled(tmp_path, night, 4.8 + 0.4 * night, machine="mine")
     chosen = {"machine": "mine", "parameter_tolerances": {"EXX[1]": 12.0}}
-    trends, settings = Trends(), Settings.model_validate(settings_document(tmp_path, history=chosen))
+    trends, settings = TrendCache(), Settings.model_validate(settings_document(tmp_path, history=chosen))
     [slope, bow] = trends.document(settings, "EXX")["trends"]
     assert (slope["name"], bow["name"]) == ("EXX[1]", "EXX[2]")
     assert slope["fitted"] == pytest.approx([4.8 + 0.4 * night for night in range(10)])

@@ -12,7 +12,7 @@ import pytest
 from agent.reports.page import (
     EventLine,
     Header,
-    Identified,
+    IdentificationData,
     ReportData,
     RunFacts,
     TemperatureTrace,
@@ -96,19 +96,19 @@ def report_data() -> ReportData:
         position_set="S1+S3, 2 stations",
     )
     volumetric = volumetric_summary(estimate, OFFSET)
-    found = Identified.of(seen, estimate, POSITIONS, volumetric, TableFacts.of(table, "0badcafe"))
+    found = IdentificationData.of(seen, estimate, POSITIONS, volumetric, TableFacts.of(table, "0badcafe"))
     return ReportData(header, "mill <5>", ArtefactFacts.of(BAR), "probe", triple(OFFSET), found)
 
 
 def estimate_of(data: ReportData) -> Estimate:
-    assert data.found is not None
-    assert isinstance(data.found.estimate, Estimate)
-    return data.found.estimate
+    assert data.identification is not None
+    assert isinstance(data.identification.estimate, Estimate)
+    return data.identification.estimate
 
 
 def with_estimate(data: ReportData, estimate: Estimate) -> ReportData:
-    assert data.found is not None
-    return replace(data, found=replace(data.found, estimate=estimate))
+    assert data.identification is not None
+    return replace(data, identification=replace(data.identification, estimate=estimate))
 
 
 @pytest.fixture(scope="module")

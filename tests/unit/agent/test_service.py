@@ -25,9 +25,9 @@ from agent.execution.supervisor import Supervisor
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.run_request import RunRequest
 from agent.service.client import error_of
-from agent.service.daemon.main_loop import Life
+from agent.service.daemon.main_loop import MainLoop
 from agent.service.daemon.sd_notify import Notifier
-from agent.service.http.diagnostics_archive import REMOVED, diagnosis, without_secrets
+from agent.service.http.diagnostics_archive import REMOVED, diagnostics_zip, without_secrets
 from agent.service.http.problems import problem_of
 from agent.service.owner.health import Health
 from agent.service.owner.questions import Questions, ServiceOperator
@@ -213,9 +213,9 @@ def test_a_run_that_has_ended_is_given_minutes_for_its_report(tmp_path: Path) ->
     clock = VirtualClock()
     with house(tmp_path) as built:
         parts = dataclasses.replace(built.parts, health=Health(clock.now, hang_timeout_s=30.0, computing_s=900.0))
-        factory, health = RunHooksFactory(parts, Questions(parts.board.ask)), parts.health
+        factory, health = RunHooksFactory(parts, Questions(parts.board.show_question)), parts.health
         hooks = factory.hooks(RunMailbox("a", health.beat), built.owner.settings.clock, attended=True)
-        health.begins()
+        health.begin_run()
         for state in (RunState.VERIFYING, RunState.COMPLETE):
             clock.sleep(31.0)
             assert not health.alive(RunState.VERIFYING)
@@ -225,7 +225,7 @@ def test_a_run_that_has_ended_is_given_minutes_for_its_report(tmp_path: Path) ->
         assert health.alive(RunState.VERIFYING)
         clock.sleep(900.0)
         assert not health.alive(RunState.VERIFYING)
-        health.begins()
+        health.begin_run()
         clock.sleep(31.0)
         assert not health.alive(RunState.VERIFYING)
 
@@ -268,7 +268,7 @@ def test_a_service_whose_engine_hangs_is_no_longer_fed(tmp_path: Path, silent_s:
         built.puppet.begun()
         built.puppet.enter(RunState.MEASURING)
         built.owner.close = lambda _: True  # its own test is above
-        Life(built.owner, health, told, signals, tmp_path / "gone.toml").live()
+        MainLoop(built.owner, health, told, signals, tmp_path / "gone.toml").run()
     fed = [message for message in told.messages if "WATCHDOG" in message]
     assert bool(fed) is (silent_s < 30.0)
     assert told.messages[0]["READY"] == 1
@@ -282,7 +282,7 @@ def test_a_service_whose_engine_hangs_is_no_longer_fed(tmp_path: Path, silent_s:
 
 
 def test_a_lagging_reader_loses_the_oldest_progress_first() -> None:
-    event_log = EventLog(kept=3, queued=4)
+    event_log = EventLog(retained=3, queue_limit=4)
     with event_log.subscribe() as queue:
         for number in range(3):
             event_log.publish("progress", str(number))
@@ -327,7 +327,7 @@ def test_the_first_answer_counts(yes: bool) -> None:
     questions = Questions(lambda *_: None)
 
     def answered(now: float) -> None:
-        if now > 5.0 and questions.answered() is None:
+        if now > 5.0 and questions.given_answer() is None:
             questions.answer(1, yes)
             with pytest.raises(UserError, match="answered already"):
                 questions.answer(1, not yes)
@@ -365,7 +365,7 @@ def test_diagnostics_have_no_secrets(tmp_path: Path) -> None:
     document = settings_document(tmp_path)
     document["devices"]["twin"]["options"] = {"password": "hunter2", "host": "cnc", "deep": [{"api_key": "hunter2"}]}
     settings = Settings.model_validate(document)
-    content = diagnosis(settings, {"state": "idle"}, [])
+    content = diagnostics_zip(settings, {"state": "idle"}, [])
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         texts = {name: archive.read(name) for name in archive.namelist()}
     assert not any(b"hunter2" in text for text in texts.values())

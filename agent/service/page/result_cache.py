@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.execution.run_record import read_record
-from agent.reports.page import Identified, ReportData
+from agent.reports.page import IdentificationData, ReportData
 from agent.reports.page.error_curves import ErrorCurve, cross_effect_curves, geometric_error_curves
 from agent.reports.page.workspace_maps import PlaneMap, workspace_maps
 from agent.reports.run_report import report_of
@@ -20,15 +20,15 @@ from twin.arrays import Array
 Document = dict[str, Any]
 SQUARENESSES = ("C0Y", "B0Z", "A0Z")
 """Of ISO 230-1's 21 errors those three that are a single number."""
-KEPT = 16
+MAX_CACHED = 16
 
 
-class Findings:
+class ResultCache:
     """Any thread may ask; what is computed of the latest runs is kept."""
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._kept: dict[tuple[str, str, str], Document] = {}
+        self._cached: dict[tuple[str, str, str], Document] = {}
 
     def curves(self, directory: Path, run_id: str) -> Document:
         """InputError where the run has found nothing."""
@@ -39,32 +39,32 @@ class Findings:
         return self._of("maps", directory, run_id, _maps)
 
     def _of(
-        self, what: str, directory: Path, run_id: str, make: Callable[[ReportData, Identified], Document]
+        self, what: str, directory: Path, run_id: str, make: Callable[[ReportData, IdentificationData], Document]
     ) -> Document:
         """A run that goes on may still come to another estimate: it is not kept."""
         key = (what, str(directory), run_id)
         with self._lock:
-            if key not in self._kept:
+            if key not in self._cached:
                 record = read_record(directory, run_id)
                 data = report_of(record)
-                if data.found is None:
+                if data.identification is None:
                     raise InputError(f"run {run_id} has no estimate", hint="it ended before its errors were identified")
-                document = make(data, data.found)
+                document = make(data, data.identification)
                 if record.ended is None:
                     return document
-                self._kept[key] = document
-                while len(self._kept) > KEPT:
-                    self._kept.pop(next(iter(self._kept)))
-            return self._kept[key]
+                self._cached[key] = document
+                while len(self._cached) > MAX_CACHED:
+                    self._cached.pop(next(iter(self._cached)))
+            return self._cached[key]
 
 
-def _curves(_: ReportData, found: Identified) -> Document:
-    estimate = found.estimate
+def _curves(_: ReportData, identification: IdentificationData) -> Document:
+    estimate = identification.estimate
     given = (estimate.model, estimate.parameters, estimate.covariance)
     return {
         "curves": [_curve(curve) for curve in geometric_error_curves(*given)],
         "cross": [_curve(curve) for curve in cross_effect_curves(*given)],
-        "squareness": _squareness(found),
+        "squareness": _squareness(identification),
     }
 
 
@@ -73,14 +73,14 @@ def _curve(curve: ErrorCurve) -> Document:
         "name": curve.name,
         "argument": curve.argument,
         "unit": curve.unit,
-        "position_mm": _short(curve.position_mm, 1),
-        "value": _short(curve.value, 4),
-        "sigma": _short(curve.sigma, 4),
+        "position_mm": _rounded(curve.position_mm, 1),
+        "value": _rounded(curve.value, 4),
+        "sigma": _rounded(curve.sigma, 4),
     }
 
 
-def _squareness(found: Identified) -> list[Document]:
-    estimate, sigmas = found.estimate, found.estimate.standard_uncertainty
+def _squareness(identification: IdentificationData) -> list[Document]:
+    estimate, sigmas = identification.estimate, identification.estimate.standard_uncertainty
     rows = []
     for name in SQUARENESSES:
         if name in estimate.model.names:
@@ -90,9 +90,11 @@ def _squareness(found: Identified) -> list[Document]:
     return rows
 
 
-def _maps(data: ReportData, found: Identified) -> Document:
-    maps = workspace_maps(found.estimate, np.asarray(data.tool_offset), found.observations.axis_positions)
-    summary = found.volumetric
+def _maps(data: ReportData, identification: IdentificationData) -> Document:
+    maps = workspace_maps(
+        identification.estimate, np.asarray(data.tool_offset), identification.observations.axis_positions
+    )
+    summary = identification.volumetric
     return {
         "deviation": [_plane(plane) for plane in maps.deviation],
         "uncertainty": [_plane(plane) for plane in maps.uncertainty],
@@ -107,10 +109,10 @@ def _plane(plane: PlaneMap) -> Document:
         "z_mm": plane.z_mm,
         "x_mm": [float(plane.x_mm[0]), float(plane.x_mm[-1])],
         "y_mm": [float(plane.y_mm[0]), float(plane.y_mm[-1])],
-        "length_um": [_short(row, 3) for row in plane.length_um.T],
-        "measured": [_short(point, 1) for point in plane.measured],
+        "length_um": [_rounded(row, 3) for row in plane.length_um.T],
+        "measured": [_rounded(point, 1) for point in plane.measured],
     }
 
 
-def _short(values: Array, digits: int) -> list[float]:
+def _rounded(values: Array, digits: int) -> list[float]:
     return [round(float(value), digits) for value in values]

@@ -10,8 +10,8 @@ from threading import Event
 import pytest
 
 from agent.execution.journal import Journal
-from agent.reports.render_in_subprocess import rebuilt_apart
-from agent.service.state.reports import Reports
+from agent.reports.render_in_subprocess import render_in_subprocess
+from agent.service.state.reports import ReportQueue
 from drivers.errors import InputError
 
 PATIENCE_S = 20.0
@@ -27,7 +27,7 @@ def test_the_service_starts_without_what_draws_or_speaks_to_databases() -> None:
 def test_a_report_that_cannot_be_made_is_said_in_one_line(tmp_path: Path) -> None:
     Journal(tmp_path).close()
     with pytest.raises(InputError, match="nobody") as said:
-        rebuilt_apart(tmp_path, "nobody", pdf=False)
+        render_in_subprocess(tmp_path, "nobody", pdf=False)
     assert "Traceback" not in str(said.value)
     assert "\n" not in str(said.value)
 
@@ -39,10 +39,10 @@ def test_a_report_is_made_once_and_again_when_the_run_has_gone_on(tmp_path: Path
         made.append(run_id)
         return {"report.html": f"version {len(made)}"}
 
-    reports = Reports(tmp_path, make)
+    reports = ReportQueue(tmp_path, make)
     assert reports.path("a").read_text() == "version 1"
     assert reports.path("a").read_text() == "version 1"
-    reports.wanted("a")
+    reports.request("a")
     assert reports.path("a").read_text() == "version 2"
     assert reports.path("a").read_text() == "version 2"
     assert made == ["a", "a"]
@@ -57,38 +57,38 @@ def test_who_closes_waits_for_the_report_being_made_and_begins_no_more(tmp_path:
         made.append(run_id)
         return {"report.html": run_id}
 
-    reports = Reports(tmp_path, make)
-    reports.wanted("a")
+    reports = ReportQueue(tmp_path, make)
+    reports.request("a")
     assert begun.wait(PATIENCE_S)
-    reports.wanted("b")
+    reports.request("b")
     assert not reports.close(0.0)
     go_on.set()
     assert reports.close(PATIENCE_S)
-    reports.wanted("c")
+    reports.request("c")
     assert made == ["a"]
     assert (tmp_path / "a" / "report.html").read_text() == "a"
     assert reports.path("c").read_text() == "c"
 
 
 def test_a_run_that_has_gone_on_leaves_no_old_report_to_who_comes_after(tmp_path: Path) -> None:
-    reports = Reports(tmp_path, lambda *_: {"report.html": "old"})
+    reports = ReportQueue(tmp_path, lambda *_: {"report.html": "old"})
     reports.path("a")
     reports.close(PATIENCE_S)
-    reports.wanted("a")
-    assert Reports(tmp_path, lambda *_: {"report.html": "new"}).path("a").read_text() == "new"
+    reports.request("a")
+    assert ReportQueue(tmp_path, lambda *_: {"report.html": "new"}).path("a").read_text() == "new"
 
 
 def test_a_run_that_ends_again_while_its_report_is_drawn_gets_another(tmp_path: Path) -> None:
-    reports: Reports
+    reports: ReportQueue
 
     def make(_: Path, run_id: str) -> dict[str, str | bytes]:
         made.append(run_id)
         if len(made) == 1:
-            reports.wanted(run_id)
+            reports.request(run_id)
         return {"report.html": f"version {len(made)}"}
 
     made: list[str] = []
-    reports = Reports(tmp_path, make)
+    reports = ReportQueue(tmp_path, make)
     reports.close(PATIENCE_S)
     assert reports.path("a").read_text() == "version 1"
     assert reports.path("a").read_text() == "version 2"

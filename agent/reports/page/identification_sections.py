@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.reports.page.data import Identified, ReportData
+from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.figures import ball_residuals
 from agent.reports.page.number_format import COVERAGE, Rows, Table, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
@@ -12,8 +12,8 @@ from agent.results.facts import Quantity
 from twin.machine.error_model import SQUARENESS
 
 
-def summary_table(data: ReportData, found: Identified, t: Texts) -> Table:
-    summary, proof = found.volumetric, data.run.verification
+def summary_table(data: ReportData, identification: IdentificationData, t: Texts) -> Table:
+    summary, proof = identification.volumetric, data.run.verification
     rows: list[tuple[str, Quantity | None, Quantity | None]] = [
         (t["ve_aligned"], summary.before_aligned, summary.after_aligned),
         (t["ve_raw"], summary.before_raw, summary.after_raw),
@@ -24,8 +24,8 @@ def summary_table(data: ReportData, found: Identified, t: Texts) -> Table:
     return Table((t["quantity"], t["before"], t["after"]), cells, (t["before"], t["after"]))
 
 
-def squareness(found: Identified) -> Table:
-    estimate = found.estimate
+def squareness(identification: IdentificationData) -> Table:
+    estimate = identification.estimate
     places = [estimate.model.index(name) for name in SQUARENESS]
     sigma = estimate.standard_uncertainty
     rows = tuple(
@@ -35,34 +35,35 @@ def squareness(found: Identified) -> Table:
     return Table(("error", "µrad", "±2σ"), rows, ("µrad", "±2σ"))
 
 
-def residual_note(found: Identified) -> str:
-    kept = ball_residuals(found).kept
-    rms = 1e3 * np.sqrt(np.mean(found.residuals_mm[kept] ** 2, axis=0))
-    text = f"rms by component: x {rms[0]:.2f}, y {rms[1]:.2f}, z {rms[2]:.2f} µm over the balls that were kept"
-    return f"{text}. Dotted lines part the stations." if len({p.station for p in found.positions}) > 1 else f"{text}."
+def residual_note(identification: IdentificationData) -> str:
+    kept = ball_residuals(identification).kept
+    rms = 1e3 * np.sqrt(np.mean(identification.residuals_mm[kept] ** 2, axis=0))
+    text = f"rms by component: x {rms[0]:.2f}, y {rms[1]:.2f}, z {rms[2]:.2f} µm over the accepted balls."
+    several_stations = len({position.station for position in identification.positions}) > 1
+    return f"{text} Dotted lines separate the stations." if several_stations else text
 
 
-def rejected(found: Identified) -> Table | None:
-    if not found.estimate.rejected:
+def rejected(identification: IdentificationData) -> Table | None:
+    if not identification.estimate.rejected:
         return None
     rows = []
-    for position, ball, tool in found.estimate.rejected:
-        place = found.positions[position]
+    for position, ball, tool in identification.estimate.rejected:
+        place = identification.positions[position]
         where = f"station {place.station}, azimuth {place.azimuth_deg:g}°, elevation {place.elevation_deg:g}°"
-        residual = _residual_of(found, position, ball, tool)
+        residual = _residual_of(identification, position, ball, tool)
         rows.append((str(position), where, str(ball), f"{residual:.1f}"))
     heads = ("position", "orientation", "ball", "residual / µm")
     return Table(heads, tuple(rows), ("position", "ball", "residual / µm"))
 
 
-def _residual_of(found: Identified, position: int, ball: int, tool: int) -> float:
-    seen = found.observations
+def _residual_of(identification: IdentificationData, position: int, ball: int, tool: int) -> float:
+    seen = identification.observations
     row = (seen.position == position) & (seen.ball == ball) & (seen.tool == tool)
-    return float(1e3 * np.linalg.norm(found.residuals_mm[row]))
+    return float(1e3 * np.linalg.norm(identification.residuals_mm[row]))
 
 
-def fit(found: Identified) -> Rows:
-    estimate = found.estimate
+def fit(identification: IdentificationData) -> Rows:
+    estimate = identification.estimate
     misfit = "not looked for"
     if estimate.misfit is not None:
         rms = 1e3 * estimate.misfit.amplitude_mm * estimate.scales.misfit
@@ -79,8 +80,8 @@ def fit(found: Identified) -> Rows:
     ]
 
 
-def null_intro(found: Identified) -> str:
-    size, rank = found.estimate.model.size, found.estimate.rank
+def null_intro(identification: IdentificationData) -> str:
+    size, rank = identification.estimate.model.size, identification.estimate.rank
     if rank == size:
         return f"All {size} parameters of the model are seen."
     missing = plural(size - rank, "direction")
@@ -90,8 +91,8 @@ def null_intro(found: Identified) -> str:
     )
 
 
-def table_rows(found: Identified) -> Rows | None:
-    table = found.table
+def table_rows(identification: IdentificationData) -> Rows | None:
+    table = identification.table
     if table is None:
         return None
     largest = ", ".join(f"{axis} {value:.1f}" for axis, value in zip("XYZ", table.largest_um, strict=True))
@@ -107,9 +108,9 @@ def table_rows(found: Identified) -> Rows | None:
     ]
 
 
-def parameters(found: Identified) -> list[list[tuple[str, str, str, str]]]:
+def parameters(identification: IdentificationData) -> list[list[tuple[str, str, str, str]]]:
     """Three columns of name, value, σ, unit."""
-    estimate = found.estimate
+    estimate = identification.estimate
     sigma = estimate.standard_uncertainty
     rows = []
     for parameter, value, spread in zip(estimate.model.parameters, estimate.parameters, sigma, strict=True):

@@ -13,7 +13,7 @@ from twin.machine.error_model import ErrorModel
 
 
 @dataclass(frozen=True, eq=False)
-class KeptEstimate:
+class JournalEstimate:
     """What `agent.reports.page.ReportedEstimate` asks for. `misfit`: None where it was switched off."""
 
     model: ErrorModel
@@ -36,10 +36,10 @@ class KeptEstimate:
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
 
-def kept_estimate(stored: StoredEstimate, unresolved_mm2: float) -> KeptEstimate:
+def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEstimate:
     """`unresolved_mm2`: variance per direction of what is too short in space for the misfit's modes."""
     document = stored.document
-    return KeptEstimate(
+    return JournalEstimate(
         model=stored.model,
         formulation=document.formulation,
         parameters=stored.parameters,
