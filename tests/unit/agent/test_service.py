@@ -181,7 +181,7 @@ def test_settings_are_taken_between_runs_only(tmp_path: Path) -> None:
         other = Settings.model_validate(settings_document(tmp_path, nightly={"slot_minutes": 20.0}))
         built.owner.start(NIGHTLY)
         built.puppet.begun()
-        with pytest.raises(Busy, match="under way"):
+        with pytest.raises(Busy, match="in progress"):
             built.owner.reload(other)
         built.puppet.end(RunState.COMPLETE)
         assert built.owner.wait(PATIENCE_S)
@@ -237,8 +237,8 @@ def test_notifications_are_lines_of_one_datagram(tmp_path: Path, abstract: bool)
         systemd.bind(f"\0{name[1:]}" if abstract else name)
         systemd.settimeout(PATIENCE_S)
         notifier = Notifier({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "3000000"})
-        notifier.send(READY=1, STATUS="waiting for a start")
-        assert systemd.recv(4096) == b"READY=1\nSTATUS=waiting for a start"
+        notifier.send(READY=1, STATUS="ready to start")
+        assert systemd.recv(4096) == b"READY=1\nSTATUS=ready to start"
     assert notifier.watchdog_s == 3.0
     notifier.send(WATCHDOG=1)  # nobody listens any more: no reason to stop
     assert Notifier({"WATCHDOG_USEC": "3000000", "WATCHDOG_PID": "1"}).watchdog_s is None
@@ -308,7 +308,7 @@ def test_a_question_without_an_answer_ends_and_closes() -> None:
     heard: list[object] = []
     questions = Questions(lambda question, text: heard.append((question is not None, text)))
     request = OperatorRequest(OperatorTask.MOVE_ARTEFACT, "carry it to station 2", 2)
-    with pytest.raises(PermissionMissing, match="nobody answered within 2 min"):
+    with pytest.raises(PermissionMissing, match="no answer within 2 min"):
         ServiceOperator(questions, clock, 2.0, attended=True).ask(request)
     assert 120.0 <= clock.now() < 121.0
     assert heard == [(True, "carry it to station 2"), (False, "not answered")]
@@ -317,7 +317,7 @@ def test_a_question_without_an_answer_ends_and_closes() -> None:
 
 def test_a_run_without_consent_asks_nobody() -> None:
     questions = Questions(lambda *_: pytest.fail("nobody is there"))
-    with pytest.raises(PermissionMissing, match="nobody can be asked"):
+    with pytest.raises(PermissionMissing, match="no operator is present"):
         ServiceOperator(questions, VirtualClock(), 2.0, attended=False).ask(OperatorRequest(OperatorTask.CONSENT, "?"))
 
 
@@ -329,7 +329,7 @@ def test_the_first_answer_counts(yes: bool) -> None:
     def answered(now: float) -> None:
         if now > 5.0 and questions.given_answer() is None:
             questions.answer(1, yes)
-            with pytest.raises(UserError, match="answered already"):
+            with pytest.raises(UserError, match="already been answered"):
                 questions.answer(1, not yes)
 
     clock.subscribe(answered)
@@ -349,7 +349,7 @@ def test_the_token_lies_in_a_file_of_its_owner(tmp_path: Path) -> None:
     make_token(settings)
     assert read_token(path) == first
     path.chmod(0o640)
-    with pytest.raises(ConfigurationError, match="open to others"):
+    with pytest.raises(ConfigurationError, match="can be read by others"):
         read_token(path)
     handed = tmp_path / "credentials"
     handed.mkdir()
@@ -357,7 +357,7 @@ def test_the_token_lies_in_a_file_of_its_owner(tmp_path: Path) -> None:
     assert token_path(settings, {"CREDENTIALS_DIRECTORY": str(handed)}) == handed / "token"
     (tmp_path / "short").write_text("short")
     (tmp_path / "short").chmod(0o600)
-    with pytest.raises(ConfigurationError, match="16 are the least"):
+    with pytest.raises(ConfigurationError, match="at least 16 are required"):
         read_token(tmp_path / "short")
 
 
@@ -398,7 +398,7 @@ def test_every_address_is_reached_from_this_computer(host: str, reached: str) ->
 
 
 def test_errors_come_through_the_door_as_they_were() -> None:
-    for error in (Busy("run a is under way", hint="wait"), LinkLost("gone", link="10.0.0.1"), VolcalError("x")):
+    for error in (Busy("run a is in progress", hint="wait"), LinkLost("gone", link="10.0.0.1"), VolcalError("x")):
         back = error_of(problem_of(error).model_dump())
         assert type(back) is type(error)
         assert str(back) == str(error)
