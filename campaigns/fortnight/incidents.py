@@ -84,7 +84,7 @@ class Incidents:
 
     def at_noon(self, evening: Evening) -> None:
         self._set_time(evening, 12)
-        self._expect_refusal(evening, "it is 12:00, and nothing may begin by itself outside 22:00-05:30")
+        self._expect_refusal(evening, "it is 12:00; unattended runs may start only within 22:00-05:30")
 
     def doors_open(self, evening: Evening) -> None:
         self._set_time(evening, 22)

@@ -231,7 +231,7 @@ def test_the_watchdog_is_fed_through_an_abstract_socket_and_settings_are_reloade
             running.until(lambda now: now["touches"] > 3, "touches")
             running.process.send_signal(signal.SIGHUP)
             systemd.told_until("RELOADING")
-            assert "under way" in systemd.told_until("READY")[-1]["STATUS"]
+            assert "in progress" in systemd.told_until("READY")[-1]["STATUS"]
             assert running.status()["state"] == "measuring"
 
 
