@@ -38,15 +38,15 @@ _MOTION = {OrientTo: TURNING, MoveTo: MOVING, TouchTowards: TOUCHING}
 
 @dataclass(frozen=True)
 class TimedStep:
-    """`motion_s` of axes or mount; `beyond_s`: latency of the command, or the operator's time."""
+    """`motion_s` of axes or mount; `overhead_s`: latency of the command, or the operator's time."""
 
     step: Step
     motion_s: float
-    beyond_s: float
+    overhead_s: float
 
     @property
     def seconds(self) -> float:
-        return self.motion_s + self.beyond_s
+        return self.motion_s + self.overhead_s
 
     @property
     def carrying(self) -> bool:
@@ -82,21 +82,21 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
 def position_minutes(job: Job, position: Position) -> float:
     """Machine time of one more position at a station, the tip beside a ball of a bar that stands with the mount at zero
     until the last ball is measured; where ways are plain, from parked until parked again."""
-    course = job.rules.course
-    if course.roads is None:
-        parked = point(course.parked(job.layout.nominal(position).mean(axis=0), position.station))
+    retreat = job.rules.retreat
+    if retreat.path_rules is None:
+        parked = point(retreat.park_location(job.layout.nominal(position).mean(axis=0), position.station))
         _, steps = walk_plan(job, _there_and_back(job, position, parked), parked)
     else:
-        pilot = ShortestPathPlanner(course.roads.among(job.layout), course, job.rules.probing)
-        here = pilot.suppose(position.station)
-        _, steps = walk_plan(job, _one_more(job, position, here, pilot), point(here))
+        planner = ShortestPathPlanner(retreat.path_rules.finder_for(job.layout), retreat, job.rules.probing)
+        here = planner.assume_measured(position.station)
+        _, steps = walk_plan(job, _one_more(job, position, here, planner), point(here))
     return sum(timed.seconds for timed in steps) / S_PER_MIN
 
 
 def without_optimisation(job: Job) -> Job:
     """The same with stations and positions in the order in which they are listed, and plain ways."""
     procedure = job.settings.procedure.model_copy(update={"paths": "plain", "optimise_order": False})
-    rules = replace(job.rules, course=replace(job.rules.course, roads=None))
+    rules = replace(job.rules, retreat=replace(job.rules.retreat, path_rules=None))
     return replace(job, settings=job.settings.model_copy(update={"procedure": procedure}), rules=rules)
 
 
@@ -109,7 +109,7 @@ def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
             station[CARRYING] += timed.seconds / S_PER_MIN
         else:
             station[_MOTION[type(timed.step)]] += timed.motion_s / S_PER_MIN
-            station[WAITING] += timed.beyond_s / S_PER_MIN
+            station[WAITING] += timed.overhead_s / S_PER_MIN
     return {station: dict(minutes[station]) for station in sorted(minutes)}
 
 
@@ -117,8 +117,8 @@ def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T
     """What `plan` concludes on a machine without errors, and its steps that take time, in order."""
     steps: list[TimedStep] = []
 
-    def note(step: Step, motion_s: float, beyond_s: float) -> None:
-        steps.append(TimedStep(step, motion_s, beyond_s))
+    def note(step: Step, motion_s: float, overhead_s: float) -> None:
+        steps.append(TimedStep(step, motion_s, overhead_s))
 
     model = time_model(job.machine, job.settings.timing)
     start = start_mm or _lower_end(job)
@@ -133,14 +133,14 @@ def _there_and_back(job: Job, position: Position, parked: Point) -> Plan[None]:
         yield MoveTo(f"{PREFIX}/{position_key(position)}/park-again", parked)
 
 
-def _one_more(job: Job, position: Position, here: Array, pilot: ShortestPathPlanner) -> Plan[None]:
+def _one_more(job: Job, position: Position, here: Array, planner: ShortestPathPlanner) -> Plan[None]:
     nominal = job.layout.nominal(position)
     mask = job.layout.reachable(position, nominal)
     if mask.sum() < MIN_BALLS:
         return
     key = f"{PREFIX}/{position_key(position)}"
     task = PositionTask(key, 0, position.station, position.azimuth_deg, position.elevation_deg, nominal, mask)
-    yield from measure_position(task, here, job.rules, (), pilot)
+    yield from measure_position(task, here, job.rules, (), planner)
 
 
 def _lower_end(job: Job) -> Point:

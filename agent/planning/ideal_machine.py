@@ -82,4 +82,4 @@ class IdealMachine:
         return first if first < math.inf else None
 
     def _took(self, step: s.Step, motion_s: float) -> None:
-        self._spent(step, motion_s, self._model.beyond_motion_s(step))
+        self._spent(step, motion_s, self._model.overhead_s(step))

@@ -77,7 +77,7 @@ class Job:
         return OrderOptimiser(self.layout, self.rules, time_model(self.machine, self.settings.timing))
 
     @property
-    def closing(self) -> RepeatRules:
+    def repeat_rules(self) -> RepeatRules:
         """Rules for measuring the first position again at the end: one of the set, never a held-out one."""
         chosen = self.settings.temperature
         return RepeatRules(

@@ -75,42 +75,42 @@ class OrderOptimiser:
         if begin is None:
             return []
         turn = cache(self._turn_s)
-        way = self._ways(begin)
-        return shortest_tour(positions, begin, None, lambda a, b: turn(a, b) + way(a, b), turn)
+        path_s = self._path_seconds(begin)
+        return shortest_tour(positions, begin, None, lambda a, b: turn(a, b) + path_s(a, b), turn)
 
     def _turn_s(self, before: Position, after: Position) -> float:
         return self.times.turn_s(_angles(before), _angles(after))
 
-    def _ways(self, begin: Position) -> Callable[[Position, Position], float]:
+    def _path_seconds(self, begin: Position) -> Callable[[Position, Position], float]:
         """Seconds of the ways from one position to the next; none to the first, which is reached from outside."""
-        roads = self.rules.course.roads
-        if roads is None:
+        path_rules = self.rules.retreat.path_rules
+        if path_rules is None:
             return lambda _, __: 0.0
-        traffic = roads.among(self.layout)
+        finder = path_rules.finder_for(self.layout)
 
         @cache
         def seconds(before: Position, after: Position) -> float:
             if before == begin:
                 return 0.0
-            stands = self._stand(traffic, before), self._stand(traffic, after)
-            starts, ends = self._last_spots(before), self._first_spots(after)
-            key = (*stands, tuple(starts), tuple(ends))
-            if key not in traffic.estimates:
-                traffic.estimates[key] = traffic.least_turning_seconds(stands[0], starts, stands[1], ends)
+            poses = self._pose(finder, before), self._pose(finder, after)
+            starts, ends = self._last_locations(before), self._first_locations(after)
+            key = (*poses, tuple(starts), tuple(ends))
+            if key not in finder.turning_estimates:
+                finder.turning_estimates[key] = finder.min_turning_seconds(poses[0], starts, poses[1], ends)
             # Where nothing before the turning artefact is clear, the way is over the parking place; that is far.
-            found = traffic.estimates[key]
+            found = finder.turning_estimates[key]
             return found if math.isfinite(found) else PARK_DETOUR_S
 
         return seconds
 
-    def _last_spots(self, position: Position) -> list[TipLocation]:
+    def _last_locations(self, position: Position) -> list[TipLocation]:
         probing = self.rules.probing
         away = point(probing.directions[-1])
         return [TipLocation(ball, away, probing.contact_mm, touching=True) for ball in self._ends(position)]
 
-    def _first_spots(self, position: Position) -> list[TipLocation]:
+    def _first_locations(self, position: Position) -> list[TipLocation]:
         probing = self.rules.probing
-        out_mm = probing.contact_mm + probing.wide.approach_mm
+        out_mm = probing.contact_mm + probing.wide_search.approach_mm
         return [TipLocation(ball, point(probing.directions[0]), out_mm) for ball in self._ends(position)]
 
     def _ends(self, position: Position) -> tuple[int, ...]:
@@ -119,8 +119,8 @@ class OrderOptimiser:
         return (reached[0], reached[-1]) if len(reached) >= MIN_BALLS else ()
 
     @staticmethod
-    def _stand(traffic: FreePathFinder, position: Position) -> ArtefactPose:
-        return traffic.standing(position.station, position.azimuth_deg, position.elevation_deg)
+    def _pose(finder: FreePathFinder, position: Position) -> ArtefactPose:
+        return finder.pose_at(position.station, position.azimuth_deg, position.elevation_deg)
 
 
 def _angles(position: Position) -> Angles:

@@ -99,11 +99,11 @@ class _Times:
 
     def note(self, step: Step, _: object) -> None:
         self._watch()
-        motion_s, beyond_s = self._clock.now() - self._last_s, self._model.beyond_motion_s(step)
-        self._clock.sleep(beyond_s)
+        motion_s, overhead_s = self._clock.now() - self._last_s, self._model.overhead_s(step)
+        self._clock.sleep(overhead_s)
         self._last_s = self.timeline[step.key] = self._clock.now()
-        if motion_s or beyond_s:
-            self.steps.append(TimedStep(step, motion_s, beyond_s))
+        if motion_s or overhead_s:
+            self.steps.append(TimedStep(step, motion_s, overhead_s))
 
 
 def _require_proof(verified: MeasuredPositions) -> None:
@@ -120,7 +120,7 @@ def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions
     """Plan of a calibration: the probe's preparation, the set with the held-out positions, then these again."""
     prepared = yield from job.preparing()
     order = replace(job.measuring, standing_at=prepared.standing_at)
-    measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.closing)
+    measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.repeat_rules)
     order = job.verifying(measured.standing_at)
-    verified = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
+    verified = yield from measure_positions(order, job.layout, prepared.rules, measured.mount_poses)
     return measured, verified

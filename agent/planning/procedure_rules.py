@@ -33,8 +33,8 @@ def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefa
         stylus_axis=STYLUS_AXIS,
         ball_radius_mm=artefact.ball_radius_mm,
         tip_radius_mm=tip_radius_mm,
-        narrow=Search(chosen.approach_mm, chosen.search_mm),
-        wide=Search(chosen.wide_approach_mm, chosen.wide_search_mm),
+        narrow_search=Search(chosen.approach_mm, chosen.search_mm),
+        wide_search=Search(chosen.wide_approach_mm, chosen.wide_search_mm),
         feed_mm_per_s=chosen.touch_feed_mm_per_min / 60.0,
         retract_mm=chosen.retract_mm,
         touch_sigma_mm=chosen.touch_sigma_um * MM_PER_UM,
@@ -47,8 +47,8 @@ def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefa
         recentre_mm=chosen.recentre_mm,
         repeats=chosen.repeats,
         stop_on_failure=chosen.on_failure == "stop",
-        careful_mm_per_s=chosen.guarded_feed_mm_per_min / 60.0,
-        find=FastTouch(chosen.first_touch_feed_mm_per_min / 60.0, chosen.back_off_mm)
+        guarded_feed_mm_per_s=chosen.guarded_feed_mm_per_min / 60.0,
+        fast_touch=FastTouch(chosen.first_touch_feed_mm_per_min / 60.0, chosen.back_off_mm)
         if chosen.touch_stages == 2
         else None,
     )
@@ -90,7 +90,7 @@ def layout_of(
 ) -> MeasuringLayout:
     """Return the measuring layout; its limits are the travel less the room that the pattern of `probing` needs."""
     travel = np.array(machine.limits)
-    below, above = probing.room_mm
+    below, above = probing.required_travel_mm
     return MeasuringLayout(
         artefact=artefacts.all,
         mount=settings.mount,
@@ -100,7 +100,7 @@ def layout_of(
         lower_mm=travel[:, 0] + below,
         upper_mm=travel[:, 1] - above,
         contact_mm=probing.contact_mm,
-        approach_mm=probing.wide.approach_mm,
+        approach_mm=probing.wide_search.approach_mm,
         directions=probing.directions,
         overtravel_mm=probing.fastest_mm_per_s**2 / (2.0 * min(machine.acceleration_mm_per_s2)),
         own_artefacts=artefacts.own,
@@ -125,8 +125,8 @@ def retreat_of(
                 key="stations.park_distance_mm",
             )
         park[number] = target
-    roads = free_path_rules_of(procedure, timing, machine) if procedure.paths == "shortest" else None
-    return Retreat(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park, roads=roads)
+    path_rules = free_path_rules_of(procedure, timing, machine) if procedure.paths == "shortest" else None
+    return Retreat(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park, path_rules=path_rules)
 
 
 def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> FreePathRules:
@@ -139,6 +139,6 @@ def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machin
         upper_mm=travel[:, 1],
         dynamics=AxisDynamics(times.rapid_mm_per_s, times.acceleration_mm_per_s2, times.command_latency_s),
         clearance_mm=chosen.clearance_mm,
-        known_mm=chosen.recentre_mm,
-        unknown_mm=chosen.wide_approach_mm,
+        aligned_uncertainty_mm=chosen.recentre_mm,
+        unaligned_uncertainty_mm=chosen.wide_approach_mm,
     )

@@ -59,7 +59,7 @@ class TimeModel:
         way_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
         return travel_time_s(way_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
 
-    def beyond_motion_s(self, step: Step) -> float:
+    def overhead_s(self, step: Step) -> float:
         """What `step` takes besides motion: its latency, or the operator's time."""
         match step:
             case MoveTo():

@@ -1,4 +1,4 @@
-"""What a fitted ball must satisfy, and which of its touches to doubt where it does not. Pure."""
+"""Gates that a fitted ball must pass, and the touches to doubt if it does not."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from twin.artefact.sphere_fit import SphereFit
 from twin.units import UM_PER_MM
 
 TIE_RATIO = 0.95
-"""Touches whose weighed residual reaches this part of the largest cannot be told apart: their directions are off the
-pattern's by the distance at which a ball is measured again, some percent of its radius."""
+"""Touches whose weighted residual reaches this fraction of the largest cannot be distinguished: their directions
+deviate from the pattern by up to the distance at which a ball is measured again, some percent of its radius."""
 MIN_POLE_REDUNDANCY = 0.05
-"""Redundancy of the pole below which nothing but the pole itself says where it should be."""
+"""Redundancy of the pole below which the other touches do not determine its expected location."""
 
 
 @dataclass(frozen=True)
 class FailedGate:
-    """A gate of one ball that did not let it pass."""
+    """Gate that a ball did not pass."""
 
     gate: str
     figure_um: float
@@ -27,7 +27,7 @@ class FailedGate:
     text: str
 
     def payload(self, ball: str, then: str) -> dict[str, object]:
-        """For the journal. `ball`: key of the ball in the run; `then`: what is done about it."""
+        """Return the journal payload. `ball`: key of the ball in the run; `then`: the reaction."""
         return {
             "ball": ball,
             "gate": self.gate,
@@ -39,7 +39,7 @@ class FailedGate:
 
 
 def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate | None:
-    """The first limit that `fit`, its radius free, breaks; None where it keeps them all."""
+    """Return the first gate that `fit`, a sphere with a free radius, does not pass; None if it passes all."""
     limits = probing.limits
     deviation = fit.radius - probing.expected_radius_mm
     worst = int(np.abs(fit.residuals).argmax())
@@ -59,21 +59,22 @@ def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate 
 
 
 def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
-    """Pole against equator: distance of the pole's touch from the sphere through all others, the pole left out.
+    """Return the distance of the pole's touch from the sphere through all other touches.
 
-    To first order residual / redundancy. None for the five-point pattern: four touches in one plane fix no sphere, so
-    that a pole that trips late is a ball that stands farther in.
+    To first order it is residual / redundancy. None for the five-point pattern: four touches in one plane determine no
+    sphere, so a late trip at the pole cannot be distinguished from a ball that is farther away.
     """
     share = float(probing.redundancies[0])
     return float(fit.residuals[0]) / share if share > MIN_POLE_REDUNDANCY else None
 
 
 def doubtful_touches(fit: SphereFit, probing: ProbingParameters) -> tuple[int, ...]:
-    """Numbers of the touches to repeat: the worst, and those that the pattern cannot tell from it.
+    """Return the indices of the touches to repeat: the worst, and those that the pattern cannot distinguish from it.
 
-    Weighed by √redundancy (Baarda's test). On five points with a free radius every wrong touch of the equator shows on
-    all four alike, so all four are doubted.
+    Residuals are weighted by √redundancy (Baarda's test). On five points with a free radius a wrong touch of the
+    equator affects the residuals of all four alike, so all four are repeated.
     """
+    # Standardised residual w_i = |v_i| / √r_i; touches without redundancy have none.
     shown = np.sqrt(probing.redundancies)
     weighed = np.divide(np.abs(fit.residuals), shown, out=np.zeros_like(shown), where=shown > 0.0)
     largest = weighed.max()

@@ -1,4 +1,5 @@
-"""One position of the artefact: park, turn the mount, find both ends, align, measure the rest, end where begun."""
+"""Measurement of one position: park, turn the mount, measure both end balls, align, measure the others, and the first
+ball again."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ from twin.artefact.end_ball_alignment import align_to_end_balls
 
 @dataclass(frozen=True)
 class PositionTask:
-    """One position to be measured. `predicted_mm` (N, 3): axis positions of all balls; `reachable` (N,). `found`:
-    whether any ball has been found at this station since the artefact was put there."""
+    """Position to be measured. `predicted_mm` (N, 3): axis positions of all balls; `reachable` (N,). `located`: a ball
+    has been found at this station since the artefact was put there."""
 
     key: str
     index: int
@@ -34,7 +35,7 @@ class PositionTask:
     elevation_deg: float
     predicted_mm: Array
     reachable: NDArray[np.bool_]
-    found: bool = True
+    located: bool = True
 
     @property
     def balls(self) -> list[int]:
@@ -43,7 +44,7 @@ class PositionTask:
 
 @dataclass(frozen=True)
 class MeasuredBall:
-    """One ball centre in one position, ready for identification."""
+    """Ball centre measured in one position, ready for identification."""
 
     position: int
     station: int
@@ -55,7 +56,7 @@ class MeasuredBall:
 
     @property
     def temperature_c(self) -> float:
-        """Of the artefact."""
+        """Temperature of the artefact."""
         return self.conditions.artefact_c
 
     def record(self, key: str) -> dict[str, object]:
@@ -78,7 +79,7 @@ class MeasuredBall:
 
 @dataclass(frozen=True)
 class MeasuredPosition:
-    """What one position gave; `drift_mm` (3,): by how much the first ball was found elsewhere at the end, `again`."""
+    """Result of one position. `drift_mm` (3,): displacement of the first ball when measured `again` at the end."""
 
     balls: tuple[MeasuredBall, ...]
     lost: int
@@ -88,7 +89,7 @@ class MeasuredPosition:
 
     @property
     def all_balls(self) -> tuple[MeasuredBall, ...]:
-        """`balls`, and the first one found again."""
+        """Return `balls` and the repeated first ball."""
         return self.balls if self.again is None else (*self.balls, self.again)
 
     @property
@@ -97,14 +98,14 @@ class MeasuredPosition:
 
     @property
     def centres_mm(self) -> Array:
-        """(n, 3) axis positions as displayed, in the order of `balls`."""
+        """Axis positions (n, 3) as displayed, in the order of `balls`."""
         return np.array([ball.found.centre_mm for ball in self.balls])
 
 
 @dataclass(frozen=True)
 class PositionRules:
     probing: ProbingParameters
-    course: Retreat
+    retreat: Retreat
     drift: DriftLimits
     settling: SettlingRules = field(default_factory=SettlingRules)
     change: StationChange = field(default_factory=StationChange)
@@ -115,39 +116,41 @@ def measure_position(
     here: Array,
     rules: PositionRules,
     before: Sequence[Conditions] = (),
-    pilot: PathPlanner | None = None,
+    planner: PathPlanner | None = None,
 ) -> Plan[MeasuredPosition]:
-    """Measure every reachable ball of `task`; ends at the retreat plane, where `pilot` does not go on to the next.
+    """Measure every reachable ball of `task`; without a `planner` the plan ends at the retreat plane.
 
-    `here` (3,): the axis positions at which the machine stands when the plan begins. Both end balls come first
-    (wide search), the rest is aligned to them; the first ball is measured again last, for drift. `before`: conditions
-    in which the position before was measured; where the artefact has not settled, nothing moves until it has.
+    `here` (3,): axis positions at the start of the plan. Both end balls are measured first (wide search) and the others
+    aligned to them; the first ball is measured again last, for drift. `before`: conditions of the previous position; if
+    the artefact has not settled thermally, the plan waits before it measures.
     """
-    own = pilot or PlainPathPlanner(rules.course, rules.probing)
+    own = planner or PlainPathPlanner(rules.retreat, rules.probing)
     first, between, last = own.sequence(task)
     yield from own.turn(task, here)
     yield from wait_until_settled(task.key, rules.settling, before)
     measuring = _Measuring(task, rules, own)
     yield from own.enter(task, first)
-    found_first = yield from measuring.end_ball(first, rules.probing.wide if task.found else rules.probing.unknown)
-    found_last = yield from measuring.end_ball(last, rules.probing.wide)
+    found_first = yield from measuring.end_ball(
+        first, rules.probing.wide_search if task.located else rules.probing.locating_search
+    )
+    found_last = yield from measuring.end_ball(last, rules.probing.wide_search)
     aligned = align_to_end_balls(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
     own.align(aligned)
     for ball in between:
         yield from measuring.ball(ball, aligned[ball])
     drift = yield from measuring.drift(first, found_first, rules.drift)
-    if pilot is None:
+    if planner is None:
         yield from own.leave(task.key, found_first.centre_mm)
     return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, drift, measuring.again)
 
 
 class _Measuring:
-    """Measures balls of one position and keeps what was found, lost and touched."""
+    """Measures the balls of one position and counts found balls, lost balls and touches."""
 
-    def __init__(self, task: PositionTask, rules: PositionRules, pilot: PathPlanner) -> None:
+    def __init__(self, task: PositionTask, rules: PositionRules, planner: PathPlanner) -> None:
         self._task = task
         self._probing = rules.probing
-        self._pilot = pilot
+        self._planner = planner
         self._thermometers = rules.settling.thermometers
         self.found: list[MeasuredBall] = []
         self.again: MeasuredBall | None = None
@@ -155,7 +158,7 @@ class _Measuring:
         self.touches = 0
 
     def end_ball(self, ball: int, search: Search) -> Plan[FittedBall]:
-        """Both ends must be found: without them nothing is known about where the artefact stands."""
+        """Measure an end ball. Raises MeasurementFault if it is lost: the pose of the artefact depends on both ends."""
         result = yield from self.ball(ball, self._task.predicted_mm[ball], search)
         if isinstance(result, LostBall):
             raise MeasurementFault(
@@ -166,9 +169,9 @@ class _Measuring:
         return result
 
     def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[FittedBall | LostBall]:
-        """One ball for the record; journaled as soon as it is known."""
+        """Measure one ball and journal it at once."""
         key = f"{self._task.key}/ball-{ball:02d}"
-        result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow)
+        result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow_search)
         if isinstance(result, LostBall):
             self.lost += 1
             yield Record(f"{key}/lost", "event", {"ball": ball, "reason": result.reason})
@@ -179,9 +182,9 @@ class _Measuring:
         return result
 
     def drift(self, first: int, found: FittedBall, limits: DriftLimits) -> Plan[Array]:
-        """The first ball again: (3,) mm by which it seems to have moved; NaN where it was lost."""
+        """Measure the first ball again; return its apparent displacement (3,) in mm, NaN if it was lost."""
         key = f"{self._task.key}/ball-{first:02d}/again"
-        again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow)
+        again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow_search)
         if isinstance(again, LostBall):
             yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})
             return np.full(3, np.nan)
@@ -198,8 +201,8 @@ class _Measuring:
     def _approach_and_measure(
         self, key: str, ball: int, predicted: Array, search: Search
     ) -> Plan[FittedBall | LostBall]:
-        yield from self._pilot.to_ball(key, predicted)
-        result = yield from measure_ball(key, predicted, self._probing, search, self._pilot.way_at(ball))
+        yield from self._planner.to_ball(key, predicted)
+        result = yield from measure_ball(key, predicted, self._probing, search, self._planner.touch_path(ball))
         self.touches += result.touches
-        yield from self._pilot.from_ball(key, result.centre_mm if isinstance(result, FittedBall) else predicted)
+        yield from self._planner.from_ball(key, result.centre_mm if isinstance(result, FittedBall) else predicted)
         return result

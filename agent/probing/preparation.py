@@ -32,7 +32,7 @@ class Preparation:
     reversal: ReversalCheck | None = None
 
     @property
-    def nothing(self) -> bool:
+    def is_empty(self) -> bool:
         return self.check is None and self.qualification is None and self.reversal is None
 
 
@@ -62,37 +62,37 @@ def prepare_probe(
 
     Raises MeasurementFault where the ball is not found, the probe does not repeat, or the ball is no ball.
     """
-    yield from _mounts_parked(rules)
-    if preparation.nothing:
+    yield from _park_all_mounts(rules)
+    if preparation.is_empty:
         return PreparationResult(rules, order.standing_at)
-    position, ball, preparation = yield from _datum(order, layout, preparation)
+    position, ball, preparation = yield from _datum_ball(order, layout, preparation)
     key = f"{PREFIX}/{position_key(position)}"
     yield CheckPermissions(f"{key}/permissions")
     yield CheckProbe(f"{key}/probe")
     if position.station != order.standing_at:
         here = np.array((yield ReadPosition(f"{key}/before")))
         yield from change_station(
-            PREFIX, rules.change, rules.course, here, leaving=order.standing_at, to=position.station, index=0
+            PREFIX, rules.change, rules.retreat, here, leaving=order.standing_at, to=position.station, index=0
         )
     predicted = layout.nominal(position)[ball]
-    yield from _go_to(key, position, predicted, rules)
-    found = yield from _found(f"{key}/ball-{ball:02d}", predicted, rules)
-    prepared = yield from _looked_at(f"{key}/ball-{ball:02d}", found.centre_mm, rules, preparation)
-    pilot = create_path_planner(rules.course, rules.probing, layout)
-    yield from pilot.beside(key, position, ball, found.centre_mm)
-    yield from pilot.leave(key, found.centre_mm)
+    yield from _go_to_ball(key, position, predicted, rules)
+    found = yield from _locate_ball(f"{key}/ball-{ball:02d}", predicted, rules)
+    prepared = yield from _carry_out(f"{key}/ball-{ball:02d}", found.centre_mm, rules, preparation)
+    planner = create_path_planner(rules.retreat, rules.probing, layout)
+    yield from planner.take_over(key, position, ball, found.centre_mm)
+    yield from planner.leave(key, found.centre_mm)
     return replace(prepared, standing_at=position.station)
 
 
-def _mounts_parked(rules: PositionRules) -> Plan[None]:
+def _park_all_mounts(rules: PositionRules) -> Plan[None]:
     """Nobody knows how mounts stand that a person or an earlier run has left."""
     if rules.change.own_mounts:
         yield CheckPermissions(f"{PREFIX}/mounts/permissions")
         here = np.array((yield ReadPosition(f"{PREFIX}/mounts/here")))
-        yield from park_mounts(PREFIX, "mounts", rules.change, rules.course, here, rules.change.own_mounts)
+        yield from park_mounts(PREFIX, "mounts", rules.change, rules.retreat, here, rules.change.own_mounts)
 
 
-def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[PreparationResult]:
+def _carry_out(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[PreparationResult]:
     repeatability = qualification = reversal = None
     probing = rules.probing
     if preparation.check is not None:
@@ -105,20 +105,20 @@ def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Prepa
     return PreparationResult(replace(rules, probing=probing), None, repeatability, qualification, reversal)
 
 
-def _go_to(key: str, position: Position, predicted: Array, rules: PositionRules) -> Plan[None]:
-    course = rules.course
+def _go_to_ball(key: str, position: Position, predicted: Array, rules: PositionRules) -> Plan[None]:
+    retreat = rules.retreat
     here = np.array((yield ReadPosition(f"{key}/here")))
-    yield MoveTo(f"{key}/retreat", point(course.retreated(here)))
-    yield MoveTo(f"{key}/park", point(course.parked(here, position.station)))
+    yield MoveTo(f"{key}/retreat", point(retreat.at_retreat_plane(here)))
+    yield MoveTo(f"{key}/park", point(retreat.park_location(here, position.station)))
     yield OrientTo(f"{key}/orient", position.station, position.azimuth_deg, position.elevation_deg)
-    above = course.above(predicted, rules.probing)
-    yield MoveTo(f"{key}/enter", point(course.retreated(above)))
+    above = retreat.withdrawn_from(predicted, rules.probing)
+    yield MoveTo(f"{key}/enter", point(retreat.at_retreat_plane(above)))
     yield MoveTo(f"{key}/approach", point(above))
 
 
-def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[FittedBall]:
+def _locate_ball(key: str, predicted: Array, rules: PositionRules) -> Plan[FittedBall]:
     """Where the ball really stands: the wide search by the pattern of the run."""
-    result = yield from measure_ball(key, predicted, rules.probing, rules.probing.unknown)
+    result = yield from measure_ball(key, predicted, rules.probing, rules.probing.locating_search)
     if isinstance(result, LostBall):
         raise MeasurementFault(
             f"the ball for the probe check was not found where it was expected: {result.reason}",
@@ -129,7 +129,7 @@ def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[FittedBall]
     return result
 
 
-def _datum(
+def _datum_ball(
     order: MeasuringOrder, layout: MeasuringLayout, preparation: Preparation
 ) -> Plan[tuple[Position, int, Preparation]]:
     """Position and ball: the first that can be touched from everywhere the dense pattern asks for.
@@ -138,10 +138,10 @@ def _datum(
     any ball.
     """
     wanted = preparation.qualification.ball if preparation.qualification else None
-    free = _first_free(order, (preparation.layout, layout), wanted)
+    free = _first_free_ball(order, (preparation.layout, layout), wanted)
     if free is not None:
         return *free, preparation
-    anywhere = _first_free(order, (layout,), wanted) if preparation.qualification is None else None
+    anywhere = _first_free_ball(order, (layout,), wanted) if preparation.qualification is None else None
     if anywhere is not None:
         reason = "reversal of the axes cannot be told: no ball of this run is free all around"
         yield Record(f"{PREFIX}/no-free-ball", "event", {"reason": reason})
@@ -154,7 +154,7 @@ def _datum(
     )
 
 
-def _first_free(
+def _first_free_ball(
     order: MeasuringOrder, layouts: Sequence[MeasuringLayout], wanted: int | None
 ) -> tuple[Position, int] | None:
     """Within reach in all of `layouts`."""

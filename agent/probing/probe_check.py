@@ -74,7 +74,7 @@ def _depths(key: str, first: int, centre: Vector, probing: ProbingParameters, ch
     pole = probing.directions[0]
     depths = []
     for number in range(first, first + check.touches):
-        touched = yield from touch_ball(f"{key}/touch-{number}", centre, pole, probing, probing.narrow)
+        touched = yield from touch_ball(f"{key}/touch-{number}", centre, pole, probing, probing.narrow_search)
         if touched.latched_mm is None:
             raise MeasurementFault(
                 "a touch met nothing where the ball had just been found",

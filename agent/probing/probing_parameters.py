@@ -1,4 +1,4 @@
-"""How a ball is touched: distances, feeds, what is known of the stylus, and the limits a measured ball must keep."""
+"""Parameters of probing a ball: distances, feeds, the qualified stylus, and the limits of a measured ball."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from twin.artefact.pretravel import PretravelMap
 from twin.artefact.touch_pattern import LOCATING_RINGS, centre_shift_per_radius, redundancies, ring_directions
 
 PLACEMENT_ALLOWANCE_MM = 3.0
-"""By so much a mount may stand off its place before a ball near the end of travel is out of reach after all."""
+"""Deviation of a mount from its location that is allowed for at the ends of travel."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Where the slow feed begins before the expected surface, and how far beyond it a miss is declared.
+    """Distance before the expected surface at which the slow feed begins, and beyond it at which a miss is declared.
 
-    `beside_mm_per_s`: feed of the moves beside the ball where it has to be looked for first; None: rapid, where its
-    place is known.
+    `guarded_feed_mm_per_s`: feed of the moves beside a ball that must be located first; None: rapid, beside a ball
+    whose location is known.
     """
 
     approach_mm: float
     beyond_mm: float
-    beside_mm_per_s: float | None = None
+    guarded_feed_mm_per_s: float | None = None
 
 
 @dataclass(frozen=True)
 class BallLimits:
-    """A measured ball outside any of these is cleaned up, repeated, then handled by policy.
+    """Limits of a measured ball; if one is exceeded, touches and then the ball are repeated, then the policy applies.
 
-    `touch_mm`: of a residual of the fitted sphere; `pole_mm`: of the pole's distance from the sphere through the rest.
+    `touch_mm`: limit of a residual of the fitted sphere; `pole_mm`: limit of the pole's distance from the sphere
+    through the other touches.
     """
 
     radius_deviation_mm: float
@@ -43,7 +44,7 @@ class BallLimits:
 
 @dataclass(frozen=True)
 class FastTouch:
-    """The first of two touches: fast, to know where the surface is; then back by `back_off_mm` from what it latched."""
+    """First of two touches: fast, to locate the surface; then back by `back_off_mm` from the latched position."""
 
     feed_mm_per_s: float
     back_off_mm: float
@@ -51,10 +52,10 @@ class FastTouch:
 
 @dataclass(frozen=True, eq=False)
 class Stylus:
-    """What the qualification found. `radius_mm`: of ball and tip together, as the probe sees it (pretravel taken off).
+    """Qualified stylus. `radius_mm`: effective radius of ball and tip together (reduced by the pretravel).
 
-    `radius_sigma_mm`: standard uncertainty of that for any one ball; `fixed`: whether spheres are fitted with it;
-    `pretravel`: applied to every touch.
+    `radius_sigma_mm`: its standard uncertainty for any single ball; `fixed`: spheres are fitted with this radius;
+    `pretravel`: correction of every touch.
     """
 
     radius_mm: float
@@ -65,20 +66,20 @@ class Stylus:
 
 @dataclass(frozen=True)
 class ProbingParameters:
-    """`directions` (k, 3): unit vectors in which the tip travels towards the ball, the pole first.
+    """Parameters of probing. `directions` (k, 3): unit vectors of the tip's travel towards the ball, the pole first.
 
     The same vectors on every ball keep pretravel and lobing common to all, so that they cancel in
     differences. `ball_radius_mm` + `tip_radius_mm` is the distance of the centres at contact. `feed_mm_per_s` is that
-    of the touch that counts; `find`: None where the first touch counts; `careful_mm_per_s`: of moves near a ball that
-    is looked for.
+    of the measuring touch; `fast_touch`: None if the first touch is the measuring one; `guarded_feed_mm_per_s`: feed of
+    moves near a ball that is being located.
     """
 
     directions: Array
     stylus_axis: Array
     ball_radius_mm: float
     tip_radius_mm: float
-    narrow: Search
-    wide: Search
+    narrow_search: Search
+    wide_search: Search
     feed_mm_per_s: float
     retract_mm: float
     touch_sigma_mm: float
@@ -86,23 +87,23 @@ class ProbingParameters:
     recentre_mm: float
     repeats: int
     stop_on_failure: bool
-    find: FastTouch | None = None
+    fast_touch: FastTouch | None = None
     stylus: Stylus | None = None
-    careful_mm_per_s: float | None = None
+    guarded_feed_mm_per_s: float | None = None
 
     @property
-    def unknown(self) -> Search:
-        """For the first ball of an artefact that nobody has found yet: slow enough to stop within the overtravel."""
-        return replace(self.wide, beside_mm_per_s=self.careful_mm_per_s)
+    def locating_search(self) -> Search:
+        """Search for the first ball of an artefact not located yet: slow enough to stop within the overtravel."""
+        return replace(self.wide_search, guarded_feed_mm_per_s=self.guarded_feed_mm_per_s)
 
     @property
     def fastest_mm_per_s(self) -> float:
-        """At which a ball that has been located is met."""
-        return self.feed_mm_per_s if self.find is None else max(self.find.feed_mm_per_s, self.feed_mm_per_s)
+        """Highest feed at which a located ball is touched."""
+        return self.feed_mm_per_s if self.fast_touch is None else max(self.fast_touch.feed_mm_per_s, self.feed_mm_per_s)
 
     @cached_property
-    def locating(self) -> Array:
-        """(5, 3): the pole and a ring before the ball, where no holder is in the way of a tip that is some mm off."""
+    def locating_directions(self) -> Array:
+        """Directions (5, 3): the pole and a ring before it, where a tip some mm off stays clear of the holder."""
         return ring_directions(LOCATING_RINGS, self.stylus_axis)
 
     @property
@@ -111,26 +112,26 @@ class ProbingParameters:
 
     @property
     def expected_radius_mm(self) -> float:
-        """Of a sphere through latched positions: qualified, or by the drawings."""
+        """Expected radius of a sphere through latched positions: qualified, or by the drawings."""
         return self.contact_mm if self.stylus is None else self.stylus.radius_mm
 
     @property
-    def room_mm(self) -> tuple[Array, Array]:
-        """Travel (3,) that touching with the wide search needs below and above a ball's axis position."""
-        starts = -self.directions * (self.contact_mm + self.wide.approach_mm)
+    def required_travel_mm(self) -> tuple[Array, Array]:
+        """Travel (3,) needed below and above a ball's axis position to touch it with the wide search."""
+        starts = -self.directions * (self.contact_mm + self.wide_search.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + PLACEMENT_ALLOWANCE_MM
         return below, np.maximum(0.0, starts.max(axis=0)) + PLACEMENT_ALLOWANCE_MM
 
     @cached_property
     def redundancies(self) -> Array:
-        """(k,): the part of a touch's own error that its residual shows; see `twin.artefact.touch_pattern`."""
+        """Redundancies (k,): part of a touch's error that shows in its residual (`twin.artefact.touch_pattern`)."""
         return redundancies(self.directions)
 
     @cached_property
     def centre_per_radius(self) -> Array:
-        """(3,): motion of a fitted centre for each mm by which a fixed radius is too large."""
+        """Shift (3,) of a fitted centre for each mm by which a fixed radius is too large."""
         return centre_shift_per_radius(self.directions)
 
     def qualified(self, stylus: Stylus) -> ProbingParameters:
-        """The same with what is known of the stylus now."""
+        """Return these parameters with the qualified `stylus`."""
         return replace(self, stylus=stylus)

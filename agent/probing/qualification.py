@@ -64,7 +64,7 @@ def qualify_stylus(
     """Touch the ball at `centre` by the dense pattern. A datum ball that keeps breaking a limit raises
     MeasurementFault: nothing could be trusted after it."""
     dense = replace(probing, directions=rules.directions, limits=rules.limits, stylus=None, stop_on_failure=True)
-    found = yield from measure_ball(key, centre, dense, dense.narrow)
+    found = yield from measure_ball(key, centre, dense, dense.narrow_search)
     assert isinstance(found, FittedBall)  # noqa: S101  a lost one stops
     result = qualification_of(found, probing, rules)
     yield Record(f"{key}/stylus", "decision", _payload(key, result))

@@ -1,4 +1,4 @@
-"""The first motion after a fault or an abort: out along the last approach direction, then straight back."""
+"""First motion after a fault or an abort: out along the last approach direction, then straight back."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ WITHDRAW_FEED_MM_PER_S = 20.0
 
 
 def withdraw(
-    course: Retreat, stylus_axis: NDArray[np.float64], distance_mm: float, came: LastMotion | None = None
+    retreat: Retreat, stylus_axis: NDArray[np.float64], distance_mm: float, last_motion: LastMotion | None = None
 ) -> Plan[None]:
-    """Out along the last approach direction, back along the stylus by `distance_mm` slowly, then to the retreat plane;
-    guarded all the way.
+    """Move out along the last approach direction, slowly back along the stylus by `distance_mm`, then to the retreat
+    plane; all moves are guarded.
 
-    `came`: how the tip came to where it is. A probe that is deflected at the start of a guarded move may leave its
-    contact; that is what the slow first parts are for. A machine in fault does not move: a person looks first.
+    `last_motion`: motion by which the tip arrived. A probe that is deflected at the start of a guarded move may leave
+    its contact; the first parts are slow for that reason. A machine in fault does not move: a person checks it first.
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))
-    out = here if came is None else came.exit_point(here)
+    out = here if last_motion is None else last_motion.exit_point(here)
     if np.abs(out - here).max() > 0.0:
         yield MoveTo("recover/out", point(out), WITHDRAW_FEED_MM_PER_S)
-    retreated = course.retreated(out)
-    travel = abs(float((out - retreated)[course.retreat_axis]))
+    retreated = retreat.at_retreat_plane(out)
+    travel = abs(float((out - retreated)[retreat.retreat_axis]))
     first = out - stylus_axis * min(distance_mm, travel)
     yield MoveTo("recover/withdraw", point(first), WITHDRAW_FEED_MM_PER_S)
     yield MoveTo("recover/retreat", point(retreated))

@@ -44,7 +44,7 @@ def measure_with_repeats(
     note = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
     yield Record(f"{REPEAT_PREFIX}/machine", "event", {"note": note})
     again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at)
-    return join_measured(measured, (yield from measure_positions(again, layout, rules, measured.standings)))
+    return join_measured(measured, (yield from measure_positions(again, layout, rules, measured.mount_poses)))
 
 
 def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:
@@ -65,7 +65,7 @@ def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredP
         left_out=(*one.left_out, *other.left_out),
         unreachable_balls=one.unreachable_balls + other.unreachable_balls,
         standing_at=other.standing_at,
-        standings=other.standings,
+        mount_poses=other.mount_poses,
     )
 
 

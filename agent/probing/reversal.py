@@ -145,7 +145,7 @@ def _touched(
     key: str, centre: Vector, touch: ObliqueTouch, upwards: bool, probing: ProbingParameters
 ) -> Plan[float | None]:
     """Before the ball, past the start by the pre-load, back to it by the axis asked for alone, then the touch."""
-    approach_mm = max(probing.narrow.approach_mm, 3.0 * PRELOAD_MM)
+    approach_mm = max(probing.narrow_search.approach_mm, 3.0 * PRELOAD_MM)
     contact = centre + touch.normal * probing.contact_mm
     start = contact - touch.direction * approach_mm
     beside = start.copy()
@@ -155,7 +155,7 @@ def _touched(
     yield MoveTo(f"{key}/above", point(above))
     yield MoveTo(f"{key}/beside", point(beside))
     yield MoveTo(f"{key}/start", point(start))
-    target = contact + touch.direction * probing.narrow.beyond_mm
+    target = contact + touch.direction * probing.narrow_search.beyond_mm
     result = yield TouchTowards(key, point(target), probing.feed_mm_per_s)
     yield MoveTo(f"{key}/back", point(above))
     return result.position_mm[touch.along] if isinstance(result, Touch) else None

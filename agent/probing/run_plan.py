@@ -1,4 +1,4 @@
-"""All positions of a run, station by station: predict, measure, learn where the artefact really stands."""
+"""Measurement of all positions of a run, station by station: predict, measure, update the mount pose."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from twin.design.procedure import MIN_BALLS
 
 @dataclass(frozen=True)
 class MeasuringOrder:
-    """What is to be measured: `prefix` begins every key; positions in order, stations contiguous.
+    """Positions to measure, in order, with contiguous stations; every step key begins with `prefix`.
 
-    `standing_at` is the station where the artefact stands when the plan begins; None when nobody knows, and where every
-    station has its own and all mounts are parked.
+    `standing_at` is the artefact's station at the start of the plan; None if it is not known, and if every station has
+    an artefact of its own and all mounts are parked.
     """
 
     prefix: str
@@ -39,13 +39,14 @@ class MeasuringOrder:
 
 @dataclass(frozen=True)
 class MeasuredPositions:
-    """`positions[i]` belongs to index `indices[i]` of the order; left-out positions have none."""
+    """Measured positions of a plan. `left_out`: keys of positions with too few balls within reach; `mount_poses`: by
+    station, as estimated so far."""
 
     positions: tuple[MeasuredPosition, ...]
     left_out: tuple[str, ...]
     unreachable_balls: int
     standing_at: int | None
-    standings: Mapping[int, MountPoseEstimate]
+    mount_poses: Mapping[int, MountPoseEstimate]
 
     @property
     def touches(self) -> int:
@@ -62,32 +63,32 @@ def measure_positions(
     rules: PositionRules,
     known: Mapping[int, MountPoseEstimate] | None = None,
 ) -> Plan[MeasuredPositions]:
-    """Measure every position of `order`. `known`: how the mount was found to stand earlier in this run."""
+    """Measure every position of `order`. `known`: mount poses by station, estimated earlier in this run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
     yield ReadTemperatures(f"{order.prefix}/temperatures")
     here = np.array((yield ReadPosition(f"{order.prefix}/here")))
-    standings: dict[int, MountPoseEstimate] = dict(known or {})
-    stands_at = order.standing_at
-    done: list[MeasuredPosition] = []
+    mount_poses: dict[int, MountPoseEstimate] = dict(known or {})
+    standing_at = order.standing_at
+    measured_positions: list[MeasuredPosition] = []
     left_out: list[str] = []
     unreachable = 0
-    pilot = create_path_planner(rules.course, rules.probing, layout)
-    inside = ""
+    planner = create_path_planner(rules.retreat, rules.probing, layout)
+    entered_key = ""
     for index, position in enumerate(order.positions):
-        if position.station != stands_at:
-            if inside:
-                yield from pilot.leave(inside, done[-1].balls[0].found.centre_mm)
-                inside = ""
+        if position.station != standing_at:
+            if entered_key:
+                yield from planner.leave(entered_key, measured_positions[-1].balls[0].found.centre_mm)
+                entered_key = ""
             here = yield from change_station(
-                order.prefix, rules.change, rules.course, here, leaving=stands_at, to=position.station, index=index
+                order.prefix, rules.change, rules.retreat, here, leaving=standing_at, to=position.station, index=index
             )
-            stands_at = position.station
+            standing_at = position.station
             if rules.change.moves_artefact:
-                standings.pop(position.station, None)
-        standing = standings.get(position.station, MountPoseEstimate.nominal())
+                mount_poses.pop(position.station, None)
+        mount_pose = mount_poses.get(position.station, MountPoseEstimate.nominal())
         nominal = layout.nominal(position)
-        predicted = standing.transform(nominal)
+        predicted = mount_pose.transform(nominal)
         mask = layout.reachable(position, predicted)
         unreachable += int(mask.size - mask.sum())
         key = f"{order.prefix}/{position_key(position)}"
@@ -103,24 +104,24 @@ def measure_positions(
             elevation_deg=position.elevation_deg,
             predicted_mm=predicted,
             reachable=mask,
-            found=len(standing.expected) > 0,
+            located=len(mount_pose.expected) > 0,
         )
-        before = [ball.conditions for ball in done[-1].balls] if done else []
-        measured = yield from measure_position(task, here, rules, before, pilot)
-        standings[position.station] = standing.with_found_balls(nominal[measured.ball_numbers], measured.centres_mm)
+        before = [ball.conditions for ball in measured_positions[-1].balls] if measured_positions else []
+        measured = yield from measure_position(task, here, rules, before, planner)
+        mount_poses[position.station] = mount_pose.with_found_balls(nominal[measured.ball_numbers], measured.centres_mm)
         here = np.array((yield ReadPosition(f"{key}/here")))
-        done.append(measured)
-        inside = key
-    if inside:
-        yield from pilot.leave(inside, done[-1].balls[0].found.centre_mm)
-    return MeasuredPositions(tuple(done), tuple(left_out), unreachable, stands_at, standings)
+        measured_positions.append(measured)
+        entered_key = key
+    if entered_key:
+        yield from planner.leave(entered_key, measured_positions[-1].balls[0].found.centre_mm)
+    return MeasuredPositions(tuple(measured_positions), tuple(left_out), unreachable, standing_at, mount_poses)
 
 
 def position_key(position: Position) -> str:
-    """``station-1/az090-el-45``."""
+    """Return the key of a position, such as ``station-1/az90-el-45``."""
     return f"station-{position.station}/az{position.azimuth_deg:g}-el{position.elevation_deg:g}"
 
 
 def by_station(positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
-    """Positions in the order of `stations`, their own order kept within each."""
+    """Return the positions in the order of `stations`, with their given order within each."""
     return tuple(p for station in stations for p in positions if p.station == station)

@@ -1,4 +1,4 @@
-"""From one station to the next: the operator carries something, or every station has all it needs."""
+"""Change from one station to the next: the operator carries something, or every station has its own equipment."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin.arrays import Array
 
 
 class CarriedItem(Enum):
-    """What a person carries to the next station."""
+    """Item that the operator carries to the next station."""
 
     MOUNT = "Put the artefact and its mount at station {}, clamp it, clear the workspace, close the doors."
     ARTEFACT = "Put the artefact on the mount at station {}, clamp it, clear the workspace, close the doors."
@@ -21,17 +21,17 @@ class CarriedItem(Enum):
 
 
 class RetreatLocations(Protocol):
-    """Where the probe is out of the way of what turns."""
+    """Locations of the probe clear of everything that turns."""
 
-    def retreated(self, position: Array) -> Array: ...
+    def at_retreat_plane(self, position: Array) -> Array: ...
 
-    def parked(self, position: Array, station: int) -> Array: ...
+    def park_location(self, position: Array, station: int) -> Array: ...
 
 
 @dataclass(frozen=True)
 class StationChange:
-    """`own_mounts`: stations with a mount of their own, which stands at azimuth and elevation `parked_deg` while
-    another one is measured; empty for one mount that is carried."""
+    """Rules for a station change. `own_mounts`: stations with a mount of their own, which is turned to azimuth and
+    elevation `parked_deg` while another one is measured; empty for a single mount that is carried."""
 
     carried: CarriedItem = CarriedItem.MOUNT
     own_mounts: tuple[int, ...] = ()
@@ -39,17 +39,26 @@ class StationChange:
 
     @property
     def moves_artefact(self) -> bool:
-        """Whether an artefact stands elsewhere than it was found before, once it has been at another station."""
+        """Whether an artefact that returns to a station may stand differently from before."""
         return self.carried is not CarriedItem.NOTHING
 
 
 def change_station(
-    prefix: str, change: StationChange, ways: RetreatLocations, here: Array, *, leaving: int | None, to: int, index: int
+    prefix: str,
+    change: StationChange,
+    locations: RetreatLocations,
+    here: Array,
+    *,
+    leaving: int | None,
+    to: int,
+    index: int,
 ) -> Plan[Array]:
-    """Park the mount that is left, where it stays; have the operator carry what is carried, and see that motion is
-    permitted again. Begins with the probe anywhere free; the axis positions afterwards."""
+    """Park the mount that stays behind, ask the operator to carry the item, and check that motion is permitted again.
+
+    Starts with the probe anywhere free; returns the axis positions (3,) afterwards.
+    """
     if leaving is not None and change.own_mounts:
-        here = yield from park_mounts(prefix, f"change-{index}", change, ways, here, (leaving,))
+        here = yield from park_mounts(prefix, f"change-{index}", change, locations, here, (leaving,))
     if change.carried is CarriedItem.NOTHING:
         return here
     request = OperatorRequest(OperatorTask.MOVE_ARTEFACT, change.carried.value.format(to), to)
@@ -59,13 +68,13 @@ def change_station(
 
 
 def park_mounts(
-    prefix: str, when: str, change: StationChange, ways: RetreatLocations, here: Array, stations: Sequence[int]
+    prefix: str, when: str, change: StationChange, locations: RetreatLocations, here: Array, stations: Sequence[int]
 ) -> Plan[Array]:
-    """Turn the mounts at `stations` to where they are in nobody's way, the probe beside each; where that is then."""
+    """Turn the mounts at `stations` to their parked angles, the probe beside each; return the axis positions (3,)."""
     for station in stations:
         key = f"{prefix}/station-{station}/{when}"
-        yield MoveTo(f"{key}/retreat", _point(ways.retreated(here)))
-        here = ways.parked(here, station)
+        yield MoveTo(f"{key}/retreat", _point(locations.at_retreat_plane(here)))
+        here = locations.park_location(here, station)
         yield MoveTo(f"{key}/beside", _point(here))
         yield OrientTo(f"{key}/park", station, *change.parked_deg)
     return here

@@ -148,7 +148,7 @@ class GuardedRun(ABC):
         probing = self._job.rules.probing
         last_motion = self._rig.last_motion
         self._engine.run(
-            withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, last_motion)
+            withdraw(self._job.rules.retreat, np.asarray(probing.stylus_axis), probing.retract_mm, last_motion)
         )
 
     def _attempt_restore(self) -> list[str]:

@@ -75,9 +75,9 @@ class Interrupted:
     def _left(self, rig: Rig, device: SimulatedMachineDevice, step: Any) -> None:
         rules = self._job.rules
         axis = np.asarray(rules.probing.stylus_axis)
-        Engine(rig.actions()).run(withdraw(rules.course, axis, rules.probing.retract_mm, rig.last_motion))
+        Engine(rig.actions()).run(withdraw(rules.retreat, axis, rules.probing.retract_mm, rig.last_motion))
         assert device.world.collisions == [], step.key
-        assert device.position()[rules.course.retreat_axis] == pytest.approx(rules.course.retreat_mm), step.key
+        assert device.position()[rules.retreat.retreat_axis] == pytest.approx(rules.retreat.retreat_mm), step.key
         assert not device.probe_status().deflected, step.key
         self.left.append(step.key)
 
@@ -143,9 +143,9 @@ def test_a_trip_on_the_way_is_left_the_way_the_tip_came(state: Path) -> None:
     seen: list[s.Step] = []
     engine = Engine(rig.actions(), observer=lambda step, _: seen.append(step))
     axis = np.asarray(job.rules.probing.stylus_axis)
-    engine.run(withdraw(job.rules.course, axis, job.rules.probing.retract_mm, rig.last_motion))
+    engine.run(withdraw(job.rules.retreat, axis, job.rules.probing.retract_mm, rig.last_motion))
     first = next(step for step in seen if isinstance(step, s.MoveTo))
     assert first.target_mm[0] - ball[0] == pytest.approx(job.rules.probing.contact_mm + 3.0, abs=0.2)
     assert first.target_mm[1:] == pytest.approx(tuple(ball[1:]), abs=1e-3)
     assert device.world.collisions == []
-    assert device.position()[1] == pytest.approx(job.rules.course.retreat_mm)
+    assert device.position()[1] == pytest.approx(job.rules.retreat.retreat_mm)

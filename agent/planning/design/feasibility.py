@@ -58,7 +58,7 @@ class FeasibilityCheck:
     def _key(self, position: Position) -> _Key:
         layout = self.job.layout
         x, y, z = point(layout.location(position.station))
-        park = self.job.rules.course.park_mm[position.station] - x
+        park = self.job.rules.retreat.park_mm[position.station] - x
         reached = layout.reachable(position, layout.nominal(position))
         return position.azimuth_deg, position.elevation_deg, park, y, z, reached.tobytes()
 
@@ -67,7 +67,7 @@ class FeasibilityCheck:
         job, scene = self.job, self._scene(position)
         resting_mm = job.layout.contact_mm - job.layout.overtravel_mm
         balls, tool = job.layout.nominal(position), point(job.tool_offset_mm)
-        at, touched = point(job.rules.course.parked(balls.mean(axis=0), position.station)), ""
+        at, touched = point(job.rules.retreat.park_location(balls.mean(axis=0), position.station)), ""
         order = MeasuringOrder(_PREFIX, (position,), position.station)
         _, timed = walk_plan(job, measure_positions(order, job.layout, job.rules), at)
         for step in (one.step for one in timed):

@@ -96,5 +96,5 @@ class _Walker:
         tip = translate_point(self.actions[ReadPosition](None), self._offset)
         self.waypoints.append(Waypoint(step, tip, self._elapsed_s, self._standing))
 
-    def _spent(self, _: Step, motion_s: float, beyond_s: float) -> None:
-        self._elapsed_s += motion_s + beyond_s
+    def _spent(self, _: Step, motion_s: float, overhead_s: float) -> None:
+        self._elapsed_s += motion_s + overhead_s

@@ -1,4 +1,4 @@
-"""Where the tip is at a ball, and the first corners of ways from there: off the surface, and round the ball."""
+"""Tip locations at a ball, and the first corners of paths from there: off the surface, and round the ball."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from twin.collision.free_paths import PathCandidates
 from twin.collision.geometry import Point, point
 
 DETOUR_RADII = (1.05, 1.2, 1.4, 1.7)
-"""Corners of the ways round a ball, in units of the distance at which touches begin."""
+"""Distances of the corners round a ball from its centre, in units of the distance at which touches begin."""
 
 DETOUR_SETBACKS = (0.0, 0.4, 0.8, 1.6)
-"""How far before the ball these corners lie, in units of its distance to either side."""
+"""Distances of these corners in front of the ball, in units of their lateral distance."""
 
 MIN_LATERAL_COMPONENT = 0.1
-"""Where both touches are opposite each other, a corner less far aside is none."""
+"""Least length of a corner's direction; below it both touches are opposite and no corner lies between them."""
 
 MIN_LIFT_OFF_COSINE = 0.15
-"""Least cosine between the normal at a touch and the first move away from it: the stylus must come free at once."""
+"""Least cosine between the surface normal at a touch and the first move: the stylus must come free at once."""
 
 MIN_MOVE_MM = 1e-3
-"""Less is no move."""
+"""Shorter moves count as no move."""
 
 LIFT_OFF_MM = 3.0
-"""How far the stylus leaves the surface before it draws back, where it does not leave at once."""
+"""Lift-off from the surface before the stylus draws back, for paths that do not come free at once."""
 
 
 @dataclass(frozen=True)
 class TipLocation:
-    """Where the tip may be at a ball: out from its centre by `out_mm` against the unit vector `direction`.
+    """Tip location at a ball: `out_mm` from its centre, against the unit vector `direction`.
 
-    `touching`: at the surface, after a touch.
+    `touching`: on the surface, after a touch.
     """
 
     ball: int
@@ -44,18 +44,19 @@ class TipLocation:
 
 
 def detour_corners(centre: Array, start: TipLocation, end: TipLocation, stylus_axis: Array) -> Array:
-    """(n, 1, 3): corners beside the ball at `centre` (3,), between both spots and before it."""
-    around = -np.array(start.direction) - np.array(end.direction)
-    ways = around - np.outer(DETOUR_SETBACKS, stylus_axis)
-    lengths = np.sqrt((ways * ways).sum(axis=1))
+    """Return corners (n, 1, 3) of detours round the ball at `centre` (3,), between both locations and before it."""
+    # Bisector of both outward directions, tilted back along the stylus by each of the setbacks.
+    bisector = -np.array(start.direction) - np.array(end.direction)
+    directions = bisector - np.outer(DETOUR_SETBACKS, stylus_axis)
+    lengths = np.sqrt((directions * directions).sum(axis=1))
     aside = lengths > MIN_LATERAL_COMPONENT
-    units = ways[aside] / lengths[aside, None]
+    units = directions[aside] / lengths[aside, None]
     out_mm = max(start.out_mm, end.out_mm) * np.array(DETOUR_RADII)
     return np.asarray((centre + out_mm[:, None, None] * units).reshape(-1, 1, 3))
 
 
 def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
-    """(1, k, 3): off the surface, straight back, up, then across: past an end that reaches out between both."""
+    """Return corners (1, k, 3): off the surface, straight back, up, then across, past a bar end between both points."""
     beside = point(np.array(first) - LIFT_OFF_MM * np.array(start.direction)) if start.touching else first
     low = min(beside[1], last[1])
     out = [(beside[0], low, beside[2]), (beside[0], low, last[2])]
@@ -63,18 +64,20 @@ def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
 
 
 def lifting_off(first: Point, candidates: PathCandidates, start: TipLocation) -> PathCandidates:
-    """Those from `first` whose first move goes away from the surface that is touched; one that does not move at all
-    leaves the next one to do so, which may press on."""
+    """Return the candidates from `first` whose first move leaves the touched surface.
+
+    A candidate with no first move is dropped: its next move might press against the surface.
+    """
     if not start.touching:
         return candidates
-    ways = candidates.corners[:, 0] - np.array(first)
-    lengths = np.linalg.norm(ways, axis=1)
-    away = -ways @ np.array(start.direction) >= MIN_LIFT_OFF_COSINE * lengths
+    directions = candidates.corners[:, 0] - np.array(first)
+    lengths = np.linalg.norm(directions, axis=1)
+    away = -directions @ np.array(start.direction) >= MIN_LIFT_OFF_COSINE * lengths
     return candidates.select(away & (lengths > MIN_MOVE_MM))
 
 
 def lifts_off(first: Point, last: Point, start: TipLocation) -> bool:
-    """Whether the straight way from `first` to `last` does."""
+    """Return whether the straight path from `first` to `last` leaves the touched surface at once."""
     length = math.dist(first, last)
     away = -sum((b - a) * along for a, b, along in zip(first, last, start.direction, strict=True))
     return not start.touching or (away >= MIN_LIFT_OFF_COSINE * length and length > MIN_MOVE_MM)

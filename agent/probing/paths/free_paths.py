@@ -1,8 +1,8 @@
-"""The shortest free ways of one run: from touch to touch, from ball to ball, and out of one pose into the next.
+"""Fastest collision-free paths of one run: from touch to touch, from ball to ball, and from one pose to the next.
 
-Ways are sought among the bodies as they stand by the drawings, in coordinates that begin at the place of the mount,
-so that what was found once holds at every station and however often a position is measured. What is known better or
-worse about the pose goes into the clearance. The corners are then carried over to where the artefact was found.
+Paths are searched among the nominal bodies, in coordinates relative to the mount's location, so that a path found once
+holds at every station and each time a position is measured. The uncertainty of the pose is added to the clearance.
+The corners are then shifted to the measured location of the artefact.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from twin.collision.motion_law import travel_times
 from twin.collision.swept_volume import CELL_MM, SphereCover, TurnSweep, cover_turning_bodies, turn_sweep
 
 UNCERTAINTY_STEPS_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""What a pose is off by is rounded up to one of these, so that few ways serve many."""
+"""Steps to which the uncertainty of a pose is rounded up, so that a few paths serve many poses."""
 
 WORTHWHILE_RATIO = 0.95
-"""A place to wait while the mount turns is not bettered for less than this."""
+"""Another waiting point is searched only if it may shorten the path at least to this fraction."""
 
 _MAX_WAITING_POINTS = 24
 _GRID_MM = 80.0
@@ -54,43 +54,47 @@ _GRID_MM = 80.0
 
 @dataclass(frozen=True)
 class ArtefactPose:
-    """How the artefact stands: the mount's angles, and depth and height of its place (workpiece frame).
+    """Nominal pose of the artefact: angles of the mount, and depth and height of its location (workpiece frame).
 
-    `among`: the station, where something else than this mount stands in the workspace; 0 where all stations are alike.
+    `station`: the station if other mounts or artefacts stand in the workspace; 0 if all stations are alike.
     """
 
     azimuth_deg: float
     elevation_deg: float
     depth_mm: float
     height_mm: float
-    among: int = 0
+    station: int = 0
 
 
 @dataclass(frozen=True)
 class TurningPath:
-    """Out of the old pose, and from where the tip waits while the mount turns, into the new one. Corners and `waiting`
-    relative to the place of the mount; `seconds` of both ways."""
+    """Path out of the old pose to a waiting point, where the tip stays while the mount turns, and into the new pose.
 
-    out: tuple[Point, ...]
-    waiting: Point
-    into: tuple[Point, ...]
+    Corners and `waiting_point` are relative to the mount's location; `seconds`: time of both parts without the turn.
+    """
+
+    exit_path: tuple[Point, ...]
+    waiting_point: Point
+    entry_path: tuple[Point, ...]
     seconds: float
 
 
 @dataclass(eq=False)
 class _PosedBodies:
-    """Ball centres (N, 3), also one by one, and all bodies, relative to the place of the mount."""
+    """Ball centres (N, 3), the same as points, and all bodies, relative to the mount's location."""
 
     centres: Array
-    places: Sequence[Point]
-    among: PrefilteredScene
+    centre_points: Sequence[Point]
+    prefiltered: PrefilteredScene
 
 
 @dataclass(frozen=True, eq=False)
 class FreePathRules:
-    """`stylus_axis` (3,): unit vector along which the stylus points. `lower_mm`, `upper_mm` (3,): travel of the axes.
-    `clearance_mm`: what every two bodies keep on every way, beside what the pose may be off by: `known_mm` once the end
-    balls are found, `unknown_mm` before.
+    """Rules for free paths. `stylus_axis` (3,): unit vector along which the stylus points. `lower_mm`, `upper_mm` (3,):
+    travel of the axes.
+
+    `clearance_mm`: distance between any two bodies on every path. The uncertainty of the pose is added to it:
+    `aligned_uncertainty_mm` once the end balls have been found, `unaligned_uncertainty_mm` before.
     """
 
     stylus_axis: Array
@@ -98,307 +102,341 @@ class FreePathRules:
     upper_mm: Array
     dynamics: AxisDynamics
     clearance_mm: float
-    known_mm: float
-    unknown_mm: float
-    _traffic: dict[MeasuringLayout, FreePathFinder] = field(default_factory=dict, init=False, repr=False)
+    aligned_uncertainty_mm: float
+    unaligned_uncertainty_mm: float
+    _finders: dict[MeasuringLayout, FreePathFinder] = field(default_factory=dict, init=False, repr=False)
 
-    def among(self, layout: MeasuringLayout) -> FreePathFinder:
-        """The ways among what stands as `layout` says; the same each time, with all that was found."""
-        if layout not in self._traffic:
-            self._traffic[layout] = FreePathFinder(layout, self)
-        return self._traffic[layout]
+    def finder_for(self, layout: MeasuringLayout) -> FreePathFinder:
+        """Return the path finder among the bodies of `layout`; the same object each time, with its cached paths."""
+        if layout not in self._finders:
+            self._finders[layout] = FreePathFinder(layout, self)
+        return self._finders[layout]
 
 
 @dataclass(frozen=True, eq=False)
 class FreePathFinder:
-    """Every way that was asked for is kept: the same ones are asked for at every station, and again in every proof."""
+    """Finds free paths and caches them: the same ones are needed at every station and again in every verification."""
 
     layout: MeasuringLayout
-    roads: FreePathRules
-    estimates: dict[object, float] = field(default_factory=dict, init=False, repr=False)
+    rules: FreePathRules
+    turning_estimates: dict[object, float] = field(default_factory=dict, init=False, repr=False)
     sequences: dict[object, list[int]] = field(default_factory=dict, init=False, repr=False)
     _covers: dict[int, SphereCover] = field(default_factory=dict, init=False, repr=False)
-    _poses: dict[ArtefactPose, _PosedBodies] = field(default_factory=dict, init=False, repr=False)
+    _posed_cache: dict[ArtefactPose, _PosedBodies] = field(default_factory=dict, init=False, repr=False)
     _sweeps: dict[object, TurnSweep] = field(default_factory=dict, init=False, repr=False)
-    _ways: dict[object, FreePath | None] = field(default_factory=dict, init=False, repr=False)
-    _turning: dict[object, TurningPath | None] = field(default_factory=dict, init=False, repr=False)
+    _paths: dict[object, FreePath | None] = field(default_factory=dict, init=False, repr=False)
+    _turning_paths: dict[object, TurningPath | None] = field(default_factory=dict, init=False, repr=False)
 
-    def standing(self, station: int, azimuth_deg: float, elevation_deg: float) -> ArtefactPose:
+    def pose_at(self, station: int, azimuth_deg: float, elevation_deg: float) -> ArtefactPose:
         _, depth, height = point(self.layout.location(station))
         alone = not (self.layout.neighbours or self.layout.own_artefacts)
         return ArtefactPose(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
 
     def axes_at(self, station: int, corner: Point) -> Array:
-        """(3,) axis positions of a tip centre relative to the place of the mount at `station`."""
+        """Return the axis positions (3,) for a tip centre given relative to the mount's location at `station`."""
         return np.asarray(self.layout.location(station) - self.layout.tool_offset_mm + corner)
 
-    def nominal(self, stand: ArtefactPose, station: int) -> Array:
-        """(N, 3) axis positions of all balls."""
-        return np.asarray(self._pose(stand).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
+    def ball_axes(self, pose: ArtefactPose, station: int) -> Array:
+        """Return the nominal axis positions (N, 3) of all balls."""
+        return np.asarray(self._posed(pose).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
 
-    def at(self, stand: ArtefactPose, spot: TipLocation) -> Point:
-        """Tip centre at `spot`, relative to the place of the mount."""
-        (x, y, z), (along_x, along_y, along_z) = self._pose(stand).places[spot.ball], spot.direction
-        return x - along_x * spot.out_mm, y - along_y * spot.out_mm, z - along_z * spot.out_mm
+    def tip_at(self, pose: ArtefactPose, location: TipLocation) -> Point:
+        """Return the tip centre at `location`, relative to the mount's location."""
+        (x, y, z), (along_x, along_y, along_z) = self._posed(pose).centre_points[location.ball], location.direction
+        return x - along_x * location.out_mm, y - along_y * location.out_mm, z - along_z * location.out_mm
 
-    def between(
-        self, stand: ArtefactPose, start: TipLocation, end: TipLocation, uncertain_mm: float, place_x_mm: float
+    def path_between(
+        self, pose: ArtefactPose, start: TipLocation, end: TipLocation, uncertainty_mm: float, mount_x_mm: float
     ) -> FreePath | None:
-        """The fastest free way, relative to the place of the mount at `place_x_mm`; None where no way is proved to be
-        free. `uncertain_mm`: by so much the artefact may stand off.
+        """Return the fastest free path, relative to the mount's location at `mount_x_mm`; None if no path is proved
+        free. `uncertainty_mm`: largest deviation of the artefact from its pose.
         """
-        uncertain_mm = round_up_uncertainty(uncertain_mm)
-        anywhere = self._known_way(stand, start, end, uncertain_mm, (-math.inf, math.inf))
-        low, high = self._room(place_x_mm)
-        if anywhere is None or all(low <= x <= high for x, _, _ in anywhere.corners):
-            return anywhere
-        return self._known_way(stand, start, end, uncertain_mm, (low, high))
+        uncertainty_mm = round_up_uncertainty(uncertainty_mm)
+        unlimited = self._cached_path(pose, start, end, uncertainty_mm, (-math.inf, math.inf))
+        low, high = self._x_range(mount_x_mm)
+        if unlimited is None or all(low <= x <= high for x, _, _ in unlimited.corners):
+            return unlimited
+        return self._cached_path(pose, start, end, uncertainty_mm, (low, high))
 
-    def _known_way(
-        self, stand: ArtefactPose, start: TipLocation, end: TipLocation, uncertain_mm: float, room: tuple[float, float]
+    def _cached_path(
+        self,
+        pose: ArtefactPose,
+        start: TipLocation,
+        end: TipLocation,
+        uncertainty_mm: float,
+        x_range: tuple[float, float],
     ) -> FreePath | None:
-        key = (stand, start, end, uncertain_mm, room)
-        if key not in self._ways:
-            self._ways[key] = self._sought(*key)
-        return self._ways[key]
+        key = (pose, start, end, uncertainty_mm, x_range)
+        if key not in self._paths:
+            self._paths[key] = self._search_path(*key)
+        return self._paths[key]
 
-    def straight_seconds(
-        self, stand: ArtefactPose, starts: Sequence[TipLocation], ends: Sequence[TipLocation]
-    ) -> Array:
-        """(n, m): no way from one to the other is faster."""
-        first, last = (np.array([self.at(stand, spot) for spot in spots]) for spots in (starts, ends))
-        return self._straight(first[:, None], last[None])
+    def straight_seconds(self, pose: ArtefactPose, starts: Sequence[TipLocation], ends: Sequence[TipLocation]) -> Array:
+        """Return lower bounds (n, m), in s, of the time from each start to each end: straight paths."""
+        first, last = (
+            np.array([self.tip_at(pose, location) for location in locations]) for locations in (starts, ends)
+        )
+        return self._straight_times(first[:, None], last[None])
 
-    def turning(
+    def turning_path(
         self,
         before: ArtefactPose,
         start: TipLocation,
         after: ArtefactPose,
         end: TipLocation,
-        place_x_mm: float,
+        mount_x_mm: float,
         faster_than_s: float = math.inf,
     ) -> TurningPath | None:
-        """From `start` in one pose to `end` in the next; None where nothing proved to be free was found that takes less
-        than `faster_than_s`."""
-        (low, high), reach = self._room(place_x_mm), self._reach_mm(after)
+        """Return a path from `start` in one pose to `end` in the next; None if no path that takes less than
+        `faster_than_s` is proved free."""
+        (low, high), reach = self._x_range(mount_x_mm), self._reach_mm(after)
         key = (before, start, after, end, (max(low, -reach), min(high, reach)))
-        if key not in self._turning:
-            found = self._waiting_place(*key, faster_than_s)
+        if key not in self._turning_paths:
+            found = self._search_turning_path(*key, faster_than_s)
             if found is None and faster_than_s < math.inf:
                 return None
-            self._turning[key] = found
-        way = self._turning[key]
-        return way if way is not None and way.seconds < faster_than_s else None
+            self._turning_paths[key] = found
+        path = self._turning_paths[key]
+        return path if path is not None and path.seconds < faster_than_s else None
 
-    def least_turning_seconds(
+    def min_turning_seconds(
         self, before: ArtefactPose, starts: Sequence[TipLocation], after: ArtefactPose, ends: Sequence[TipLocation]
     ) -> float:
-        """From the best of `starts` to the best of `ends`, as if every way before the turning artefact were free; the
-        turn itself not included. What `turning` finds is rarely much slower."""
-        reach = self._reach_mm(after)
-        pairs = product([self.at(before, start) for start in starts], [self.at(after, end) for end in ends])
-        first, last = (np.array(one) for one in zip(*pairs, strict=True))
-        places, clear = self._offered(before, after, first, last, (-reach, reach))
-        return float(np.where(clear, self._by_way_of(places, first, last), math.inf).min())
+        """Return a lower bound of the time from the best of `starts` to the best of `ends`, without the turn itself.
 
-    def _room(self, place_x_mm: float) -> tuple[float, float]:
-        """Travel of the tip along X, relative to the place."""
+        It assumes that every path in front of the turning artefact is free; `turning_path` is rarely much slower.
+        """
+        reach = self._reach_mm(after)
+        pairs = product([self.tip_at(before, start) for start in starts], [self.tip_at(after, end) for end in ends])
+        first, last = (np.array(one) for one in zip(*pairs, strict=True))
+        points, clear = self._waiting_points(before, after, first, last, (-reach, reach))
+        return float(np.where(clear, self._seconds_by_way_of(points, first, last), math.inf).min())
+
+    def _x_range(self, mount_x_mm: float) -> tuple[float, float]:
+        """Return the travel of the tip along X, relative to the mount's location."""
         low, high = (
-            float(end[0] + self.layout.tool_offset_mm[0]) - place_x_mm
-            for end in (self.roads.lower_mm, self.roads.upper_mm)
+            float(end[0] + self.layout.tool_offset_mm[0]) - mount_x_mm
+            for end in (self.rules.lower_mm, self.rules.upper_mm)
         )
         return low, high
 
     # ------------------------------------------------------------------ touches and balls
 
-    def _sought(
-        self, stand: ArtefactPose, start: TipLocation, end: TipLocation, uncertain_mm: float, room: tuple[float, float]
+    def _search_path(
+        self,
+        pose: ArtefactPose,
+        start: TipLocation,
+        end: TipLocation,
+        uncertainty_mm: float,
+        x_range: tuple[float, float],
     ) -> FreePath | None:
-        pose = self._pose(stand)
-        first, last = self.at(stand, start), self.at(stand, end)
-        groups = self._corners(stand, start, last, end.out_mm - start.out_mm)
+        posed = self._posed(pose)
+        first, last = self.tip_at(pose, start), self.tip_at(pose, end)
+        groups = self._corners(pose, start, last, end.out_mm - start.out_mm)
         if start.ball == end.ball:
-            groups.append(detour_corners(pose.centres[start.ball], start, end, self.roads.stylus_axis))
+            groups.append(detour_corners(posed.centres[start.ball], start, end, self.rules.stylus_axis))
         candidates = lifting_off(first, PathCandidates.of(groups), start)
-        low, high = self._travel(stand)
-        low[0], high[0] = room
+        low, high = self._travel(pose)
+        low[0], high[0] = x_range
         candidates = candidates.inside(low, high)
-        for apart in self._aparts(start, end, uncertain_mm):
-            way = self._straight_way(pose, first, last, start, apart)
-            way = way or fastest_path(pose.among, self.roads.dynamics, first, last, candidates, apart)
-            if way is not None:
-                return way
+        for clearances in self._clearance_options(start, end, uncertainty_mm):
+            path = self._direct_path(posed, first, last, start, clearances)
+            path = path or fastest_path(posed.prefiltered, self.rules.dynamics, first, last, candidates, clearances)
+            if path is not None:
+                return path
         return None
 
-    def _straight_way(
-        self, pose: _PosedBodies, first: Point, last: Point, start: TipLocation, apart: Clearances
+    def _direct_path(
+        self, posed: _PosedBodies, first: Point, last: Point, start: TipLocation, clearances: Clearances
     ) -> FreePath | None:
-        """None where it does not leave the surface at once, too."""
+        """Return the straight path; None if it is not free, or does not leave the surface at once."""
         if not lifts_off(first, last, start):
             return None
-        return direct_path(pose.among.scene, self.roads.dynamics, first, last, apart)
+        return direct_path(posed.prefiltered.scene, self.rules.dynamics, first, last, clearances)
 
-    def _corners(self, stand: ArtefactPose, start: TipLocation, last: Point, beside_mm: float) -> list[Array]:
-        """Candidates (n, k, 3) from `start`, from a touch such as leave the surface by `beside_mm` first if need be."""
+    def _corners(self, pose: ArtefactPose, start: TipLocation, last: Point, beside_mm: float) -> list[Array]:
+        """Return candidate corners (n, k, 3) from `start`; after a touch some also lift off by `beside_mm` first."""
         aside = -beside_mm * np.array(start.direction) if start.touching else None
-        least = float(self._travel(stand)[0] @ np.abs(self.roads.stylus_axis))
-        return retract_candidates(self.at(stand, start), last, -self.roads.stylus_axis, least, aside)
+        retract_limit = float(self._travel(pose)[0] @ np.abs(self.rules.stylus_axis))
+        return retract_candidates(self.tip_at(pose, start), last, -self.rules.stylus_axis, retract_limit, aside)
 
-    def _aparts(self, start: TipLocation, end: TipLocation, uncertain_mm: float) -> Iterator[Clearances]:
-        """What is kept from everything; less from the balls at both ends, whose surface the touch is to find, and
-        from their holders, which stand by their balls wherever these are."""
-        apart_mm = self.roads.clearance_mm + uncertain_mm
+    def _clearance_options(self, start: TipLocation, end: TipLocation, uncertainty_mm: float) -> Iterator[Clearances]:
+        """Yield clearances from all bodies, strictest first.
+
+        The balls at both ends have less: their surface is to be touched. So have their holders in the second option:
+        a holder moves with its ball, so the uncertainty of the pose does not matter there.
+        """
+        clearance_mm = self.rules.clearance_mm + uncertainty_mm
         balls = {start.ball, end.ball}
-        begins_mm = min(apart_mm, end.out_mm - self._contact_mm - 1e-3)
-        near = {(body, ball_name(ball)): begins_mm for body in (TIP, "stem") for ball in balls}
-        yield Clearances(apart_mm, near)
-        holders = {(body, post_name(ball)): self.roads.clearance_mm for body in (TIP, "stem") for ball in balls}
-        yield Clearances(apart_mm, near | holders)
+        ball_clearance_mm = min(clearance_mm, end.out_mm - self._contact_mm - 1e-3)
+        near = {(body, ball_name(ball)): ball_clearance_mm for body in (TIP, "stem") for ball in balls}
+        yield Clearances(clearance_mm, near)
+        holders = {(body, post_name(ball)): self.rules.clearance_mm for body in (TIP, "stem") for ball in balls}
+        yield Clearances(clearance_mm, near | holders)
 
     # ------------------------------------------------------------------ turning
 
-    def _waiting_place(
+    def _search_turning_path(
         self,
         before: ArtefactPose,
         start: TipLocation,
         after: ArtefactPose,
         end: TipLocation,
-        between_mm: tuple[float, float],
+        x_range: tuple[float, float],
         faster_than_s: float,
     ) -> TurningPath | None:
-        """The first of the places, by what they cost at least, to which and from which a way is free."""
-        first, last = (np.array([self.at(*one)]) for one in ((before, start), (after, end)))
-        (offered,), (clear,) = self._offered(before, after, first, last, between_mm)
-        places = offered[clear]
-        least = self._by_way_of(places[None], first, last)[0]
+        """Return the fastest path by way of a waiting point, tried in the order of their lower bounds.
+
+        A later waiting point is worth a search only if its bound is below `WORTHWHILE_RATIO` times the best time.
+        """
+        first, last = (np.array([self.tip_at(*one)]) for one in ((before, start), (after, end)))
+        (candidates,), (clear,) = self._waiting_points(before, after, first, last, x_range)
+        points = candidates[clear]
+        lower_bounds = self._seconds_by_way_of(points[None], first, last)[0]
         best: TurningPath | None = None
         worth_s = faster_than_s
-        for index in np.argsort(least, kind="stable")[:_MAX_WAITING_POINTS].tolist():
-            if least[index] >= worth_s:
+        for index in np.argsort(lower_bounds, kind="stable")[:_MAX_WAITING_POINTS].tolist():
+            if lower_bounds[index] >= worth_s:
                 break
-            better = self._waiting_at(point(places[index]), before, start, after, end, faster_than_s)
+            better = self._turning_path_by(point(points[index]), before, start, after, end, faster_than_s)
             if better is not None:
                 best, faster_than_s, worth_s = better, better.seconds, WORTHWHILE_RATIO * better.seconds
         return best
 
-    def _waiting_at(
+    def _turning_path_by(
         self,
-        waiting: Point,
+        waiting_point: Point,
         before: ArtefactPose,
         start: TipLocation,
         after: ArtefactPose,
         end: TipLocation,
         faster_than_s: float,
     ) -> TurningPath | None:
-        """The way there and on, where both are free and it is faster than that."""
-        out = self.to_place(before, start, waiting)
-        if out is None or out.seconds + self._straight_s(waiting, self.at(after, end)) >= faster_than_s:
+        """Return the path by way of `waiting_point`; None if a part is not free or it takes `faster_than_s` or more."""
+        exit_path = self.path_to_point(before, start, waiting_point)
+        if (
+            exit_path is None
+            or exit_path.seconds + self._straight_seconds(waiting_point, self.tip_at(after, end)) >= faster_than_s
+        ):
             return None
-        into = self.to_place(after, end, waiting)
-        if into is None or out.seconds + into.seconds >= faster_than_s:
+        entry_path = self.path_to_point(after, end, waiting_point)
+        if entry_path is None or exit_path.seconds + entry_path.seconds >= faster_than_s:
             return None
-        return TurningPath(out.corners, waiting, into.corners[::-1], out.seconds + into.seconds)
+        return TurningPath(
+            exit_path.corners, waiting_point, entry_path.corners[::-1], exit_path.seconds + entry_path.seconds
+        )
 
-    def _by_way_of(self, places: Array, first: Array, last: Array) -> Array:
-        """(c, n) seconds at the least from `first` (c, 3) to `places` (c, n, 3) and on to `last` (c, 3)."""
-        return self._straight(first[:, None], places) + self._straight(places, last[:, None])
+    def _seconds_by_way_of(self, points: Array, first: Array, last: Array) -> Array:
+        """Return lower bounds (c, n), in s, from `first` (c, 3) by way of `points` (c, n, 3) to `last` (c, 3)."""
+        return self._straight_times(first[:, None], points) + self._straight_times(points, last[:, None])
 
-    def _offered(
-        self, before: ArtefactPose, after: ArtefactPose, first: Array, last: Array, between_mm: tuple[float, float]
+    def _waiting_points(
+        self, before: ArtefactPose, after: ArtefactPose, first: Array, last: Array, x_range: tuple[float, float]
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """(c, n, 3) for ends (c, 3): places before everything that turns, a grid and straight before both ends; (c, n)
-        whether each is inside the travel."""
+        """Return waiting points (c, n, 3) for ends (c, 3), and whether each is inside the travel (c, n).
+
+        The points lie in front of the volume swept by the turn: on a grid in X and Z, and straight before both ends.
+        """
         low, high = self._travel(before)
-        low[0], high[0] = between_mm
-        x, z = (self._grid(first[:, k], last[:, k], low[k], high[k]) for k in (0, 2))
+        low[0], high[0] = x_range
+        x, z = (self._grid_along(first[:, k], last[:, k], low[k], high[k]) for k in (0, 2))
         x, z = np.broadcast_arrays(x[:, None, :], z[:, :, None])
         deepest = np.maximum(first[:, 1], last[:, 1])[:, None, None]
+        # Depth of the front of the swept volume at (x, z), but never deeper than the deeper end.
         y = np.minimum(self._sweep(before, after).at(x, z), deepest)
-        places = np.stack([x, y, z], axis=-1).reshape(len(first), -1, 3)
-        return places, places[..., 1] >= low[1]
+        points = np.stack([x, y, z], axis=-1).reshape(len(first), -1, 3)
+        return points, points[..., 1] >= low[1]
 
     @staticmethod
-    def _grid(first: Array, last: Array, low: float, high: float) -> Array:
-        """(c, n) along one axis: at both ends (c,), in between, and every so often."""
-        steps = np.arange(low, high, _GRID_MM)
-        every = np.broadcast_to(steps, (len(first), len(steps)))
+    def _grid_along(first: Array, last: Array, low: float, high: float) -> Array:
+        """Return coordinates (c, n) along one axis: both ends (c,), their middle, and a grid over the travel."""
+        grid = np.arange(low, high, _GRID_MM)
+        every = np.broadcast_to(grid, (len(first), len(grid)))
         return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))
 
-    def to_place(self, stand: ArtefactPose, spot: TipLocation, waiting: Point) -> FreePath | None:
-        """Out from `spot` to a place relative to that of the mount, before the artefact; None where no way is proved
-        to be free. The way in is the same backwards."""
-        key = (stand, spot, waiting)
-        if key not in self._ways:
-            self._ways[key] = self._sought_to_place(*key)
-        return self._ways[key]
+    def path_to_point(self, pose: ArtefactPose, location: TipLocation, waiting_point: Point) -> FreePath | None:
+        """Return a path from `location` to a point before the artefact, relative to the mount's location; None if no
+        path is proved free. The path in is its reverse."""
+        key = (pose, location, waiting_point)
+        if key not in self._paths:
+            self._paths[key] = self._search_path_to_point(*key)
+        return self._paths[key]
 
-    def _sought_to_place(self, stand: ArtefactPose, spot: TipLocation, waiting: Point) -> FreePath | None:
-        apart_mm = self.roads.clearance_mm + self.roads.unknown_mm
-        near_mm = min(apart_mm, max(spot.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
-        names = ball_name(spot.ball), post_name(spot.ball)
-        apart = Clearances(apart_mm, {(body, name): near_mm for body in (TIP, "stem") for name in names})
-        pose, first = self._pose(stand), self.at(stand, spot)
-        way = self._straight_way(pose, first, waiting, spot, apart)
-        if way is not None:
-            return way
-        groups = [*self._corners(stand, spot, waiting, LIFT_OFF_MM), rectangular_exit(first, waiting, spot)]
-        candidates = lifting_off(first, PathCandidates.of(groups), spot)
-        return fastest_path(pose.among, self.roads.dynamics, first, waiting, candidates, apart)
+    def _search_path_to_point(self, pose: ArtefactPose, location: TipLocation, waiting_point: Point) -> FreePath | None:
+        clearance_mm = self.rules.clearance_mm + self.rules.unaligned_uncertainty_mm
+        near_mm = min(clearance_mm, max(location.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
+        names = ball_name(location.ball), post_name(location.ball)
+        clearances = Clearances(clearance_mm, {(body, name): near_mm for body in (TIP, "stem") for name in names})
+        posed, first = self._posed(pose), self.tip_at(pose, location)
+        path = self._direct_path(posed, first, waiting_point, location, clearances)
+        if path is not None:
+            return path
+        groups = [
+            *self._corners(pose, location, waiting_point, LIFT_OFF_MM),
+            rectangular_exit(first, waiting_point, location),
+        ]
+        candidates = lifting_off(first, PathCandidates.of(groups), location)
+        return fastest_path(posed.prefiltered, self.rules.dynamics, first, waiting_point, candidates, clearances)
 
     def _sweep(self, before: ArtefactPose, after: ArtefactPose) -> TurnSweep:
         low, high = (
-            tuple(choose(a, b) for a, b in zip(_angles(before), _angles(after), strict=True)) for choose in (min, max)
+            tuple(choose(a, b) for a, b in zip(_mount_angles(before), _mount_angles(after), strict=True))
+            for choose in (min, max)
         )
-        key = (low, high, after.depth_mm, after.height_mm, after.among)
+        key = (low, high, after.depth_mm, after.height_mm, after.station)
         if key not in self._sweeps:
             self._sweeps[key] = turn_sweep(
                 self._cover(after),
                 self.layout.probe,
-                self._standing_still(after),
+                self._stationary_shapes(after),
                 (low[0], low[1]),
                 (high[0], high[1]),
-                clearance_mm=self.roads.clearance_mm + self.roads.unknown_mm,
+                clearance_mm=self.rules.clearance_mm + self.rules.unaligned_uncertainty_mm,
             )
         return self._sweeps[key]
 
-    def _standing_still(self, stand: ArtefactPose) -> list[Shape]:
-        """What does not turn with the mount: its pedestal, the table and what else is there."""
-        scene = self._pose(stand).among.scene
-        carried = self._artefact(stand).count
-        turning = {"shaft", "bar", *map(ball_name, range(carried)), *map(post_name, range(carried))}
-        return [body.shape for body in scene.obstacles if body.name not in turning]
+    def _stationary_shapes(self, pose: ArtefactPose) -> list[Shape]:
+        """Return the shapes that do not turn with the mount: its pedestal, the table and all other bodies."""
+        scene = self._posed(pose).prefiltered.scene
+        carried = self._artefact(pose).count
+        turning_names = {"shaft", "bar", *map(ball_name, range(carried)), *map(post_name, range(carried))}
+        return [body.shape for body in scene.obstacles if body.name not in turning_names]
 
-    def _straight(self, start: Array, end: Array) -> Array:
-        dynamics = self.roads.dynamics
+    def _straight_times(self, start: Array, end: Array) -> Array:
+        dynamics = self.rules.dynamics
         return travel_times(start, end, dynamics.rapid_mm_per_s, dynamics.acceleration_mm_per_s2) + dynamics.command_s
 
-    def _straight_s(self, start: Point, end: Point) -> float:
-        return float(self._straight(np.array(start), np.array(end)))
+    def _straight_seconds(self, start: Point, end: Point) -> float:
+        return float(self._straight_times(np.array(start), np.array(end)))
 
-    def _travel(self, stand: ArtefactPose) -> tuple[Array, Array]:
-        """Of the tip, relative to the place, along X to the table; less what the artefact may stand off."""
-        place = np.array([0.0, stand.depth_mm, stand.height_mm])
-        shift, room = self.layout.tool_offset_mm - place, self.roads.unknown_mm
-        return self.roads.lower_mm + shift + room, self.roads.upper_mm + shift - room
+    def _travel(self, pose: ArtefactPose) -> tuple[Array, Array]:
+        """Return the lower and upper limits (3,) of the tip relative to the mount's location on the table's X, less the
+        uncertainty of the unaligned pose."""
+        place = np.array([0.0, pose.depth_mm, pose.height_mm])
+        shift, margin_mm = self.layout.tool_offset_mm - place, self.rules.unaligned_uncertainty_mm
+        return self.rules.lower_mm + shift + margin_mm, self.rules.upper_mm + shift - margin_mm
 
     # ------------------------------------------------------------------ bodies
 
-    def _cover(self, stand: ArtefactPose) -> SphereCover:
-        if stand.among not in self._covers:
-            self._covers[stand.among] = cover_turning_bodies(self._artefact(stand), self.layout.mount)
-        return self._covers[stand.among]
+    def _cover(self, pose: ArtefactPose) -> SphereCover:
+        if pose.station not in self._covers:
+            self._covers[pose.station] = cover_turning_bodies(self._artefact(pose), self.layout.mount)
+        return self._covers[pose.station]
 
-    def _artefact(self, stand: ArtefactPose) -> Artefact:
-        return self.layout.artefact_at(stand.among)
+    def _artefact(self, pose: ArtefactPose) -> Artefact:
+        return self.layout.artefact_at(pose.station)
 
-    def _reach_mm(self, stand: ArtefactPose) -> float:
+    def _reach_mm(self, pose: ArtefactPose) -> float:
         return (
-            self._cover(stand).reach_mm + self.layout.probe.ram_half_width_mm + self.roads.unknown_mm + 10.0 * CELL_MM
+            self._cover(pose).reach_mm
+            + self.layout.probe.ram_half_width_mm
+            + self.rules.unaligned_uncertainty_mm
+            + 10.0 * CELL_MM
         )
 
     @property
     def _probe(self) -> ProbeGeometry:
-        """With a stem as thick as the tip: then what the tip sweeps straight back, from anywhere, is free."""
+        """Probe with a stem at least as thick as the tip, so that withdrawing straight back is free from any point."""
         probe = self.layout.probe
         return replace(probe, stem_radius_mm=max(probe.stem_radius_mm, probe.tip_radius_mm))
 
@@ -406,31 +444,31 @@ class FreePathFinder:
     def _contact_mm(self) -> float:
         return self.layout.contact_mm
 
-    def _pose(self, stand: ArtefactPose) -> _PosedBodies:
-        if stand not in self._poses:
-            x = float(self.layout.location(stand.among)[0]) if stand.among else 0.0
+    def _posed(self, pose: ArtefactPose) -> _PosedBodies:
+        if pose not in self._posed_cache:
+            x = float(self.layout.location(pose.station)[0]) if pose.station else 0.0
             centres, scene = measuring_scene(
-                self._artefact(stand),
+                self._artefact(pose),
                 self._probe,
                 self.layout.mount,
-                location_mm=np.array([x, stand.depth_mm, stand.height_mm]),
-                azimuth_rad=math.radians(stand.azimuth_deg),
-                elevation_rad=math.radians(stand.elevation_deg),
-                other_bodies=self.layout.neighbours.get(stand.among, ()),
+                location_mm=np.array([x, pose.depth_mm, pose.height_mm]),
+                azimuth_rad=math.radians(pose.azimuth_deg),
+                elevation_rad=math.radians(pose.elevation_deg),
+                other_bodies=self.layout.neighbours.get(pose.station, ()),
             )
-            back = (-x, -stand.depth_mm, -stand.height_mm)
-            self._poses[stand] = _PosedBodies(
+            back = (-x, -pose.depth_mm, -pose.height_mm)
+            self._posed_cache[pose] = _PosedBodies(
                 centres + back,
                 [point(centre) for centre in centres + back],
                 PrefilteredScene.of(scene.translated(back)),
             )
-        return self._poses[stand]
+        return self._posed_cache[pose]
 
 
-def round_up_uncertainty(uncertain_mm: float) -> float:
-    """To the next of `UNCERTAINTY_STEPS_MM`, beyond the last as it is."""
-    return next((value for value in UNCERTAINTY_STEPS_MM if uncertain_mm <= value), uncertain_mm)
+def round_up_uncertainty(uncertainty_mm: float) -> float:
+    """Round up to the next of `UNCERTAINTY_STEPS_MM`; a value beyond the last is returned unchanged."""
+    return next((value for value in UNCERTAINTY_STEPS_MM if uncertainty_mm <= value), uncertainty_mm)
 
 
-def _angles(stand: ArtefactPose) -> tuple[float, float]:
-    return stand.azimuth_deg, stand.elevation_deg
+def _mount_angles(pose: ArtefactPose) -> tuple[float, float]:
+    return pose.azimuth_deg, pose.elevation_deg

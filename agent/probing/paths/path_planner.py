@@ -1,7 +1,7 @@
-"""Takes the tip where the next touch begins and out again: what a plan needs to know of ways.
+"""Path planner interface: moves the tip to the start of the next touch and out again.
 
 `PlainPathPlanner` withdraws from every ball, and to the retreat plane between positions; the planner in
-`agent.probing.paths.shortest_path` goes the fastest way that is proved to be free.
+`agent.probing.paths.shortest_path` takes the fastest path that is proved free.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from twin.artefact.position_set import Position
 
 
 class PlannedPosition(Protocol):
-    """Where the next position is: what a pilot reads of a position's task."""
+    """Next position to measure, as far as a path planner needs it."""
 
     @property
     def key(self) -> str: ...
@@ -34,44 +34,44 @@ class PlannedPosition(Protocol):
 
 
 class PathPlanner(Protocol):
-    """Of one plan, from the retreat plane to the retreat plane; between positions it may stay nearer."""
+    """Path planner of one plan, which starts and ends at the retreat plane; between positions it may stay closer."""
 
     def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
-        """The ball to begin and end with, those in between in the order of measuring, and the other end."""
+        """Return the ball to begin and end with, the balls in between in measuring order, and the other end ball."""
         ...
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
-        """Go where the artefact may turn, and turn it. `here` (3,): where the machine stands."""
+        """Move to where the artefact may turn, and turn it. `here` (3,): current axis positions."""
         ...
 
     def enter(self, task: PlannedPosition, ball: int) -> Plan[None]:
-        """Before the first ball, once the artefact stands still."""
+        """Move before the first ball once the artefact has stopped."""
         ...
 
     def align(self, centres_mm: Array) -> None:
-        """From now on all balls (N, 3) are known to be there."""
+        """Use these centres (N, 3) of all balls from now on."""
         ...
 
     def to_ball(self, key: str, centre: Array) -> Plan[None]: ...
 
-    def way_at(self, ball: int) -> TouchPath: ...
+    def touch_path(self, ball: int) -> TouchPath: ...
 
     def from_ball(self, key: str, centre: Array) -> Plan[None]: ...
 
-    def beside(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Take over before a `ball` found at `centre` (3,), the tip in the plane before it."""
+    def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
+        """Take over with the tip in the plane before `ball`, which was found at `centre` (3,)."""
         ...
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """To the retreat plane, or beside the station; `centre` (3,) of the ball measured last."""
+        """Move to the retreat plane, or beside the station; `centre` (3,) of the ball measured last."""
         ...
 
 
 class PlainPathPlanner:
-    """Back by `retract_mm` from every ball; to the retreat plane and beside the station between positions."""
+    """Withdraws by `retract_mm` from every ball, and to the retreat plane and beside the station between positions."""
 
-    def __init__(self, course: Retreat, probing: ProbingParameters) -> None:
-        self._course = course
+    def __init__(self, retreat: Retreat, probing: ProbingParameters) -> None:
+        self._retreat = retreat
         self._probing = probing
 
     def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
@@ -79,29 +79,31 @@ class PlainPathPlanner:
         return first, between[::-1], last
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
-        course = self._course
-        yield MoveTo(f"{task.key}/retreat", point(course.retreated(here)))
-        yield MoveTo(f"{task.key}/park", point(course.parked(here, task.station)))
+        retreat = self._retreat
+        yield MoveTo(f"{task.key}/retreat", point(retreat.at_retreat_plane(here)))
+        yield MoveTo(f"{task.key}/park", point(retreat.park_location(here, task.station)))
         yield OrientTo(f"{task.key}/orient", task.station, task.azimuth_deg, task.elevation_deg)
 
     def enter(self, task: PlannedPosition, ball: int) -> Plan[None]:
-        above = self._course.above(task.predicted_mm[ball], self._probing)
-        yield MoveTo(f"{task.key}/enter", point(self._course.retreated(above)))
+        above = self._retreat.withdrawn_from(task.predicted_mm[ball], self._probing)
+        yield MoveTo(f"{task.key}/enter", point(self._retreat.at_retreat_plane(above)))
 
     def align(self, centres_mm: Array) -> None:
-        """Whatever is known of the pose, the ways stay the same."""
+        """Do nothing: plain paths do not depend on the pose."""
 
     def to_ball(self, key: str, centre: Array) -> Plan[None]:
-        yield MoveTo(f"{key}/approach", point(self._course.above(centre, self._probing)))
+        yield MoveTo(f"{key}/approach", point(self._retreat.withdrawn_from(centre, self._probing)))
 
-    def way_at(self, ball: int) -> TouchPath:
+    def touch_path(self, ball: int) -> TouchPath:
         return PlainTouchPath(self._probing)
 
     def from_ball(self, key: str, centre: Array) -> Plan[None]:
-        yield MoveTo(f"{key}/withdraw", point(self._course.above(centre, self._probing)))
+        yield MoveTo(f"{key}/withdraw", point(self._retreat.withdrawn_from(centre, self._probing)))
 
-    def beside(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
+    def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
         yield from ()
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        yield MoveTo(f"{key}/leave", point(self._course.retreated(self._course.above(centre, self._probing))))
+        yield MoveTo(
+            f"{key}/leave", point(self._retreat.at_retreat_plane(self._retreat.withdrawn_from(centre, self._probing)))
+        )

@@ -36,10 +36,10 @@ def measure(
     positions: Sequence[Position],
     job: Job,
     rules: PositionRules,
-    standings: Mapping[int, MountPoseEstimate] | None = None,
+    mount_poses: Mapping[int, MountPoseEstimate] | None = None,
 ) -> MeasuredPositions:
     """Measure some of a night's positions, with keys that begin with `prefix`."""
-    return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, standings))
+    return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, mount_poses))
 
 
 def judge_measurement(

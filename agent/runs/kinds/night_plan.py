@@ -126,10 +126,10 @@ def whole_night(plan: NightPlan) -> Procedure:
         measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
         if plan.further:
             order = plan.order(FURTHER, plan.further)
-            more = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
+            more = yield from measure_positions(order, job.layout, prepared.rules, measured.mount_poses)
             measured = join_measured(measured, more)
         again = job.verifying(plan.station)
-        verified = yield from measure_positions(again, job.layout, prepared.rules, measured.standings)
+        verified = yield from measure_positions(again, job.layout, prepared.rules, measured.mount_poses)
         return measured, verified
 
     return procedure

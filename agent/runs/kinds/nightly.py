@@ -174,8 +174,8 @@ class NightlyRun(CalibrationRun):
     def _measure(
         self, prefix: str, positions: Sequence[Position], before: MeasuredPositions | None = None
     ) -> MeasuredPositions:
-        standings = None if before is None else before.standings
-        return measure(self._engine, self._plan, prefix, positions, self._job, self._rules, standings)
+        mount_poses = None if before is None else before.mount_poses
+        return measure(self._engine, self._plan, prefix, positions, self._job, self._rules, mount_poses)
 
     def _judged(self, measured: MeasuredPositions) -> Judgement:
         self.progress.measured = measured

@@ -45,7 +45,7 @@ class ReturnPath:
         if not trace.moved:
             return
         probing = rules.probing
-        yield from withdraw(rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, trace.last_motion)
+        yield from withdraw(rules.retreat, np.asarray(probing.stylus_axis), probing.retract_mm, trace.last_motion)
         yield CheckProbe(f"{self.prefix}/probe")
         if trace.pose is not None and not isinstance(following, (OrientTo, AskOperator)):
             yield from self._turn_mount_back(trace.pose)
@@ -57,22 +57,22 @@ class ReturnPath:
     def _turn_mount_back(self, pose: OrientTo) -> Plan[None]:
         """Turn the mount back: without power it may have sunk, and it may have been in the middle of a turn."""
         here = np.array((yield ReadPosition(f"{self.prefix}/here")))
-        yield MoveTo(f"{self.prefix}/park", point(self.rules.course.parked(here, pose.station)))
+        yield MoveTo(f"{self.prefix}/park", point(self.rules.retreat.park_location(here, pose.station)))
         yield OrientTo(f"{self.prefix}/orient", pose.station, pose.azimuth_deg, pose.elevation_deg)
 
     def _datum(self, expected: Array) -> Plan[None]:
         """Measure the last ball centre found in this pose again."""
-        probing, course = self.rules.probing, self.rules.course
+        probing, retreat = self.rules.probing, self.rules.retreat
         key = f"{self.prefix}/datum"
-        above = course.above(expected, probing)
-        yield MoveTo(f"{key}/enter", point(course.retreated(above)))
+        above = retreat.withdrawn_from(expected, probing)
+        yield MoveTo(f"{key}/enter", point(retreat.at_retreat_plane(above)))
         yield MoveTo(f"{key}/approach", point(above))
-        found = yield from measure_ball(key, expected, probing, probing.narrow)
+        found = yield from measure_ball(key, expected, probing, probing.narrow_search)
         if isinstance(found, LostBall):
             raise self._artefact_moved(f"was not found: {found.reason}")
         moved_um = UM_PER_MM * (found.centre_mm - expected)
         yield Record(f"{key}/found", "event", {"of": self.trace.datum_key, "moved_um": moved_um})
-        yield MoveTo(f"{key}/leave", point(course.retreated(course.above(found.centre_mm, probing))))
+        yield MoveTo(f"{key}/leave", point(retreat.at_retreat_plane(retreat.withdrawn_from(found.centre_mm, probing))))
         way_um = float(np.linalg.norm(moved_um))
         if way_um > UM_PER_MM * self.tolerance_mm:
             raise self._artefact_moved(
@@ -87,10 +87,10 @@ class ReturnPath:
 
     def _approach(self, goal: Array) -> Plan[None]:
         """Move across at the retreat plane, then along the stylus; each axis approaches from its former side."""
-        course, axes = self.rules.course, self.trace.axes
-        along = course.retreat_axis
+        retreat, axes = self.rules.retreat, self.trace.axes
+        along = retreat.retreat_axis
         across = [axis for axis in range(3) if axis != along]
-        side = course.retreated(goal)
+        side = retreat.at_retreat_plane(goal)
         for axis in across:
             side[axis] = axes[axis][0].beside_mm if axes[axis] else goal[axis]
         yield MoveTo(f"{self.prefix}/beside", point(side))

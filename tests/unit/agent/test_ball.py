@@ -22,8 +22,8 @@ PROBING = ProbingParameters(
     stylus_axis=AXIS,
     ball_radius_mm=12.5,
     tip_radius_mm=3.0,
-    narrow=Search(3.0, 3.0),
-    wide=Search(8.0, 8.0),
+    narrow_search=Search(3.0, 3.0),
+    wide_search=Search(8.0, 8.0),
     feed_mm_per_s=5.0,
     retract_mm=45.0,
     touch_sigma_mm=1.0e-3,
@@ -56,15 +56,17 @@ def gates(player: TouchedBall) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("touches", [5, 9, 13, 25])
-@pytest.mark.parametrize("find", [None, FastTouch(20.0, 1.0)])
-def test_every_pattern_finds_the_centre_in_one_stage_and_in_two(touches: int, find: FastTouch | None) -> None:
+@pytest.mark.parametrize("fast_touch", [None, FastTouch(20.0, 1.0)])
+def test_every_pattern_finds_the_centre_in_one_stage_and_in_two(touches: int, fast_touch: FastTouch | None) -> None:
     player = TouchedBall(CENTRE, PROBING.contact_mm, clean)
     found = player.run(
-        measure_ball("b", CENTRE + np.array([0.1, -0.1, 0.05]), probing(touches, find=find), PROBING.narrow)
+        measure_ball(
+            "b", CENTRE + np.array([0.1, -0.1, 0.05]), probing(touches, fast_touch=fast_touch), PROBING.narrow_search
+        )
     )
     assert isinstance(found, FittedBall)
     assert found.centre_mm == pytest.approx(CENTRE, abs=1e-9)
-    assert found.touches == len(player.touched) == touches * (1 if find is None else 2)
+    assert found.touches == len(player.touched) == touches * (1 if fast_touch is None else 2)
     assert player.events == []
 
 
@@ -72,8 +74,8 @@ def test_in_two_stages_only_the_slow_touch_counts() -> None:
     """A signal that is late by 2 ms moves a fast touch by 40 µm and a slow one by 1.0 µm."""
     delay_s, slow, fast = 2e-3, 0.5, 20.0
     player = TouchedBall(CENTRE, PROBING.contact_mm, lambda _way, feed, _key: feed * delay_s)
-    two = probing(find=FastTouch(fast, 1.0), feed_mm_per_s=slow)
-    found = player.run(measure_ball("b", CENTRE, two, PROBING.narrow))
+    two = probing(fast_touch=FastTouch(fast, 1.0), feed_mm_per_s=slow)
+    found = player.run(measure_ball("b", CENTRE, two, PROBING.narrow_search))
     assert found.radius_mm == pytest.approx(PROBING.contact_mm - slow * delay_s, abs=1e-9)
     touch = [step for step in player.steps if step.key.startswith("b/touch-1")]
     assert [step.key for step in touch] == [
@@ -85,7 +87,7 @@ def test_in_two_stages_only_the_slow_touch_counts() -> None:
 
 def test_a_false_trip_goes_away_by_a_clean_up_touch() -> None:
     player = TouchedBall(CENTRE, PROBING.contact_mm, first_time("b/touch-7", -0.030))
-    found = player.run(measure_ball("b", CENTRE, probing(9), PROBING.narrow))
+    found = player.run(measure_ball("b", CENTRE, probing(9), PROBING.narrow_search))
     assert found.centre_mm == pytest.approx(CENTRE, abs=1e-9)
     assert gates(player) == [("form", "clean-up of touch 7")]
     assert player.events[0]["ball"] == "b"
@@ -96,7 +98,7 @@ def test_a_false_trip_goes_away_by_a_clean_up_touch() -> None:
 
 def test_on_five_points_all_of_the_equator_is_doubted_since_nothing_tells_them_apart() -> None:
     player = TouchedBall(CENTRE, PROBING.contact_mm, first_time("b/touch-3", -0.050))
-    found = player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow))
+    found = player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow_search))
     assert found.centre_mm == pytest.approx(CENTRE, abs=1e-9)
     assert player.touched[5:] == [f"b/clean-up/touch-{index}" for index in (1, 2, 3, 4)]
 
@@ -106,7 +108,7 @@ def test_dirt_that_stays_leads_to_repeats_and_then_to_the_policy() -> None:
         return -0.040 if np.allclose(way, probing(9).directions[7], atol=0.05) else 0.0
 
     player = TouchedBall(CENTRE, PROBING.contact_mm, dirty)
-    lost = player.run(measure_ball("b", CENTRE, probing(9), PROBING.narrow))
+    lost = player.run(measure_ball("b", CENTRE, probing(9), PROBING.narrow_search))
     assert isinstance(lost, LostBall)
     assert "form" in lost.reason
     assert [then for _, then in gates(player)] == [
@@ -116,7 +118,9 @@ def test_dirt_that_stays_leads_to_repeats_and_then_to_the_policy() -> None:
     assert lost.touches == len(player.touched) == 3 * 10
 
     stopping = TouchedBall(CENTRE, PROBING.contact_mm, dirty)
-    _, end = ended(stopping, measure_ball("b", CENTRE, probing(9, stop_on_failure=True, repeats=0), PROBING.narrow))
+    _, end = ended(
+        stopping, measure_ball("b", CENTRE, probing(9, stop_on_failure=True, repeats=0), PROBING.narrow_search)
+    )
     assert "could not be measured: form" in end
     assert gates(stopping)[-1] == ("form", "stop")
 
@@ -131,7 +135,7 @@ def test_dirt_that_stays_leads_to_repeats_and_then_to_the_policy() -> None:
 )
 def test_each_gate_names_its_figure(gate: str, late_mm, limits: BallLimits) -> None:
     player = TouchedBall(CENTRE, PROBING.contact_mm, lambda way, *_: late_mm(way))
-    player.run(measure_ball("b", CENTRE, probing(13, limits=limits), PROBING.narrow))
+    player.run(measure_ball("b", CENTRE, probing(13, limits=limits), PROBING.narrow_search))
     event = player.events[0]
     assert (event["gate"], event["ball"]) == (gate, "b")
     assert abs(event["figure_um"]) > event["limit_um"]
@@ -142,9 +146,11 @@ def test_radius_is_held_against_the_qualified_one() -> None:
     off_mm = 0.023
     player = TouchedBall(CENTRE, PROBING.contact_mm, lambda *_: -off_mm)
     stylus = Stylus(PROBING.contact_mm + off_mm, 3e-4, fixed=False)
-    assert isinstance(player.run(measure_ball("b", CENTRE, probing().qualified(stylus), PROBING.narrow)), FittedBall)
+    assert isinstance(
+        player.run(measure_ball("b", CENTRE, probing().qualified(stylus), PROBING.narrow_search)), FittedBall
+    )
     player = TouchedBall(CENTRE, PROBING.contact_mm, lambda *_: -off_mm)
-    assert isinstance(player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow)), LostBall)
+    assert isinstance(player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow_search)), LostBall)
 
 
 def test_pole_against_equator_is_the_distance_from_the_sphere_through_the_rest() -> None:
@@ -159,7 +165,7 @@ def test_pole_against_equator_is_the_distance_from_the_sphere_through_the_rest()
 
 def test_five_points_say_nothing_of_the_pole() -> None:
     late = TouchedBall(CENTRE, PROBING.contact_mm, lambda way, *_: 0.1 if way[1] > 0.99 else 0.0)
-    found = late.run(measure_ball("b", CENTRE, probing(), PROBING.narrow))
+    found = late.run(measure_ball("b", CENTRE, probing(), PROBING.narrow_search))
     assert isinstance(found, FittedBall)
     assert found.centre_mm[1] - CENTRE[1] == pytest.approx(0.1, rel=0.01)
     assert late.events == []
@@ -172,7 +178,7 @@ def test_five_points_say_nothing_of_the_pole() -> None:
 def test_a_miss_is_searched_wider_once() -> None:
     """The ball stands 5 mm farther in than the narrow search goes; from there it is measured again."""
     player = TouchedBall(CENTRE + np.array([0.0, 5.0, 0.0]), PROBING.contact_mm, clean)
-    found = player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow))
+    found = player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow_search))
     assert isinstance(found, FittedBall)
     assert found.centre_mm == pytest.approx(CENTRE + np.array([0.0, 5.0, 0.0]), abs=1e-6)
     assert [event["then"] for event in player.events] == ["search wider", "repeat the ball"]
@@ -181,7 +187,7 @@ def test_a_miss_is_searched_wider_once() -> None:
 @pytest.mark.parametrize(("stop", "then"), [(False, "skip the ball"), (True, "stop")])
 def test_a_miss_of_the_wide_search_ends_it_by_policy(stop: bool, then: str) -> None:
     player = TouchedBall(CENTRE + np.array([0.0, 50.0, 0.0]), PROBING.contact_mm, clean)
-    lost, end = ended(player, measure_ball("b", CENTRE, probing(stop_on_failure=stop), PROBING.narrow))
+    lost, end = ended(player, measure_ball("b", CENTRE, probing(stop_on_failure=stop), PROBING.narrow_search))
     assert [event["then"] for event in player.events] == ["search wider", then]
     assert player.touched == ["b/touch-0", "b/repeat-1/touch-0"]
     assert end == "done" if lost else "met nothing" in end
@@ -189,7 +195,7 @@ def test_a_miss_of_the_wide_search_ends_it_by_policy(stop: bool, then: str) -> N
 
 def test_the_search_never_goes_beyond_its_bounds() -> None:
     player = TouchedBall(CENTRE + np.array([0.0, 50.0, 0.0]), PROBING.contact_mm, clean)
-    player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow))
+    player.run(measure_ball("b", CENTRE, probing(), PROBING.narrow_search))
     depths = [step.target_mm[1] - CENTRE[1] for step in player.steps if isinstance(step, s.TouchTowards)]
     assert depths == pytest.approx([-15.5 + 3.0, -15.5 + 8.0])
 
@@ -206,7 +212,7 @@ def test_a_fixed_radius_scatters_as_its_covariance_says(touches: int) -> None:
         player = TouchedBall(
             CENTRE, PROBING.contact_mm + rng.normal(0.0, radius_sigma), lambda *_: rng.normal(0.0, sigma)
         )
-        found = player.run(measure_ball("b", CENTRE, known, PROBING.narrow))
+        found = player.run(measure_ball("b", CENTRE, known, PROBING.narrow_search))
         centres.append(found.centre_mm - CENTRE)
         stated = found.covariance_mm2
     assert np.cov(np.array(centres).T) == pytest.approx(stated, rel=0.2, abs=1.2e-7)

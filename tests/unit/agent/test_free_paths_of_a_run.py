@@ -36,10 +36,10 @@ CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM = 2.0, 0.5, 4.0
 ORIENTATIONS = [(45.0, 0.0), (-30.0, -30.0), (90.0, 45.0)]
 
 
-def traffic() -> FreePathFinder:
+def path_finder() -> FreePathFinder:
     layout = MeasuringLayout(BAR, MOUNT, PROBE, PLACES, TOOL, LOWER, UPPER, CONTACT_MM, 5.0)
-    roads = FreePathRules(np.array([0.0, 1.0, 0.0]), LOWER, UPPER, DYNAMICS, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
-    return roads.among(layout)
+    finder = FreePathRules(np.array([0.0, 1.0, 0.0]), LOWER, UPPER, DYNAMICS, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
+    return finder.finder_for(layout)
 
 
 def before_the_ball(ball: int, out_mm: float = CONTACT_MM + 20.0) -> TipLocation:
@@ -68,15 +68,15 @@ def sampled_gap(scene: Scene, stops: list[np.ndarray]) -> float:
 
 
 def test_balls_are_where_the_layout_says() -> None:
-    roads = traffic()
-    stand = roads.standing(2, 45.0, 30.0)
-    assert stand == ArtefactPose(45.0, 30.0, 1000.0, 750.0)
-    expected = roads.layout.nominal(Position(2, 45.0, 30.0))
-    assert roads.nominal(stand, 2) == pytest.approx(expected, abs=1e-9)
+    finder = path_finder()
+    pose = finder.pose_at(2, 45.0, 30.0)
+    assert pose == ArtefactPose(45.0, 30.0, 1000.0, 750.0)
+    expected = finder.layout.nominal(Position(2, 45.0, 30.0))
+    assert finder.ball_axes(pose, 2) == pytest.approx(expected, abs=1e-9)
     centre = expected[3] + TOOL
-    spot = np.array(roads.at(stand, before_the_ball(3, 40.0))) + PLACES[2]
-    assert spot == pytest.approx(centre - (0.0, 40.0, 0.0), abs=1e-9)
-    assert roads.axes_at(2, point(spot - PLACES[2])) == pytest.approx(spot - TOOL, abs=1e-9)
+    tip = np.array(finder.tip_at(pose, before_the_ball(3, 40.0))) + PLACES[2]
+    assert tip == pytest.approx(centre - (0.0, 40.0, 0.0), abs=1e-9)
+    assert finder.axes_at(2, point(tip - PLACES[2])) == pytest.approx(tip - TOOL, abs=1e-9)
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), ORIENTATIONS)
@@ -84,12 +84,14 @@ def test_balls_are_where_the_layout_says() -> None:
 def test_a_path_between_balls_is_free_and_inside_the_travel(
     azimuth: float, elevation: float, first: int, last: int
 ) -> None:
-    roads = traffic()
-    stand = roads.standing(1, azimuth, elevation)
+    finder = path_finder()
+    pose = finder.pose_at(1, azimuth, elevation)
     start, end = before_the_ball(first), before_the_ball(last)
-    path = roads.between(stand, start, end, KNOWN_MM, float(PLACES[1][0]))
+    path = finder.path_between(pose, start, end, KNOWN_MM, float(PLACES[1][0]))
     assert path is not None
-    stops = [np.array(stop) + PLACES[1] for stop in (roads.at(stand, start), *path.corners, roads.at(stand, end))]
+    stops = [
+        np.array(stop) + PLACES[1] for stop in (finder.tip_at(pose, start), *path.corners, finder.tip_at(pose, end))
+    ]
     bodies = standing_bodies(1, azimuth, elevation)
     assert sampled_gap(bodies, stops) >= CLEARANCE_MM - 0.1
     if (first, last) == (0, 10) and azimuth > 0.0:
@@ -97,14 +99,14 @@ def test_a_path_between_balls_is_free_and_inside_the_travel(
     axes = np.array(stops[1:-1]).reshape(-1, 3) - TOOL
     assert ((axes >= LOWER) & (axes <= UPPER)).all()
     assert path.seconds == pytest.approx(float(DYNAMICS.seconds(np.array([stops]))[0]))
-    assert path.seconds >= float(roads.straight_seconds(stand, [start], [end])[0, 0]) - 1e-9
+    assert path.seconds >= float(finder.straight_seconds(pose, [start], [end])[0, 0]) - 1e-9
 
 
 def test_a_path_is_sought_once_and_serves_every_station() -> None:
-    roads = traffic()
+    finder = path_finder()
     start, end = before_the_ball(2), before_the_ball(7)
     one, other = (
-        roads.between(roads.standing(station, 45.0, 0.0), start, end, KNOWN_MM, float(PLACES[station][0]))
+        finder.path_between(finder.pose_at(station, 45.0, 0.0), start, end, KNOWN_MM, float(PLACES[station][0]))
         for station in PLACES
     )
     assert one is not None
@@ -112,29 +114,31 @@ def test_a_path_is_sought_once_and_serves_every_station() -> None:
 
 
 def test_a_path_keeps_more_room_if_the_artefact_may_be_further_off() -> None:
-    roads = traffic()
-    stand = roads.standing(1, 45.0, 0.0)
+    finder = path_finder()
+    pose = finder.pose_at(1, 45.0, 0.0)
     start, end = before_the_ball(0, CONTACT_MM + 30.0), before_the_ball(5, CONTACT_MM + 30.0)
-    path = roads.between(stand, start, end, 8.0, float(PLACES[1][0]))
+    path = finder.path_between(pose, start, end, 8.0, float(PLACES[1][0]))
     assert path is not None
-    stops = [np.array(stop) + PLACES[1] for stop in (roads.at(stand, start), *path.corners, roads.at(stand, end))]
+    stops = [
+        np.array(stop) + PLACES[1] for stop in (finder.tip_at(pose, start), *path.corners, finder.tip_at(pose, end))
+    ]
     assert sampled_gap(standing_bodies(1, 45.0, 0.0), stops) >= CLEARANCE_MM + 8.0 - 0.1
 
 
 def test_the_tip_waits_clear_of_the_artefact_while_it_turns() -> None:
-    roads = traffic()
-    before, after = roads.standing(1, 0.0, 0.0), roads.standing(1, 30.0, 20.0)
+    finder = path_finder()
+    before, after = finder.pose_at(1, 0.0, 0.0), finder.pose_at(1, 30.0, 20.0)
     start, end = before_the_ball(0), before_the_ball(10)
-    way = roads.turning(before, start, after, end, float(PLACES[1][0]))
-    assert way is not None
-    waiting = np.array(way.waiting) + PLACES[1]
+    path = finder.turning_path(before, start, after, end, float(PLACES[1][0]))
+    assert path is not None
+    waiting = np.array(path.waiting_point) + PLACES[1]
     for share in np.linspace(0.0, 1.0, 13):
         for other in (share, 0.0, 1.0):  # both axes of the mount turn, but not in step
             scene = standing_bodies(1, 30.0 * share, 20.0 * other)
             assert scene.clearance(point(waiting), at_most=30.0) >= CLEARANCE_MM + UNKNOWN_MM - 0.1
-    least = roads.least_turning_seconds(before, [start], after, [end])
-    assert least <= way.seconds + 1e-9
-    assert roads.turning(before, start, after, end, float(PLACES[1][0]), faster_than_s=way.seconds) is None
+    least = finder.min_turning_seconds(before, [start], after, [end])
+    assert least <= path.seconds + 1e-9
+    assert finder.turning_path(before, start, after, end, float(PLACES[1][0]), faster_than_s=path.seconds) is None
 
 
 @pytest.mark.parametrize(("off_by", "allowed"), [(0.0, 0.5), (0.5, 0.5), (0.51, 1.0), (9.0, 16.0), (33.0, 33.0)])

@@ -38,7 +38,7 @@ FOUND, NEW = 1, 2
 RETREAT_Y_MM = -50.0
 COURSE = Retreat(1, RETREAT_Y_MM, 0, {})
 JOB = SimpleNamespace(
-    rules=SimpleNamespace(course=COURSE, probing=SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=10.0))
+    rules=SimpleNamespace(retreat=COURSE, probing=SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=10.0))
 )
 
 

@@ -162,7 +162,7 @@ def test_wrong_read_back_ends_the_plan(back: TableImage | None) -> None:
 
 
 def test_withdrawal_goes_back_along_the_stylus_before_anything_else() -> None:
-    plan = withdraw(JOB.rules.course, np.array([0.0, 1.0, 0.0]), 45.0)
+    plan = withdraw(JOB.rules.retreat, np.array([0.0, 1.0, 0.0]), 45.0)
     next(plan)
     assert isinstance(plan.send(None), s.ReadPosition)
     first = plan.send((100.0, 200.0, 300.0))
@@ -178,18 +178,18 @@ def test_withdrawal_goes_back_along_the_stylus_before_anything_else() -> None:
 @pytest.mark.parametrize("position", [Position(4, 90.0, -90.0), Position(1, -135.0, 45.0)])
 def test_the_way_out_of_an_artefact_that_stands_off_keeps_inside_the_travel(position, off_mm) -> None:
     """Parking places lie at the very end of the travel of Y."""
-    traffic, probing = JOB.rules.course.roads.among(JOB.layout), JOB.rules.probing
-    stand = traffic.standing(position.station, position.azimuth_deg, position.elevation_deg)
-    centres = traffic.nominal(stand, position.station) + np.array(off_mm)
+    finder, probing = JOB.rules.retreat.path_rules.finder_for(JOB.layout), JOB.rules.probing
+    pose = finder.pose_at(position.station, position.azimuth_deg, position.elevation_deg)
+    centres = finder.ball_axes(pose, position.station) + np.array(off_mm)
     lower, upper = np.array(JOB.machine.limits).T
     reached = [ball for ball, centre in enumerate(centres) if (lower + 50.0 < centre).all() and (centre < upper).all()]
     corners = 0
     for ball, direction in product(reached, probing.directions):
-        pilot = ShortestPathPlanner(traffic, JOB.rules.course, probing)
-        steps = list(pilot.beside("a", position, ball, centres[ball]))
+        planner = ShortestPathPlanner(finder, JOB.rules.retreat, probing)
+        steps = list(planner.take_over("a", position, ball, centres[ball]))
         last_touch = TipLocation(ball, point(direction), probing.contact_mm, touching=True)
-        pilot._at(_TipState(last_touch, np.array(off_mm)), centres[ball] - probing.contact_mm * direction)
-        steps += pilot.leave("b", centres[ball])
+        planner._at(_TipState(last_touch, np.array(off_mm)), centres[ball] - probing.contact_mm * direction)
+        steps += planner.leave("b", centres[ball])
         corners += sum("away" in step.key for step in steps)
         for step in steps:
             assert (lower <= step.target_mm).all(), step

@@ -117,7 +117,7 @@ def test_preparation_is_done_at_the_first_ball_of_the_first_position_and_ends_at
     assert len(keys) == len(set(keys))
     assert all(key.startswith("probe/station-1/az45-el0/") for key in keys)
     moves = [step for step in player.steps if isinstance(step, s.MoveTo)]
-    assert moves[-1].target_mm[1] == JOB.rules.course.retreat_mm
+    assert moves[-1].target_mm[1] == JOB.rules.retreat.retreat_mm
     assert all(move.guarded for move in moves)
 
 

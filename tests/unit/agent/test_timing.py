@@ -78,7 +78,7 @@ def test_every_command_has_its_latency_and_only_carrying_takes_a_person() -> Non
         AskOperator("d", carry),
         AskOperator("e", consent),
     ]
-    assert [MODEL.beyond_motion_s(step) for step in steps] == [0.25, 0.5, 2.0, 300.0, 0.0]
+    assert [MODEL.overhead_s(step) for step in steps] == [0.25, 0.5, 2.0, 300.0, 0.0]
 
 
 # ------------------------------------------------------------------ walked against simulated
