@@ -188,7 +188,7 @@ def test_the_way_out_of_an_artefact_that_stands_off_keeps_inside_the_travel(posi
         planner = ShortestPathPlanner(finder, JOB.rules.retreat, probing)
         steps = list(planner.take_over("a", position, ball, centres[ball]))
         last_touch = TipLocation(ball, point(direction), probing.contact_mm, touching=True)
-        planner._at(_TipState(last_touch, np.array(off_mm)), centres[ball] - probing.contact_mm * direction)
+        planner._set_tip(_TipState(last_touch, np.array(off_mm)), centres[ball] - probing.contact_mm * direction)
         steps += planner.leave("b", centres[ball])
         corners += sum("away" in step.key for step in steps)
         for step in steps:
