@@ -31,7 +31,9 @@ from drivers.errors import StoreError
 
 @click.command("resume")
 @config_option
-@click.option("--give-up", is_flag=True, help="Do not resume: reactivate the previous table and end the run.")
+@click.option(
+    "--give-up", "abandon", is_flag=True, help="Do not resume: reactivate the previous table and end the run."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def resume_command(config: Path, abandon: bool, as_json: bool) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
 
 import click
@@ -22,6 +24,27 @@ def loaded_by(statement: str) -> list[str]:
     text = f"{statement}\nimport sys; print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
     return done.stderr.split()
+
+
+def leaves(command: click.Command) -> Iterator[click.Command]:
+    """Yield `command`, or the commands of a group."""
+    if isinstance(command, click.Group):
+        for inner in command.commands.values():
+            yield from leaves(inner)
+    else:
+        yield command
+
+
+@pytest.mark.parametrize("name", OWN_COMMANDS)
+def test_a_command_s_function_takes_its_options_by_name(name: str) -> None:
+    """No type checker sees that an option's name and the parameter are the same word."""
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    for leaf in leaves(command):
+        assert leaf.callback is not None
+        accepted = inspect.signature(leaf.callback).parameters
+        passed = {parameter.name for parameter in leaf.params if parameter.expose_value}
+        assert passed == set(accepted) - {"ctx"}, leaf.name
 
 
 @pytest.mark.parametrize("name", OWN_COMMANDS)
