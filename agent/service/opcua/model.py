@@ -89,11 +89,13 @@ def _count(value: int | None) -> int:
 VARIABLES: Final = (
     Variable("Identification/Name", "String", "the machine", lambda s: s.machine),
     Variable("Monitoring/PackMLState", "String", "state by ISA-TR88.00.02", lambda s: s.packml),
-    Variable("Monitoring/RunState", "String", "state of the run in its own words", lambda s: s.state.value),
-    Variable("Monitoring/Doing", "String", "what it is doing, in words", lambda s: s.doing),
+    Variable("Monitoring/RunState", "String", "state of the run as named by volcal", lambda s: s.state.value),
+    Variable("Monitoring/Doing", "String", "current activity, as text", lambda s: s.doing),
     Variable("Monitoring/Step", "String", "key of the step", lambda s: s.step),
-    Variable("Monitoring/May", "String[]", "methods that make sense now", lambda s: sorted(s.may)),
-    Variable("Monitoring/ActiveBank", "Int32", "of the compensation table", lambda s: _count(s.active_bank)),
+    Variable("Monitoring/May", "String[]", "methods possible now", lambda s: sorted(s.may)),
+    Variable(
+        "Monitoring/ActiveBank", "Int32", "active bank of the compensation table", lambda s: _count(s.active_bank)
+    ),
     Variable(
         "Monitoring/BankWaiting",
         "Int32",
@@ -107,14 +109,16 @@ VARIABLES: Final = (
         "Initializing, Running, Interrupted, Ended or Aborted",
         lambda s: PROGRAM_STATES[s.state],
     ),
-    Variable("Production/Job/Identifier", "String", "of the run", lambda s: s.run_id or ""),
+    Variable("Production/Job/Identifier", "String", "identifier of the run", lambda s: s.run_id or ""),
     Variable("Production/Job/Kind", "String", "calibrate, verify or nightly", lambda s: s.kind or ""),
     Variable("Production/Job/Started", "String", "time in ISO 8601", lambda s: s.started or ""),
     Variable("Production/Job/Progress", "Double", "0 to 1", lambda s: s.fraction),
     Variable("Production/Job/RemainingTime", "Double", "minutes of machine time", lambda s: _number(s.minutes_left)),
-    Variable("Production/Job/Balls", "Int32", "measured", lambda s: s.balls),
-    Variable("Production/Job/Touches", "Int32", "made", lambda s: s.touches),
-    Variable("Production/Job/Unfinished", "String", "run that ResumeRun goes on with", lambda s: s.unfinished or ""),
+    Variable("Production/Job/Balls", "Int32", "number of balls measured", lambda s: s.balls),
+    Variable("Production/Job/Touches", "Int32", "number of touches made", lambda s: s.touches),
+    Variable(
+        "Production/Job/Unfinished", "String", "interrupted run that ResumeRun continues", lambda s: s.unfinished or ""
+    ),
     Variable(
         "ResultManagement/Results/VEBefore",
         "Double",
@@ -125,24 +129,31 @@ VARIABLES: Final = (
     Variable(
         "Notification/AlarmCodes", "Int32[]", "open alarms, see Alarm codes", lambda s: [a.code for a in s.alarms]
     ),
-    Variable("Notification/AlarmTexts", "String[]", "their texts", lambda s: [a.text for a in s.alarms]),
-    Variable("Notification/AlarmHints", "String[]", "what to do", lambda s: [a.hint for a in s.alarms]),
+    Variable("Notification/AlarmTexts", "String[]", "texts of the open alarms", lambda s: [a.text for a in s.alarms]),
+    Variable(
+        "Notification/AlarmHints", "String[]", "what to do about the open alarms", lambda s: [a.hint for a in s.alarms]
+    ),
     Variable(
         "Notification/QuestionNumber",
         "Int32",
         "open question that Answer answers, -1 none",
         lambda s: s.question.number if s.question else -1,
     ),
-    Variable("Notification/QuestionText", "String", "its text", lambda s: s.question.text if s.question else ""),
+    Variable(
+        "Notification/QuestionText",
+        "String",
+        "text of the open question",
+        lambda s: s.question.text if s.question else "",
+    ),
 )
 
 OUTCOME: Final = "ResultManagement/Results/Outcome"
 REFUSED_CODE: Final = "Notification/LastRefusalCode"
 REFUSED_TEXT: Final = "Notification/LastRefusalText"
 OWN_VARIABLES: Final = (
-    (OUTCOME, "String", "of the last run since the service began, as JSON"),
-    (REFUSED_CODE, "Int32", "why the last method was refused, an alarm code; 0 none"),
-    (REFUSED_TEXT, "String", "the same in words, with what to do"),
+    (OUTCOME, "String", "outcome of the last run since the service started, as JSON"),
+    (REFUSED_CODE, "Int32", "alarm code of the last refused method; 0 none"),
+    (REFUSED_TEXT, "String", "text of that alarm, with what to do"),
 )
 """Path, form and meaning of what the server itself keeps."""
 
@@ -151,28 +162,28 @@ METHODS: Final = (
         "Start",
         (
             Argument("Kind", "String", "calibrate, verify or nightly"),
-            Argument("PositionSet", "String", "names joined by +; empty: as the settings say"),
-            Argument("Stations", "Int32[]", "empty: as the settings say"),
-            Argument("SlotMinutes", "Double", "0: as the settings say"),
+            Argument("PositionSet", "String", "names joined by +; empty: as in the settings"),
+            Argument("Stations", "Int32[]", "empty: as in the settings"),
+            Argument("SlotMinutes", "Double", "0: as in the settings"),
             Argument("FullAllowed", "Boolean", "a night may become a full calibration"),
-            Argument("Consent", "Boolean", "a person stands at the machine and confirms that it may move"),
+            Argument("Consent", "Boolean", "a person at the machine confirms that it may move"),
         ),
-        (Argument("Identifier", "String", "of the run that has begun"),),
+        (Argument("Identifier", "String", "identifier of the run"),),
         "begin a run",
     ),
     Method(
         "ResumeRun",
         (),
-        (Argument("Identifier", "String", "of the run that has begun"),),
-        "go on with the run that broke off",
+        (Argument("Identifier", "String", "identifier of the run"),),
+        "resume the interrupted run",
     ),
     Method("Hold", (), (), "hold the run", free=True),
-    Method("Resume", (), (), "go on after a hold"),
-    Method("Abort", (Argument("Reason", "String", "for the journal"),), (), "end the run", free=True),
+    Method("Resume", (), (), "continue after a hold"),
+    Method("Abort", (Argument("Reason", "String", "reason, recorded in the journal"),), (), "end the run", free=True),
     Method("Reset", (), (), "acknowledge a fault; moves nothing"),
     Method(
         "Answer",
-        (Argument("Number", "Int32", "of the question"), Argument("Yes", "Boolean", "the answer")),
+        (Argument("Number", "Int32", "number of the question"), Argument("Yes", "Boolean", "the answer")),
         (),
         "answer the open question",
     ),
@@ -181,13 +192,13 @@ METHODS: Final = (
 STATE_EVENT: Final = EventType(
     "StateChangeEventType",
     100,
-    (Argument("PackMLState", "String", "after"), Argument("RunState", "String", "after")),
+    (Argument("PackMLState", "String", "new state"), Argument("RunState", "String", "new state")),
     "the state has changed",
 )
 ALARM_EVENT: Final = EventType(
     "AlarmEventType",
     800,
     (Argument("Code", "Int32", "see Alarm codes"), Argument("Hint", "String", "what to do")),
-    "an alarm has come up; its text is the Message",
+    "an alarm has been raised; its text is the Message",
 )
 EVENT_TYPES: Final = (STATE_EVENT, ALARM_EVENT)
