@@ -18,11 +18,11 @@ from drivers.tables.files import sync_directory
 from twin.errors import TwinError
 
 FILE_MODE = 0o644
-"""Results are read by other people and programs; `mkstemp` alone would keep them to the owner."""
+"""Results are read by other people and programs; `mkstemp` alone would let only the owner read them."""
 
 
 def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
-    """The file's text. Raises `error` for whatever keeps it from being read as UTF-8."""
+    """Return the file's text. Raises `error` if it cannot be read as UTF-8."""
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
@@ -32,14 +32,14 @@ def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
     except UnicodeDecodeError as cause:
         line = cause.object.count(b"\n", 0, cause.start) + 1
         hint = "save it as plain UTF-8 text (from a spreadsheet: CSV UTF-8)"
-        raise error("the file is no UTF-8 text", hint=hint, file=str(path), line=line) from None
+        raise error("the file is not UTF-8 text", hint=hint, file=str(path), line=line) from None
     except OSError as cause:
         raise error(f"the file cannot be read: {_reason(cause)}", file=str(path)) from None
 
 
 @contextmanager
 def translated(error: type[VolcalError] = InputError, **where: str | int) -> Iterator[None]:
-    """Turn a `TwinError` into `error`, keeping message, places and hint; `where` adds what is not named yet."""
+    """Turn a `TwinError` into `error` with its message, locations and hint; `where` adds locations not yet named."""
     try:
         yield
     except TwinError as cause:
@@ -47,12 +47,12 @@ def translated(error: type[VolcalError] = InputError, **where: str | int) -> Ite
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write so that after any interruption `path` holds its old text or the new one, complete and durable."""
+    """Write the text; after any interruption `path` holds its old text or the new one, complete and durable."""
     write_all_atomically(path.parent, {path.name: text})
 
 
 def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write several files of one directory (made if missing); nothing appears unless all could be written.
+    """Write several files of one directory (created if missing); nothing appears unless all could be written.
 
     Every file is complete on the disk under a temporary name before the first is given its own.
     """
@@ -62,7 +62,7 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
         for name, content in contents.items():
             target = directory / name
             if target.is_dir():
-                raise InputError("a directory stands where a file is to be written", file=str(target))
+                raise InputError("there is a directory in place of a file to be written", file=str(target))
             staged[target] = _stage(directory, name, content)
         for target, temporary in staged.items():
             temporary.replace(target)
@@ -79,8 +79,8 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError where `write_all_atomically` never could, before time is spent on what it is to write; leaves
-    no trace."""
+    """Raise InputError if `write_all_atomically` cannot succeed, before time is spent on the contents; leaves no
+    trace."""
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise _file_in_the_way(nearest)
@@ -98,9 +98,9 @@ def _file_in_the_way(path: Path) -> InputError:
 
 @contextmanager
 def streamed_atomically(path: Path) -> Iterator[TextIO]:
-    """A file to write into, bit by bit, that becomes `path` when the block ends well and is gone when it does not.
+    """Open a file to write into piece by piece. It becomes `path` if the block succeeds and is deleted otherwise.
 
-    Bytes that were no UTF-8 on reading (`surrogateescape`) are written as they were; line ends are left alone.
+    Bytes that were not UTF-8 on reading (`surrogateescape`) are written as they were; line ends are not changed.
     """
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

@@ -1,4 +1,4 @@
-"""Clock and rig from the settings: the only module where the names of drivers become objects."""
+"""Clock and rig from the settings: the only module in which driver names become objects."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from drivers.roles import (
 )
 
 LOCKSTEP_SLICE_S = 0.5
-"""Against a lockstep simulator a wait is cut only this fine: there machine time passes in jumps anyway."""
+"""Slices of a wait against a lockstep simulator: finer ones are useless, since machine time passes in jumps there."""
 REAL_SLICE_S = 0.02
-"""By the wall clock: leaves a busy computer time to send STOP within 100 ms of an abort."""
+"""Slices of a wait by the wall clock: they leave a busy computer time to send STOP within 100 ms of an abort."""
 
 
 def make_clock(settings: ClockSettings) -> Clock:
@@ -40,14 +40,14 @@ def make_clock(settings: ClockSettings) -> Clock:
                 return LockstepClock(settings.host, settings.port)
             except OSError as error:
                 raise ConfigurationError(
-                    f"no simulator keeps time at {settings.host}:{settings.port}: {error.strerror or error}",
+                    f"no simulator serves time at {settings.host}:{settings.port}: {error.strerror or error}",
                     key="clock",
                     hint="start `volcal simulate --clock lockstep` first, or use kind = 'real'",
                 ) from error
 
 
 def longest_wait_s(clock: Clock) -> float:
-    """Longest machine time in one piece of a wait."""
+    """Return the longest machine time in s that a wait may last in one piece."""
     match clock:
         case LockstepClock():
             return LOCKSTEP_SLICE_S
@@ -59,7 +59,7 @@ def longest_wait_s(clock: Clock) -> float:
 
 @contextmanager
 def closing_clock(clock: Clock) -> Iterator[Clock]:
-    """`clock` for the block; a connection to a simulator's time server ends with it."""
+    """Provide `clock` for the block; then close its connection to a simulator's time server, if it has one."""
     try:
         yield clock
     finally:
@@ -68,7 +68,8 @@ def closing_clock(clock: Clock) -> Iterator[Clock]:
 
 
 def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
-    """The rig of a real or simulated machine; nothing is opened yet. `base`: where relative paths start."""
+    """Return the rig of a real or simulated machine; nothing is opened yet. `base`: directory at which relative paths
+    start."""
     devices = {
         name: create_device(device.driver, device.options, DeviceContext(name, clock, base))
         for name, device in settings.devices.items()
@@ -105,7 +106,8 @@ def stations_of(stations: StationSettings) -> range:
 
 @dataclass(frozen=True)
 class Devices:
-    """How clock and rig of a machine are made; another pair for a machine that exists already, as in tests."""
+    """Functions that make rig and clock of a machine; others are passed for a machine that exists already, as in
+    tests."""
 
     assemble: Callable[[Settings, Clock, Path], Rig] = assemble
     make_clock: Callable[[ClockSettings], Clock] = make_clock

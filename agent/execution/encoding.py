@@ -24,7 +24,7 @@ def encode_result(result: object) -> str | None:
 
 
 def decode_result(kind: str, text: str | None) -> Any:
-    """Return the result that `encode_result` wrote for a step of that `kind`; of a table only its digest,
+    """Return the result that `encode_result` wrote for a step of that `kind`; for a table only its digest,
     ``{"crc32": …}``."""
     value: Any = None if text is None else json.loads(text)
     if kind == TouchTowards.__name__:

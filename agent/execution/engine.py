@@ -1,7 +1,7 @@
-"""The engine: take a step, make it durable, have it done, make its result durable, send it back.
+"""Engine: take a step, make it durable, carry it out, make its result durable, send it back to the plan.
 
-One short synchronous loop on one thread. It neither knows what a step means nor what drives the machine: a
-`Performer` maps step types to actions, a `Journal` remembers, observers watch.
+One short synchronous loop on one thread. It knows neither the meaning of a step nor the devices: a mapping from step
+types to actions carries steps out, a `StepJournal` records them, an observer watches.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Observer = Callable[[Step, object], None]
 
 
 class StepJournal(Protocol):
-    """What the engine needs of a journal; both calls return when the record is durable."""
+    """Journal as the engine needs it; every call returns when the record is durable."""
 
     def begin(self, step: Step) -> None: ...
 
@@ -28,12 +28,12 @@ class StepJournal(Protocol):
     def fail(self, step: Step, error: BaseException) -> None: ...
 
     def aside(self) -> StepJournal:
-        """For steps that do not belong to the procedure."""
+        """Return a journal for steps that do not belong to the procedure."""
         ...
 
 
 class Engine:
-    """Runs plans. `actions` maps the type of a step to what does it."""
+    """Engine that runs plans. `actions`: type of a step → action that carries it out."""
 
     def __init__(
         self,
@@ -46,19 +46,20 @@ class Engine:
         self._observer = observer
 
     def without_journal(self) -> Engine:
-        """The same actions and observer, for a way out that must be gone although it cannot be written down."""
+        """Return an engine with the same actions and observer, for a withdrawal that must be carried out although it
+        cannot be journaled."""
         return Engine(self._actions, None, self._observer)
 
     def aside(self) -> Engine:
-        """The same actions for ways out and ways back: written down, never met by a replay, and not observed, so that
-        nobody counts them in."""
+        """Return an engine with the same actions for withdrawals and returns: journaled, skipped by a replay, and not
+        observed, so that they are not counted."""
         return Engine(self._actions, None if self._journal is None else self._journal.aside())
 
     def run(self, plan: Plan[T]) -> T:
         """Run `plan` to its end and return its conclusion.
 
-        Errors of the house travel on with the key of the step they arose in, the plan's own with that of the step
-        whose result made it give up; the plan is closed.
+        A `VolcalError` is raised on with the key of the step in which it arose; an error of the plan itself with that
+        of the step whose result caused it. The plan is closed in any case.
         """
         do = self._do if self._journal is None else self._do_durably
         observer = self._observer

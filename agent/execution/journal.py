@@ -1,4 +1,4 @@
-"""Writer of the journal: one SQLite database under the state directory, the only truth about runs.
+"""Writer of the journal: one SQLite database in the state directory, the single source of truth about runs.
 
 WAL with ``synchronous=FULL``: a commit has reached the disk when it returns (with NORMAL a power cut loses
 commits while the integrity check still says ok). A step that moves or changes something is durable before it
@@ -30,7 +30,7 @@ _DISK_HINT = "check the disk under `state_directory`"
 
 
 class Journal:
-    """Opens or creates the database; one writer at a time. WAL lets readers (page, reports) read meanwhile.
+    """Database of all runs, opened or created; one writer at a time. WAL lets readers (page, reports) read meanwhile.
 
     Raises ConfigurationError if the database can be neither opened nor created.
     """
@@ -64,8 +64,8 @@ class Journal:
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
 
     def continue_run(self, run: int, run_id: str, clock: Clock) -> tuple[RunJournal, ReplayLog]:
-        """Continue to write an interrupted run. Entries that a replay meets again are taken from the log and are not
-        written twice."""
+        """Return a writer that continues an interrupted run, and its records. Entries that a replay meets again are
+        consumed from the log and not written twice."""
         recorded = read_replay_log(JournalReader(self._connection), run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
@@ -78,7 +78,7 @@ class Journal:
         )
 
     def acknowledge(self, run_id: str) -> None:
-        """Record that the end of a run has been acknowledged; durable when it returns. The event is aside from the
+        """Record that the end of a run has been acknowledged; durable when it returns. The event is not part of the
         procedure, so that the run can still be resumed. Raise JournalFailed if it cannot be written."""
         try:
             self._connection.execute(
@@ -182,7 +182,7 @@ class RunJournal:
             self._execute("INSERT INTO decisions VALUES (?,?,?,?,?)", values)
 
     def estimate(self, record: str) -> None:
-        """`record` is the estimate file's JSON text."""
+        """Store an estimate. `record`: JSON text of the estimate file."""
         if not self._recorded.consume("estimates", comparable_estimate(record)):
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 

@@ -1,6 +1,6 @@
 """Statements of the journal's reader: the columns of each row, in the order of its fields, and their tables.
 
-They stand apart from the reader so that a change of the tables can be made here, beside `journal_schema.sql`. A list of
+They are apart from the reader so that a change of the tables is made here, beside `journal_schema.sql`. A list of
 kinds is one JSON parameter, so that every statement is constant. `{aside}` marks the point at which the reader can
 leave out rows of withdrawals and returns.
 """

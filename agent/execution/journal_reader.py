@@ -1,4 +1,4 @@
-"""The one reader of the journal: typed rows through a connection that changes nothing and never delays the writer.
+"""Reader of the journal: typed rows through a connection that changes nothing and never delays the writer.
 
 Methods take the number of a run in its journal (`RunRow.run`). They neither migrate nor need the newest schema: only
 `origin` and the restriction to the procedure need columns that an older journal lacks.

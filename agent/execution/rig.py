@@ -1,4 +1,4 @@
-"""The devices of one machine in their roles, and what each step means for them."""
+"""Devices of one machine in their roles, and the action that carries out each type of step."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ from drivers.roles import (
 Role = TypeVar("Role")
 
 ACTIVATED_AFTER = {
-    Activation.IMMEDIATE: "the controller has taken it over",
+    Activation.IMMEDIATE: "the controller has accepted it",
     Activation.RESET: "a reset of the controller",
     Activation.POWER_CYCLE: "the controller has been switched off and on",
     Activation.REFERENCE: "the axes have been referenced",
 }
 ACTIVATION_INSTRUCTION = {
-    Activation.IMMEDIATE: "look at the controller",
+    Activation.IMMEDIATE: "check the controller",
     Activation.RESET: "reset the controller",
     Activation.POWER_CYCLE: "switch the controller off and on",
     Activation.REFERENCE: "reference the axes",
@@ -53,7 +53,7 @@ STANDSTILL_POLL_S = 0.05
 
 @dataclass
 class Rig:
-    """Opened together, closed together, stopped together. `mounts`: station → mount."""
+    """Devices that are opened, closed and stopped together. `mounts`: station → mount."""
 
     devices: Mapping[str, Device]
     machine: Machine
@@ -67,7 +67,7 @@ class Rig:
     _open: list[str] = field(default_factory=list)
 
     def open(self) -> None:
-        """Open every device; the ones already open are closed again when one fails."""
+        """Open every device; if one fails, those already open are closed again."""
         for name, device in self.devices.items():
             try:
                 device.open()
@@ -77,7 +77,7 @@ class Rig:
             self._open.append(name)
 
     def close(self) -> list[str]:
-        """Close what is open, the last first; complaints are returned, since nothing else can be done."""
+        """Close every open device, the last first. Return the complaints, since nothing else can be done."""
         complaints = []
         while self._open:
             name = self._open.pop()
@@ -88,7 +88,7 @@ class Rig:
         return complaints
 
     def stop(self) -> list[str]:
-        """Stop everything that moves. Every device is tried; what could not be stopped is returned."""
+        """Stop everything that moves; every device is tried. Return a complaint for each that could not be stopped."""
         complaints = []
         for name in self._open:
             try:
@@ -98,27 +98,27 @@ class Rig:
         return complaints
 
     def await_standstill(self) -> None:
-        """Wait until the axes stand: while they brake a controller takes neither a move nor another bank."""
+        """Wait until the axes stand still: while they brake, a controller accepts neither a move nor another bank."""
         deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
         while self.machine.status().state is MotionState.MOVING:
-            deadline.raise_if_expired("standstill after a stop", hint="look at the machine before anything else")
+            deadline.raise_if_expired("standstill after a stop", hint="check the machine before anything else")
             self.clock.sleep(STANDSTILL_POLL_S)
 
     def actions(self, run: int | None = None) -> dict[type, Action]:
-        """What each type of step has done, for the engine. `run`: its number, where the devices are to be told which
-        step of which run moves them."""
-        told = _nobody if run is None else self._told(run)
+        """Return the action for each type of step, for the engine. `run`: number of the run if the devices are to be
+        informed which step of which run moves them."""
+        announce = _announce_nothing if run is None else self._step_announcer(run)
 
         def move(step: s.MoveTo) -> None:
-            told(step.key)
+            announce(step.key)
             self._move(step)
 
         def retrace(step: s.Retrace) -> None:
-            told(step.of)
+            announce(step.of)
             self._move(s.MoveTo(step.of, step.target_mm, step.feed_mm_per_s))
 
         def touch(step: s.TouchTowards) -> Touch | Miss:
-            told(step.key)
+            announce(step.key)
             return self._touch(step)
 
         return {
@@ -143,16 +143,16 @@ class Rig:
             s.ActivateBank: lambda step: self.store.activate(step.bank),
         }
 
-    def _told(self, run: int) -> Callable[[str], None]:
-        """Tells every device that wants to know which step comes next."""
+    def _step_announcer(self, run: int) -> Callable[[str], None]:
+        """Return a function that informs every device with step tracing which step comes next."""
         traced = [device for device in self.devices.values() if isinstance(device, StepTracing)]
 
-        def tell(key: str) -> None:
+        def announce(key: str) -> None:
             tag = step_tag(run, key)
             for device in traced:
                 device.trace(tag)
 
-        return tell if traced else _nobody
+        return announce if traced else _announce_nothing
 
     def _move(self, step: s.MoveTo) -> None:
         self.last_motion.begin(step.target_mm, touch=False)
@@ -197,27 +197,27 @@ class Rig:
         if self.store.pending_bank() == step.bank:
             event = self.store.store_limits().activation
             raise NotActiveYet(
-                f"bank {step.bank} is written and acts only after {ACTIVATED_AFTER[event]}",
-                hint=f"{ACTIVATION_INSTRUCTION[event]}, then `volcal resume` goes on",
+                f"bank {step.bank} is written and becomes active only after {ACTIVATED_AFTER[event]}",
+                hint=f"{ACTIVATION_INSTRUCTION[event]}, then continue with `volcal resume`",
                 bank=step.bank,
             )
 
     def _ask(self, step: s.AskOperator) -> None:
         if not self.operator.ask(step.request):
-            raise Aborted(f"the operator said no to: {step.request.text}")
+            raise Aborted(f"the operator answered no to: {step.request.text}")
 
 
 def step_tag(run: int, key: str) -> int:
-    """CRC-32 of ``RUN/KEY``, never 0: 32 bits that a controller can show and log beside its own."""
+    """Return the CRC-32 of ``RUN/KEY``, never 0: 32 bits that a controller can display and log beside its own."""
     return zlib.crc32(f"{run}/{key}".encode()) or 1
 
 
-def _nobody(_: str) -> None:
-    """No device wants to know."""
+def _announce_nothing(_: str) -> None:
+    """Inform no device."""
 
 
 def in_role(devices: Mapping[str, Device], name: str, role: type[Role], key: str) -> Role:
-    """Device `name` in `role`; ConfigurationError naming `key` where it is missing or cannot play it."""
+    """Return device `name` in `role`. Raise ConfigurationError, naming `key`, if it is missing or cannot play it."""
     if name not in devices:
         raise ConfigurationError(f"no device {name!r}", key=key, hint=f"devices are: {', '.join(sorted(devices))}")
     device = devices[name]

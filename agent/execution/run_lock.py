@@ -1,4 +1,4 @@
-"""One run at a time: an advisory lock on a file under the state directory, released by the kernel at any exit."""
+"""Lock that permits one run at a time: advisory, on a file of the state directory, released by the kernel on exit."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ FILE_NAME = "run.lock"
 
 @contextmanager
 def run_lock(directory: Path, run_id: str) -> Iterator[None]:
-    """Own the machine for `run_id`; Busy names the run that owns it already."""
+    """Own the machine for `run_id`. Raise Busy, naming the run that owns it already."""
     with ownership(directory, f"run {run_id}"):
         yield
 
 
 @contextmanager
 def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
-    """Own the machine as `owner` (in words) for longer than one run; Busy names who owns it already."""
-    with _opened(directory) as handle:
+    """Own the machine as `owner` (in words) for longer than one run. Raise Busy, naming who owns it already."""
+    with _open_lock_file(directory) as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -32,16 +32,16 @@ def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
             other = handle.read().strip() or "another process"
             raise Busy(
                 f"the machine is owned by {other}",
-                hint="wait for it or abort it; two masters never move one machine",
+                hint="wait for it or abort it; only one process may move the machine",
                 file=str(directory / FILE_NAME),
             ) from None
-        owned = Ownership(handle, owner)
-        yield owned
-        owned.set_owner("")
+        held = Ownership(handle, owner)
+        yield held
+        held.set_owner("")
 
 
 class Ownership:
-    """The lock, held; the file says for what."""
+    """Lock that is held; its file names the owner."""
 
     def __init__(self, handle: TextIO, owner: str) -> None:
         self._handle = handle
@@ -50,7 +50,7 @@ class Ownership:
 
     @contextmanager
     def for_run(self, _: Path, run_id: str) -> Iterator[None]:
-        """In place of `run_lock` for a run of whoever holds the lock already."""
+        """Name the run as owner for the block: in place of `run_lock` if the caller holds the lock already."""
         self.set_owner(f"run {run_id}")
         try:
             yield
@@ -63,7 +63,7 @@ class Ownership:
         self._handle.flush()
 
 
-def _opened(directory: Path) -> TextIO:
+def _open_lock_file(directory: Path) -> TextIO:
     try:
         directory.mkdir(parents=True, exist_ok=True)
         return (directory / FILE_NAME).open("a+", encoding="utf-8")
@@ -71,6 +71,6 @@ def _opened(directory: Path) -> TextIO:
         raise ConfigurationError(
             f"the state directory cannot be used: {error.strerror or error}",
             key="state_directory",
-            hint="name a directory that this user may write to",
+            hint="set a directory that this user may write to",
             file=str(directory),
         ) from error

@@ -1,4 +1,4 @@
-"""A whole run from the journal, for history and reports. Nothing is created and nothing is changed."""
+"""Whole run read from the journal, for history and reports. Nothing is created and nothing is changed."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class RunStateTracker:
         self._held_in: RunState | None = None
 
     def enter(self, state: RunState, reason: str = "") -> None:
-        """Change the state. ValueError, a defect, for a change that the table of states does not have."""
+        """Change the state. Raise ValueError, a defect of the agent, for a change that the table does not permit."""
         if not may_follow(self.state, state):
             raise ValueError(f"no change from {self.state.value} to {state.value}")
         self.state = state

@@ -64,7 +64,8 @@ FINAL = frozenset({S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED})
 
 
 def may_follow(now: RunState, after: RunState) -> bool:
-    """Whether `after` may follow `now`: forward as tabled, to aborting and faulted from wherever it runs."""
+    """Return True if `after` may follow `now`: forward as in `FORWARD`, and to aborting or faulted from every state
+    that is not final."""
     if now in FINAL:
         return False
     return after in FORWARD[now] or after in (S.ABORTING, S.FAULTED)

@@ -1,9 +1,9 @@
-"""What a plan can ask for. A step is a frozen value with a stable key; the engine has it done.
+"""Steps that a plan can yield. A step is a frozen value with a stable key; the engine carries it out.
 
-The key names the place in the procedure (``station-1/az090-el045/ball-03/touch-2``), is unique in a run and
-the same whenever the plan is rebuilt from the same settings and the same results: a resumed run finds its way
-by it. Positions are axis positions in mm as the controller displays them; plain tuples, so that a step can be
-written to the journal as it stands.
+The key names the point in the procedure (``station-1/az090-el045/ball-03/touch-2``), is unique in a run, and is the
+same whenever the plan is rebuilt from the same settings and the same results: a resumed run matches its recorded steps
+by it. Positions are axis positions in mm as the controller displays them; plain tuples, so that a step can be written
+to the journal unchanged.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Point: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MoveTo:
-    """Straight line; rapid where no feed is given. Every move near the artefact is guarded."""
+    """Straight line; rapid if no feed is given. Every move near the artefact is guarded."""
 
     key: str
     target_mm: Point
@@ -29,7 +29,8 @@ class MoveTo:
 
 @dataclass(frozen=True, slots=True)
 class Retrace:
-    """A guarded move that ends where and as the step `of` has ended: from the same side, its play taken up alike."""
+    """Guarded move that ends as the step `of` has ended: at the same position and from the same side, so that the play
+    of the axes is taken up in the same direction."""
 
     key: str
     target_mm: Point
@@ -54,7 +55,7 @@ class HomeMount:
 
 @dataclass(frozen=True, slots=True)
 class OrientTo:
-    """The mount at `station` turns. Result: the `Orientation` that its encoders report."""
+    """Turn of the mount at `station`. Result: the `Orientation` that its encoders report."""
 
     key: str
     station: int
@@ -71,7 +72,7 @@ class ReadTemperatures:
 
 @dataclass(frozen=True, slots=True)
 class ReadClock:
-    """Result: seconds of machine time on the clock of the run; one that is gone on with goes on from its last one."""
+    """Result: seconds of machine time on the clock of the run; a resumed run continues from its last reading."""
 
     key: str
 
@@ -85,28 +86,28 @@ class ReadPosition:
 
 @dataclass(frozen=True, slots=True)
 class CheckPermissions:
-    """Raises PermissionMissing where the controller does not permit motion."""
+    """Raises PermissionMissing if the controller does not permit motion."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class ResetFault:
-    """Clear a fault of the controller whose cause is gone; nothing moves."""
+    """Reset of a controller fault whose cause is gone; nothing moves."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class CheckProbe:
-    """Raises MeasurementFault where the probe is not loaded, not healthy, or deflected."""
+    """Raises MeasurementFault if the probe is not loaded, not healthy, or deflected."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class AskOperator:
-    """Raises Aborted where the answer is no."""
+    """Raises Aborted if the answer is no."""
 
     key: str
     request: OperatorRequest
@@ -120,7 +121,7 @@ class Dwell:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Something the plan concluded; it goes to the journal and to the observers, and nothing moves.
+    """Conclusion of the plan, for the journal and the observers; nothing moves.
 
     `kind` is one of the journal's record kinds: ``ball``, ``event``, ``decision``.
     """
@@ -139,7 +140,7 @@ class ReadActiveBank:
 
 @dataclass(frozen=True, slots=True)
 class AwaitActive:
-    """Raises NotActiveYet while `bank` waits for the controller before it acts."""
+    """Raises NotActiveYet while `bank` waits for the controller before it becomes active."""
 
     key: str
     bank: int
@@ -147,7 +148,7 @@ class AwaitActive:
 
 @dataclass(frozen=True, slots=True)
 class ReadTable:
-    """Result: `TableImage`, or None where the bank is empty."""
+    """Result: `TableImage`; None if the bank is empty."""
 
     key: str
     bank: int
@@ -191,7 +192,7 @@ Step: TypeAlias = (
 T = TypeVar("T")
 
 Plan: TypeAlias = Generator[Step, Any, T]
-"""Yields steps, is sent their results, returns its conclusion."""
+"""Generator that yields steps, is sent their results, and returns its conclusion."""
 
 STEPS_WITH_EFFECT = (
     MoveTo,

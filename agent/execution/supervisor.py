@@ -1,4 +1,4 @@
-"""Hold and abort: requested from any thread, noticed in the clock's sleeps and nowhere else."""
+"""Hold and abort: requested from any thread, acted on in the waits of the clock and nowhere else."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ HOLD_POLL_S = 0.05
 
 
 class Supervisor:
-    """The small mailbox between those who may interrupt a run and the one thread that runs it.
+    """Mailbox between those who may interrupt a run and the one thread that runs it.
 
-    `check` is what an `InterruptibleClock` calls. `on_hold` and `on_resume` are the machine's feed hold; they run on
-    the run's own thread, between two waits of a driver, never inside a transaction. `alive` is called at every
-    check and while held: who watches over the run's thread sees by it that it has not hung.
+    An `InterruptibleClock` calls `check`. `on_hold` and `on_resume` are the machine's feed hold; they run on the run's
+    own thread, between two waits of a driver, never inside a transaction. `heartbeat` is called at every check and
+    while held: it shows a watchdog that the run's thread does not hang.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -27,16 +27,17 @@ class Supervisor:
         self._lock = threading.Lock()
         self._shielded = False
         self._holding = False
-        self.on_hold: Callable[[], None] = _nothing
-        self.on_resume: Callable[[], None] = _nothing
-        self.heartbeat: Callable[[], None] = _nothing
+        self.on_hold: Callable[[], None] = _do_nothing
+        self.on_resume: Callable[[], None] = _do_nothing
+        self.heartbeat: Callable[[], None] = _do_nothing
 
     def request_abort(self, reason: str) -> None:
-        """Somebody wants the run to end. The first reason stays."""
+        """Request the end of the run. The first reason stays."""
         self._request_stop(Aborted, f"aborted: {reason}")
 
     def request_interruption(self, reason: str) -> None:
-        """The program must end; left as by an abort, but the run can be gone on with. The first reason stays."""
+        """Request the end of the run because the program must end: as an abort, but the run can be resumed. The first
+        reason stays."""
         self._request_stop(Interrupted, f"interrupted: {reason}")
 
     def _request_stop(self, kind: type[VolcalError], text: str) -> None:
@@ -59,13 +60,13 @@ class Supervisor:
             self._wait_for_resume()
 
     def check_stop_request(self) -> None:
-        """While the run computes and nothing moves that could be held: raise as `check`."""
+        """Raise as `check`, but never block: for a run that computes while nothing moves that could be held."""
         self.heartbeat()
         if not self._shielded:
             self._raise_stop_request()
 
     def shield(self) -> None:
-        """From here on the way out runs (retract, restore, close): it must not be interrupted again."""
+        """Ignore further requests: the exit path (retract, restore, close) must not be interrupted."""
         self._shielded = True
 
     def _wait_for_resume(self) -> None:
@@ -86,5 +87,5 @@ class Supervisor:
             raise kind(text)
 
 
-def _nothing() -> None:
-    """No machine to hold yet."""
+def _do_nothing() -> None:
+    """Default callback, until there is a machine to hold or a watchdog."""

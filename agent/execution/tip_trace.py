@@ -1,4 +1,4 @@
-"""How the tip came to where it is: what the way out after a fault begins with."""
+"""Last motion of the tip, from which a withdrawal after a fault begins."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from twin.arrays import Array
 from twin.collision.geometry import Point
 
 WITHDRAWAL_MM = 3.0
-"""By so much a stylus that may be deflected is taken off what it touches before anything else moves."""
+"""Distance by which a stylus that may be deflected is moved off the surface before anything else moves."""
 TOUCH_LINE_TOLERANCE_MM = 2.0
-"""Nearer than this to a touch the stylus may still be deflected by it."""
+"""Largest distance from the line of a touch at which the stylus may still be deflected by it."""
 
 
 @dataclass
 class LastMotion:
-    """Is told of every motion when it begins and when it has ended as it was meant to; positions of the axes, mm."""
+    """Record of the last motion: informed of every motion when it begins and when it has ended as intended; axis
+    positions in mm."""
 
     _at: Point | None = None
     _begun: Point | None = None
@@ -25,7 +26,7 @@ class LastMotion:
     _touching: bool = False
 
     def set_position(self, at: Point) -> None:
-        """Somebody has asked the machine."""
+        """Record the position that the machine has reported."""
         self._at = at
 
     def begin(self, target: Point, *, touch: bool) -> None:
@@ -39,11 +40,11 @@ class LastMotion:
         self._at, self._begun = at, None
 
     def exit_point(self, here: Array) -> Array:
-        """(3,): where the axes go first from `here`, out along the last approach direction: `here` where nothing can be
-        touching.
+        """Return the axis position (3,) to which a withdrawal from `here` moves first, along the last approach
+        direction; `here` if nothing can be touching.
 
-        Out of a touch to where it began; out of any other motion a little the way it came; and out of a motion that
-        had just left a touch away from that surface, not back onto it.
+        A touch is withdrawn to its start, any other motion a little back along its path, and a motion that had just
+        left a touched surface away from that surface, not back onto it.
         """
         if self._touch is not None:
             start, target = (np.array(end) for end in self._touch)

@@ -1,4 +1,5 @@
-"""A compensation table for a controller: read, checked, reduced, valued; written as a whole or not at all."""
+"""Export of a compensation table for a controller: read, checked, resampled, valued; written completely or not at
+all."""
 
 from __future__ import annotations
 
@@ -33,10 +34,10 @@ RECORD = "export.json"
 
 @dataclass(frozen=True, eq=False)
 class TableToExport:
-    """A table with `origin`, the name of its bank or file for people.
+    """Table with `origin`, the name of its bank or file for people.
 
-    `estimate_file` None: the machine is taken as the table describes it. `resolution_mm`: resolution of the counts in
-    which a controller stored the table, 0 for a file.
+    `estimate_file` None: the machine is assumed to be as the table describes it. `resolution_mm`: resolution of the
+    counts in which a controller stored the table, 0 for a file.
     """
 
     table: CompensationTable
@@ -69,7 +70,7 @@ class TableExportResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the object that `--json` prints; `export.json` in the folder has the same keys."""
-        table, found = self.source.table, self.loss
+        table, loss = self.source.table, self.loss
         points = self.request.points or table.corrections.shape[:3]
         return {
             "format": self.request.format,
@@ -81,14 +82,14 @@ class TableExportResult:
             "largest_um": round(1e3 * float(np.abs(table.corrections).max()), 3),
             "extrapolated_percent": round(100.0 * float(np.mean(table.extrapolated)), 1),
             "opposite_sign": self.request.options.opposite_sign,
-            "ve_before_um": round(found.before.aligned_um, 3),
-            "ve_full_um": round(found.full.aligned_um, 3),
-            "ve_reduced_um": round(found.reduced.aligned_um, 3),
-            "ve_before_raw_um": round(found.before.raw_um, 3),
-            "ve_full_raw_um": round(found.full.raw_um, 3),
-            "ve_reduced_raw_um": round(found.reduced.raw_um, 3),
-            "kept_percent": round(100.0 * found.retained_share, 1),
-            "unknown_um": None if found.unknown_mm is None else round(1e3 * found.unknown_mm, 3),
+            "ve_before_um": round(loss.before.aligned_um, 3),
+            "ve_full_um": round(loss.full.aligned_um, 3),
+            "ve_reduced_um": round(loss.reduced.aligned_um, 3),
+            "ve_before_raw_um": round(loss.before.raw_um, 3),
+            "ve_full_raw_um": round(loss.full.raw_um, 3),
+            "ve_reduced_raw_um": round(loss.reduced.raw_um, 3),
+            "kept_percent": round(100.0 * loss.retained_share, 1),
+            "unknown_um": None if loss.unknown_mm is None else round(1e3 * loss.unknown_mm, 3),
             "check_at_mm": [round(value, 3) for value in self.check[0].tolist()],
             "check_moves_um": [round(1e3 * value, 1) + 0.0 for value in self.check[1].tolist()],
             "lost": list(self.exported.losses),
@@ -98,7 +99,7 @@ class TableExportResult:
 
 
 def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
-    """Return the table of a run's folder or of a CSV file, with the named estimate or the one beside it."""
+    """Return the table of a run's folder or of a CSV file, with the given estimate or the one beside the table."""
     if path.is_dir():
         path = path / "table.csv"
     side = path.with_suffix(".json")
@@ -112,13 +113,13 @@ def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
 def export_table(source: TableToExport, request: TableExportRequest) -> TableExportResult:
     """Write the files of a format and `export.json` into `request.out`. Raises UserError without writing."""
     with translated(InputError, file=source.origin):
-        whole = ExportSource(source.table, _identified(source.estimate_file))
-        require_small_corrections(whole.table, 1e-3 * request.largest_um)
-        require_same_machine(whole, source.resolution_mm)
-        table = whole.table if request.points is None else resample_table(whole.table, request.points)
-        exported = FORMATS[request.format].export(ExportSource(table, whole.estimate), request.options)
-        found, check = compensation_loss(whole, exported.correction), largest_correction(table, exported.correction)
-    result = TableExportResult(request, source, exported, found, check, checksum(format_table(source.table)))
+        full = ExportSource(source.table, _load_estimate(source.estimate_file))
+        require_small_corrections(full.table, 1e-3 * request.largest_um)
+        require_same_machine(full, source.resolution_mm)
+        table = full.table if request.points is None else resample_table(full.table, request.points)
+        exported = FORMATS[request.format].export(ExportSource(table, full.estimate), request.options)
+        loss, check = compensation_loss(full, exported.correction), largest_correction(table, exported.correction)
+    result = TableExportResult(request, source, exported, loss, check, checksum(format_table(source.table)))
     write_all_atomically(request.out, _contents(result))
     return result
 
@@ -128,7 +129,7 @@ def _contents(result: TableExportResult) -> Mapping[str, str]:
     return {**result.exported.files, RECORD: json.dumps(record, indent=2, ensure_ascii=False) + "\n"}
 
 
-def _identified(path: Path | None) -> TableEstimate | None:
+def _load_estimate(path: Path | None) -> TableEstimate | None:
     if path is None:
         return None
     stored = parse_estimate(read_text(path), str(path))

@@ -1,6 +1,6 @@
-"""Kinds of the decision records with the results of a run, by name in the journal.
+"""Kinds of the decision records with the results of a run, as named in the journal.
 
-A module of its own, because the history reads them without the mathematics that makes the results.
+A module of its own, because the history reads them without the mathematics that computes the results.
 """
 
 from __future__ import annotations

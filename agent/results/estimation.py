@@ -1,4 +1,4 @@
-"""What measured balls say: estimate, what it is worth, the table it makes; and whether held-out balls agree."""
+"""Estimation from measured balls: estimate, predicted accuracy, compensation table, and proof by held-out balls."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.facts import VolumetricSummary
-from agent.results.observations import Correction, no_correction, observations_of
+from agent.results.observations import Correction, displayed_residuals, observations_of
 from agent.results.run_outcome import Proof
 from agent.results.thermal_drift import identification_options, observations_with_drift
 from agent.results.volumetric_summary import volumetric_summary
 from agent.settings.schema import Order, TableSettings
 from drivers.clock import utc_timestamp
-from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals, held_out_test
+from twin.artefact.held_out_check import held_out_test
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
@@ -31,7 +30,7 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class EstimationResult:
-    """Estimate from `observations`, VE and VCE that it predicts, its compensation table."""
+    """Estimate from `observations`, the VE and VCE that it predicts, and its compensation table."""
 
     observations: Observations
     estimate: Estimate
@@ -53,8 +52,9 @@ def estimate_with_table(
     estimate = estimate_machine(machine, artefact, observations, options, order)
     model = estimate.model
     nodes = regular_nodes(model.ranges_mm, table.step_mm)
-    wanted = table.anchor_mm or (0.0, 0.0, 0.0)
-    anchor = Anchor(np.array([np.clip(w, low, high) for w, (low, high) in zip(wanted, model.ranges_mm, strict=True)]))
+    requested = table.anchor_mm or (0.0, 0.0, 0.0)
+    clipped = [np.clip(value, low, high) for value, (low, high) in zip(requested, model.ranges_mm, strict=True)]
+    anchor = Anchor(np.array(clipped))
     return EstimationResult(
         observations,
         estimate,
@@ -66,10 +66,10 @@ def estimate_with_table(
 def estimate_machine(
     machine: MachineDescription, artefact: Artefact, observations: Observations, options: Options, order: Order
 ) -> Estimate:
-    """Identify with the order asked for.
+    """Identify with the requested order.
 
-    An estimate that is carried over has its order; with the prior off no orders can be compared, and the evidence gives
-    way to the machine file. Raises TwinError.
+    An estimate that is carried over keeps its own order. With the prior off no orders can be compared, so that the
+    order of the machine file is used in place of the evidence. Raises TwinError.
     """
     if options.carried_over is not None:
         machine = machine.with_model(options.carried_over.unknowns.model)
@@ -81,7 +81,7 @@ def estimate_machine(
 
 
 def order_text(estimate: Estimate) -> str:
-    """Legendre order of an estimate for people, and what the measurements said of others."""
+    """Return the Legendre order of an estimate for people, with the evidence for other orders if they were compared."""
     used = sorted(set(estimate.model.orders.values()))
     text = " and ".join(str(order) for order in used)
     if not estimate.order_evidence:
@@ -91,7 +91,7 @@ def order_text(estimate: Estimate) -> str:
 
 
 def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
-    """What somebody should know of scales that could go no farther."""
+    """Return warnings about variance scales that have reached their bounds."""
     return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
 
 
@@ -106,9 +106,9 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
 def prove(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
-    """Hold the balls measured with the table active against those before and against the prediction.
+    """Compare the balls measured with the table active with those before and with the prediction.
 
-    Raises MeasurementFault where too few of them were found to say anything.
+    Raises MeasurementFault if too few of them were found for a comparison.
     """
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:
@@ -116,14 +116,17 @@ def prove(
     table = estimation.table
     with translated(MeasurementFault):
         observations_with_drift = observations_of(after, job.tool_offset_mm, table.at)
-        result = _displayed_residuals(job, after)
+        result = displayed_residuals(after, job.tool_offset_mm, job.artefact)
         expected = held_out_test(
             observations_with_drift,
             result,
             job.artefact,
             residual_covariance(estimation.estimate, observations_with_drift.axis_positions, job.tool_offset_mm),
         )
-        before_um, after_um = UM_PER_MM * _displayed_residuals(job, before).rms_mm, UM_PER_MM * result.rms_mm
+        before_um, after_um = (
+            UM_PER_MM * displayed_residuals(before, job.tool_offset_mm, job.artefact).rms_mm,
+            UM_PER_MM * result.rms_mm,
+        )
     limits = job.settings.verification
     reason = _judgement(after_um / before_um, limits.max_remaining_fraction, expected.chi2_normalised, limits.max_chi2)
     return Proof(
@@ -137,7 +140,7 @@ def prove(
 
 
 def provenance(job: Job, run_id: str) -> dict[str, str]:
-    """What an estimate of this run rests on, for its file and the journal."""
+    """Return the basis of an estimate of this run, for its file and the journal."""
     chosen = job.settings.identification
     return {
         "run_id": run_id,
@@ -154,16 +157,9 @@ def provenance(job: Job, run_id: str) -> dict[str, str]:
 
 
 def _judgement(share: float, max_remaining_fraction: float, chi2: float, max_chi2: float) -> str:
-    """Empty where both hold."""
+    """Return the reason for not accepting the table; empty if both limits are met."""
     if share > max_remaining_fraction:
         return f"held-out positions keep {share:.2f} of their error, allowed {max_remaining_fraction:.2f}"
     if chi2 > max_chi2:
         return f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {max_chi2:.2f}"
     return ""
-
-
-def _displayed_residuals(job: Job, balls: Sequence[MeasuredBall]) -> HeldOutResiduals:
-    """What the controller's own display makes of the artefact, as it was compensated while measuring."""
-    displayed = observations_of(balls, job.tool_offset_mm, no_correction)
-    points: Array = displayed.axis_positions + job.tool_offset_mm
-    return held_out_residuals(displayed, points, job.artefact)

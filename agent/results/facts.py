@@ -1,4 +1,4 @@
-"""Facts of a run as frozen values, as the journal keeps them and reports show them."""
+"""Facts of a run as frozen values, as the journal stores them and reports show them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Quantity:
-    """A length in µm with its standard uncertainty (None: not known)."""
+    """Length in µm with its standard uncertainty (None: not known)."""
 
     value_um: float
     standard_uncertainty_um: float | None = None
@@ -41,7 +41,7 @@ class VolumetricSummary:
 
 @dataclass(frozen=True)
 class ArtefactFacts:
-    """The artefact as its certificate has it; `balls` is their number."""
+    """Artefact as stated by its certificate. `balls`: their number."""
 
     name: str
     certificate: str
@@ -66,7 +66,7 @@ class ArtefactFacts:
 
 @dataclass(frozen=True)
 class TableFacts:
-    """A compensation table in a few figures. `largest_um`: of the correction of each axis; `crc32`: of its CSV file."""
+    """Compensation table in a few figures. `largest_um`: of the correction of each axis; `crc32`: of its CSV file."""
 
     nodes: tuple[int, int, int]
     largest_um: tuple[float, float, float]
@@ -116,7 +116,8 @@ class ProbeRing:
 
 @dataclass(frozen=True)
 class ProbeFacts:
-    """What was found of probe and stylus before the run: name and text, and the touches of the qualification."""
+    """Results of the checks of probe and stylus before the run: name and text of each, and the touches of the
+    qualification."""
 
     rows: tuple[tuple[str, str], ...]
     rings: tuple[ProbeRing, ...] = ()

@@ -20,7 +20,7 @@ CHANGE = "change"
 
 @dataclass(frozen=True)
 class Gate:
-    """One condition. `passed` is the verdict on `value` against `limit`, both in the unit that the text names."""
+    """Condition on a result. `passed`: verdict on `value` against `limit`, both in the unit that the text names."""
 
     name: str
     passed: bool

@@ -1,7 +1,7 @@
-"""What a run writes into the journal beside its steps, so that it can be reported and compared from the journal alone.
+"""Journal entries of a run beside its steps, so that it can be reported and compared from the journal alone.
 
-The files that the settings name may change or go; what a report says of machine, artefact and result is kept here as it
-was.
+The files that the settings name may change or be deleted; the facts of machine, artefact and result that a report shows
+are therefore stored here as they were.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from agent.probing.preparation import PreparationResult
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, OUTCOME, PROBE
 from agent.results.estimation import EstimationResult, order_text
 from agent.results.facts import ArtefactFacts, TableFacts
-from agent.results.observations import no_correction, observations_of
+from agent.results.observations import displayed_residuals
 from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
 from drivers.errors import ConfigurationError
-from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import checksum, format_table
 from twin.design.procedure import MIN_BALLS
+from twin.units import UM_PER_MM
 
 _NAMED_FILES = ("grid", "covariance_file")
-"""Keys by which a machine or an artefact file names another one."""
+"""Keys with which a machine or an artefact file names another file."""
 
 
 def inputs_of(job: Job) -> dict[str, Any]:
-    """What machine, artefact and files a run is begun with. ConfigurationError where a file has gone meanwhile."""
+    """Return machine, artefact and files that a run begins with. ConfigurationError if a file no longer exists."""
     return {
         "machine": job.machine.name,
         "tools_mm": {name: offset.tolist() for name, offset in job.machine.tools.items()},
@@ -49,7 +49,7 @@ def inputs_of(job: Job) -> dict[str, Any]:
 
 
 def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
-    """What was found of probe and stylus, as the report shows it."""
+    """Journal the checks of probe and stylus, as the report shows them."""
     facts = probe_facts(prepared)
     if facts is not None:
         warnings = () if prepared.reversal is None else prepared.reversal.warnings
@@ -57,13 +57,14 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
 
 
 def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
-    """The finding as far as the estimate file does not hold it. `balls`: those observed, in the observations' order."""
+    """Journal the parts of the result that the estimate file does not hold. `balls`: those observed, in the order of
+    the observations."""
     estimate = estimation.estimate
-    places = dict.fromkeys((ball.position, ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in balls)
+    positions = dict.fromkeys((ball.position, ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in balls)
     journal.decision(
         IDENTIFIED,
         {
-            "positions": [list(place[1:]) for place in places],
+            "positions": [list(position[1:]) for position in positions],
             "observations": vars(estimation.observations),
             "residuals_mm": estimate.residuals_mm,
             "unresolved_mm2": 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2,
@@ -77,13 +78,14 @@ def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estima
 def record_held_out(
     journal: RunJournal, job: Job, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> None:
-    """The rms of each held-out position before and after, as the controller displays it, for those with a pose."""
+    """Journal the rms of each held-out position before and after, in µm as the controller displays it, of those with
+    enough balls for a pose."""
     rows = []
     for position in job.held_out:
-        rms_um = [_left_um(job, [ball for ball in balls if _at(ball, position)]) for balls in (before, after)]
+        rms_um = [_rms_um(job, [ball for ball in balls if _at(ball, position)]) for balls in (before, after)]
         if rms_um[1] is not None:
-            place = [position.station, position.azimuth_deg, position.elevation_deg]
-            rows.append({"position": place, "before_um": rms_um[0], "after_um": rms_um[1]})
+            pose = [position.station, position.azimuth_deg, position.elevation_deg]
+            rows.append({"position": pose, "before_um": rms_um[0], "after_um": rms_um[1]})
     journal.decision(HELD_OUT, {"positions": rows})
 
 
@@ -95,15 +97,14 @@ def _at(ball: MeasuredBall, position: Position) -> bool:
     )
 
 
-def _left_um(job: Job, balls: Sequence[MeasuredBall]) -> float | None:
+def _rms_um(job: Job, balls: Sequence[MeasuredBall]) -> float | None:
     if len(balls) < MIN_BALLS:
         return None
-    displayed = observations_of(balls, job.tool_offset_mm, no_correction)
-    return 1e3 * held_out_residuals(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact).rms_mm
+    return UM_PER_MM * displayed_residuals(balls, job.tool_offset_mm, job.artefact).rms_mm
 
 
 def record_outcome(journal: RunJournal, outcome: Outcome) -> None:
-    """What the run came to, as `--json` tells it but for the path of the report."""
+    """Journal the outcome of the run: the object that `--json` prints, without the path of the report."""
     journal.decision(OUTCOME, {name: value for name, value in outcome.as_json().items() if name != "report"})
 
 

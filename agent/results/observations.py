@@ -1,4 +1,4 @@
-"""From measured balls to observations of the bare machine."""
+"""Observations of the bare machine from measured balls."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 
 from agent.probing.position import MeasuredBall
 from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals
 from twin.artefact.observations import Observations
 
 Correction = Callable[[Array], Array]
@@ -20,10 +22,10 @@ def observations_of(
     correction: Correction,
     thermal_regressors: Array | None = None,
 ) -> Observations:
-    """Observations in bare axis positions: what the acting table added is added back to what was displayed.
+    """Return observations in bare axis positions: the displayed ones plus the correction of the active table.
 
-    `correction` maps displayed axis positions (n, 3) to what the controller adds to them, (n, 3) mm; `course` (n, w) K
-    of a machine that drifted.
+    `correction` maps displayed axis positions (n, 3) to the shift that the controller adds to them, (n, 3) mm;
+    `thermal_regressors`: (n, w) K, of a machine that drifted.
     """
     displayed = np.array([ball.found.centre_mm for ball in balls])
     return Observations(
@@ -39,11 +41,18 @@ def observations_of(
     )
 
 
+def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
+    """Return the residuals of the artefact's balls in the controller's own display, with the table active while
+    measuring."""
+    displayed = observations_of(balls, tool_offset_mm, no_correction)
+    return held_out_residuals(displayed, displayed.axis_positions + tool_offset_mm, artefact)
+
+
 def no_correction(displayed: Array) -> Array:
     return np.zeros_like(displayed)
 
 
 def _renumbered(numbers: Iterable[int]) -> list[int]:
-    """Consecutive pose indices from 0 in the order met."""
+    """Return consecutive pose indices from 0 in the order of first occurrence."""
     seen: dict[int, int] = {}
     return [seen.setdefault(number, len(seen)) for number in numbers]

@@ -1,4 +1,4 @@
-"""A part program from a file, corrected with a table from files, into a file: all of it or nothing."""
+"""Correction of a part program from a file with a table from files, into a file: completely or not at all."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.compensation.table_file import checksum, parse_table
 
 
 def load_table(path: Path) -> tuple[CompensationTable, str]:
-    """The table of a CSV file and the JSON file beside it, and its CRC-32."""
+    """Return the table of a CSV file and the JSON file beside it, and the CRC-32 of the CSV file."""
     side = path.with_suffix(".json")
     text = read_text(path)
     with translated(InputError, file=str(path)):
@@ -36,14 +36,14 @@ def load_part_setup(path: Path) -> PartSetup:
 def correct_file(
     part: Path, out: Path | None, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
 ) -> CorrectionSummary:
-    """Write the corrected program to `out`, or nothing to it where it is None; `name` marks it.
+    """Correct the program and write it to `out`; if that is None, only count. `name` of the table marks the program.
 
-    Raises InputError with file and line for what cannot be corrected; what stood in `out` then stands there still.
+    Raises InputError with file and line for a block that cannot be corrected; `out` is then unchanged.
     """
     if out is not None and out.resolve() == part.resolve():
-        message = "the corrected program would replace the program as it was made"
+        message = "the corrected program would replace the original program"
         raise InputError(message, hint="write it to another file", file=str(out))
-    with _opened(part) as source, translated(InputError, file=str(part)):
+    with _open_program(part) as source, translated(InputError, file=str(part)):
         if out is None:
             return correct_program(source, table, setup, options, lambda _: None, name=name)
         with streamed_atomically(out) as target:
@@ -53,17 +53,17 @@ def correct_file(
 def correct_to(
     stream: BinaryIO, part: Path, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
 ) -> CorrectionSummary:
-    """The same to a stream, which gets nothing before all is corrected."""
+    """Correct the program and write it to a stream, which receives nothing before the whole program is corrected."""
     with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / "corrected"
-        counts = correct_file(part, whole, table, name, setup, options)
-        with whole.open("rb") as source:
+        corrected = Path(folder) / "corrected"
+        summary = correct_file(part, corrected, table, name, setup, options)
+        with corrected.open("rb") as source:
             shutil.copyfileobj(source, stream)
-    return counts
+    return summary
 
 
 @contextmanager
-def _opened(part: Path) -> Iterator[TextIO]:
+def _open_program(part: Path) -> Iterator[TextIO]:
     try:
         with part.open(encoding="utf-8", errors="surrogateescape", newline="") as file:
             yield file
@@ -72,4 +72,4 @@ def _opened(part: Path) -> Iterator[TextIO]:
     except IsADirectoryError:
         raise InputError("this is a directory, a file is needed", file=str(part)) from None
     except PermissionError:
-        raise InputError("the file may not be read", file=str(part)) from None
+        raise InputError("the file cannot be read: permission denied", file=str(part)) from None

@@ -1,4 +1,4 @@
-"""What a procedure will be worth, from where its balls will be: no measurement is needed for a covariance."""
+"""Accuracy that a procedure will reach, predicted from its ball positions: a covariance needs no measurement."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class PredictedAccuracy:
 
 
 def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy:
-    """Rank and predicted VCE of the set as measured in a preflight, without the held-out positions.
+    """Return rank and predicted VCE of the set as measured in a preflight, without the held-out positions.
 
-    Raises ConfigurationError where the set cannot identify the machine.
+    Raises ConfigurationError if the set cannot identify the machine.
     """
     estimate = preflight_estimate(job, measured)
     grid = evaluation_grid(job.machine.model.ranges_mm)
@@ -32,9 +32,9 @@ def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy
 
 
 def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
-    """Estimate from the balls of a preflight: its covariance is that of the run to come.
+    """Return the estimate from the balls of a preflight: its covariance is that of the run to come.
 
-    Raises ConfigurationError where the set cannot identify the machine.
+    Raises ConfigurationError if the set cannot identify the machine.
     """
     chosen = job.settings.identification
     options = Options(

@@ -1,4 +1,4 @@
-"""What a report says of probe and stylus."""
+"""Facts of probe and stylus for a report."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ MAP_STEP_DEG = 3.0
 
 
 def probe_facts(prepared: PreparationResult | None) -> ProbeFacts | None:
-    """None where nothing was looked at before the run."""
+    """Return the facts; None if nothing was checked before the run."""
     if prepared is None:
         return None
-    looked_at = (
+    checks = (
         ("Repeatability", prepared.repeatability),
         ("Stylus", prepared.qualification),
         ("Reversal of the axes", prepared.reversal),
     )
-    rows = tuple((name, found.text) for name, found in looked_at if found is not None)
+    rows = tuple((name, check.text) for name, check in checks if check is not None)
     if prepared.qualification is None:
         return ProbeFacts(rows) if rows else None
     return ProbeFacts(rows, _rings(prepared.qualification, prepared.rules.probing.stylus_axis))
 
 
 def _rings(found: Qualification, stylus_axis: Array) -> tuple[ProbeRing, ...]:
-    """Touches by latitude, the pole first."""
+    """Return the touches grouped by latitude, the pole first."""
     first, second = perpendiculars(stylus_axis)
     normals = -found.directions
     latitude = np.degrees(np.arcsin(np.clip(found.directions @ stylus_axis, -1.0, 1.0)))
@@ -49,7 +49,7 @@ def _rings(found: Qualification, stylus_axis: Array) -> tuple[ProbeRing, ...]:
 
 
 def _along(found: Qualification, stylus_axis: Array, latitude_deg: float) -> tuple[Array, Array]:
-    """Angles (m,) in degrees and the map (m,) in µm there; empty without a map."""
+    """Return angles (m,) in degrees and the pretravel map (m,) in µm at them; both empty without a map."""
     pretravel = found.stylus.pretravel
     if pretravel is None:
         return np.empty(0), np.empty(0)

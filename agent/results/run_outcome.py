@@ -1,4 +1,4 @@
-"""What a run came to, and the one JSON object that a machine reads of it."""
+"""Outcome of a run, and the JSON object that programs read."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Proof:
 
 
 class Decision(Enum):
-    """What a night came to."""
+    """Outcome of a night."""
 
     WITHIN = "within limits"
     OUT = "out of limits"
@@ -36,7 +36,8 @@ class Decision(Enum):
 
 @dataclass(frozen=True)
 class SuspectedError:
-    """One error that has jumped: its ISO 230-1 name, by how much, and how sure that is (ln of the likelihood ratio)."""
+    """Machine error that may have jumped: its ISO 230-1 name, the size of the jump, and the evidence for it (ln of the
+    likelihood ratio)."""
 
     error: str
     change: float
@@ -50,12 +51,12 @@ class SuspectedError:
 
 @dataclass(frozen=True)
 class NightReport:
-    """What a night found against the last accepted one, run `since`, and decided.
+    """Comparison of a night with the last accepted one, run `since`, and its decision.
 
-    µm: `ve_before_um`: VE with the acting table as that night left it, `ve_now_um` as it is now, `ve_after_um` with
-    what is known now written, all expected and aligned; `held_out_um` rms of the held-out balls as displayed against
-    `held_out_predicted_um`. `chi2_normalised` of all ball centres against what was predicted. `jumped`: errors that
-    must have jumped; `likeliest`: those that explain most if one has, the likeliest first.
+    In µm, expected values, aligned: `ve_before_um`: VE with the active table as that night left it; `ve_now_um`: as it
+    is now; `ve_after_um`: with the present estimate written. `held_out_um`: rms of the held-out balls as displayed,
+    `held_out_predicted_um`: its prediction. `chi2_normalised`: of all ball centres against their prediction. `jumped`:
+    errors that must have jumped; `likeliest`: those that explain most if one has, the likeliest first.
     """
 
     decision: Decision
@@ -74,7 +75,7 @@ class NightReport:
     likeliest: tuple[SuspectedError, ...] = ()
 
     def as_json(self) -> dict[str, object]:
-        """Keys as documented in docs/reference/json.md."""
+        """Return the object documented in docs/reference/json.md."""
         return {
             **{name: value for name, value in vars(self).items() if name not in ("decision", "jumped", "likeliest")},
             "decision": self.decision.value,
@@ -85,7 +86,7 @@ class NightReport:
 
 @dataclass(frozen=True)
 class Outcome:
-    """State, figures and places. None: the run did not come so far."""
+    """State, figures and files of a run. None: the run did not get that far."""
 
     state: RunState
     run_id: str
@@ -111,7 +112,7 @@ class Outcome:
     reason: str = ""
 
     def as_json(self) -> dict[str, object]:
-        """Keys as documented in docs/reference/json.md; `verified`: true, false, or null where not proved."""
+        """Return the object documented in docs/reference/json.md; `verified`: true, false, or null if not proved."""
         return {
             "kind": self.kind,
             "state": self.state.value,

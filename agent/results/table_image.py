@@ -1,4 +1,4 @@
-"""Between the twin's compensation table and the integers that a controller stores."""
+"""Conversion between the twin's compensation table and the integers that a controller stores."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from twin.compensation.table import Anchor, CompensationTable
 
 
 def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
-    """Counts of the store's resolution. Raises GateRefused where the grid is too large for the store."""
+    """Return the table in counts of the store's resolution. Raises GateRefused if the grid is too large for the
+    store."""
     shape = table.corrections.shape[:3]
     if any(n > most for n, most in zip(shape, limits.max_nodes, strict=True)) or (
         np.prod(shape) > limits.max_total_nodes
     ):
         raise GateRefused(
             f"a table of {shape[0]} × {shape[1]} × {shape[2]} nodes does not fit the controller "
-            f"(at most {limits.max_nodes}, {limits.max_total_nodes} in all)",
+            f"(at most {limits.max_nodes}, {limits.max_total_nodes} in total)",
             key="table.step_mm",
             hint="choose a wider step",
         )
@@ -28,9 +29,10 @@ def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
 
 
 def table_of(image: TableImage, tool_offset_mm: Array) -> CompensationTable:
-    """What a controller adds, as it interpolates it: trilinear, constant beyond the border.
+    """Return the table that a controller adds, as it interpolates it: trilinear, constant beyond the border.
 
-    A controller stores neither anchor nor region: the anchor is the grid's first node, nothing counts as extrapolated.
+    A controller stores neither anchor nor measured region: the anchor is the grid's first node, and no node counts as
+    extrapolated.
     """
     nodes = [
         origin + step * np.arange(count, dtype=np.float64)

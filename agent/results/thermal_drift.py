@@ -44,36 +44,36 @@ def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction:
     if not is_drifting(job.settings.temperature, balls):
         return observations_of(balls, job.tool_offset_mm, correction)
     instants_s = np.array([ball.conditions.instant_s for ball in balls])
-    told = [ball.conditions.machine_c for ball in balls]
-    known = [value for value in told if value is not None]
+    readings = [ball.conditions.machine_c for ball in balls]
+    known = [value for value in readings if value is not None]
     machine_c = np.array(known) if len(known) == len(balls) else None
-    course = thermal_regressors(instants_s, machine_c, change_k(job.settings.temperature, balls))
-    seen = observations_of(balls, job.tool_offset_mm, correction, course)
-    return replace(seen, temperature_c=smooth_readings(instants_s, seen.temperature_c))
+    regressors = thermal_regressors(instants_s, machine_c, change_k(job.settings.temperature, balls))
+    observations = observations_of(balls, job.tool_offset_mm, correction, regressors)
+    return replace(observations, temperature_c=smooth_readings(instants_s, observations.temperature_c))
 
 
 def identification_options(
-    identification: IdentificationSettings, temperature: TemperatureSettings, seen: Observations
+    identification: IdentificationSettings, temperature: TemperatureSettings, observations: Observations
 ) -> Options:
     """Return the options with which a run identifies from the family; the estimate is of the last observation's
     instant."""
     return replace(
-        _drift_options(temperature, seen),
+        _drift_options(temperature, observations),
         formulation=identification.formulation,
         use_prior=identification.prior,
         weights=identification.weights,
     )
 
 
-def fusion_options(temperature: TemperatureSettings, seen: Observations, known: CarriedOverPrior) -> Options:
+def fusion_options(temperature: TemperatureSettings, observations: Observations, known: CarriedOverPrior) -> Options:
     """Return the options with which a night is fused with what is `known` from earlier nights."""
-    return replace(_drift_options(temperature, seen), carried_over=known)
+    return replace(_drift_options(temperature, observations), carried_over=known)
 
 
-def _drift_options(temperature: TemperatureSettings, seen: Observations) -> Options:
-    drifted = seen.thermal_regressors.shape[1] > 0
+def _drift_options(temperature: TemperatureSettings, observations: Observations) -> Options:
+    drifted = observations.thermal_regressors.shape[1] > 0
     return Options(
         temperature_standard_uncertainty_k=temperature.standard_uncertainty_k,
         drift=drift_prior_of(temperature) if drifted else None,
-        state_regressors=seen.thermal_regressors[-1] if drifted else None,
+        state_regressors=observations.thermal_regressors[-1] if drifted else None,
     )

@@ -1,4 +1,4 @@
-"""The volumetric error of the bare machine as estimated, and of the compensated one as predicted."""
+"""Volumetric error of the bare machine as estimated, and of the compensated machine as predicted."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 
 def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:
-    """VE of the estimate and the VCE expected after compensating it, over the standard grid, in µm."""
+    """Return the VE of the estimate and the VCE expected after compensating it, over the standard grid, in µm."""
     grid = evaluation_grid(estimate.model.ranges_mm)
     form = QuadraticForm.build(estimate.model, grid, tool_offset)
     before = form.value(estimate.parameters)
@@ -25,14 +25,15 @@ def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSumm
 
 
 def _of_estimate(value_mm: float, form: Array, estimate: Estimate) -> Quantity:
-    """First-order propagation through v = sqrt(E'QE): u² = E'Q P Q E / v²."""
+    """Return the value and its uncertainty, by first-order propagation through v = sqrt(E'QE): u² = E'Q P Q E / v²."""
     gradient = form @ estimate.parameters / max(value_mm, 1e-12)
     variance = float(gradient @ estimate.covariance @ gradient)
     return Quantity(1e3 * value_mm, 1e3 * float(np.sqrt(max(variance, 0.0))))
 
 
 def _expected(value_mm: float, form: Array, covariance: Array) -> Quantity:
-    """How much one machine's rms varies about the expected one: var(e'Qe) = 2 trace(QPQP), e normal."""
+    """Return the expected rms and the standard deviation of one machine's rms about it: var(e'Qe) = 2 trace(QPQP) for
+    normal e."""
     product = form @ covariance
     variance = 2.0 * float(np.einsum("ij,ji->", product, product))
     return Quantity(1e3 * value_mm, 1e3 * float(np.sqrt(max(variance, 0.0))) / (2.0 * max(value_mm, 1e-12)))

@@ -30,10 +30,11 @@ from agent.runs.reference_state import write_copy
 from agent.runs.result_files import write_results
 from agent.runs.run_context import RunContext, RunHooks
 from agent.runs.run_start import enter_in_journal, read_start_conditions
-from agent.runs.step_progress import S_PER_MIN, StepProgress
+from agent.runs.step_progress import StepProgress
 from agent.settings.schema import ClockSettings
 from drivers.clock import Clock, InterruptibleClock, utc_timestamp, wall_seconds
 from drivers.errors import UserError, VolcalError
+from twin.units import S_PER_MIN
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from agent.execution.engine import Observer
 from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import Record, Step, TouchTowards
 from agent.planning.preflight import PreflightResult
-
-S_PER_MIN = 60.0
+from twin.units import S_PER_MIN
 
 
 class StepProgress:

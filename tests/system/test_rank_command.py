@@ -184,4 +184,4 @@ class TestWrongInput:
 
     def test_a_file_of_bytes(self, tmp_path: Path) -> None:
         (tmp_path / "p.csv").write_bytes(b"\xff\xfe\x00")
-        assert "no UTF-8 text" in self.refused("--set", tmp_path / "p.csv")
+        assert "not UTF-8 text" in self.refused("--set", tmp_path / "p.csv")

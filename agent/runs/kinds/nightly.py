@@ -37,7 +37,7 @@ from agent.runs.kinds.night_plan import (
     station_of,
 )
 from agent.runs.kinds.position_choice import PositionChooser
-from agent.runs.kinds.step_proof import prove_update
+from agent.runs.kinds.update_proof import prove_update
 from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.runs.reference_state import (
     full_calibration_need,

@@ -96,7 +96,7 @@ class TestWriting:
     def test_a_failure_in_the_last_file_leaves_the_old_ones(self, tmp_path: Path) -> None:
         (tmp_path / "a.txt").write_text("old")
         (tmp_path / "b.txt").mkdir()
-        with pytest.raises(InputError, match="a directory stands"):
+        with pytest.raises(InputError, match="there is a directory in place of"):
             write_all_atomically(tmp_path, {"a.txt": "new", "b.txt": "new"})
         assert (tmp_path / "a.txt").read_text() == "old"
         assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.txt"]

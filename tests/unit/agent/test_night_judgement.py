@@ -218,7 +218,7 @@ class Night(NightlyRun):
 def _elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """The table that is active is the accepted one; measurements and jobs are names."""
     monkeypatch.setattr(nightly, "require_table_of", lambda *_: None)
-    monkeypatch.setattr(nightly, "joined", lambda first, second: f"{first}+{second}")
+    monkeypatch.setattr(nightly, "join_measured", lambda first, second: f"{first}+{second}")
     monkeypatch.setattr(nightly, "positions_in", lambda _: ())
     monkeypatch.setattr(nightly, "job_at_station", lambda *_: "the whole job")
 

@@ -17,9 +17,9 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.estimation import EstimationResult
-from agent.results.observations import no_correction, observations_of
+from agent.results.observations import displayed_residuals, observations_of
 from agent.results.run_outcome import Proof
-from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals, held_out_test
+from twin.artefact.held_out_check import HeldOutResiduals, held_out_test
 from twin.artefact.observations import Observations
 from twin.identification import residual_covariance
 from twin.units import UM_PER_MM
@@ -36,7 +36,10 @@ def prove_update(
             raise MeasurementFault(f"no ball of a held-out position was measured {when}")
     with translated(MeasurementFault):
         observed = observations_of(after, job.tool_offset_mm, estimation.table.at)
-        result, former = _displayed_residuals(job, after), _displayed_residuals(job, before)
+        result, former = (
+            displayed_residuals(after, job.tool_offset_mm, job.artefact),
+            displayed_residuals(before, job.tool_offset_mm, job.artefact),
+        )
         covariance = residual_covariance(estimation.estimate, observed.axis_positions, job.tool_offset_mm)
         expected = held_out_test(observed, result, job.artefact, covariance)
     doubts = [_doubt(one, observed, estimation.estimate.scales.noise) for one in (former, result)]
@@ -67,8 +70,3 @@ def _doubt(result: HeldOutResiduals, observed: Observations, scale: float) -> fl
     square = result.rms_mm**2 * freedom / 3.0
     still = max(square - freedom * variance, 0.0)
     return 3.0 / freedom * math.sqrt(4.0 * still * variance + 2.0 * freedom * variance**2)
-
-
-def _displayed_residuals(job: Job, balls: Sequence[MeasuredBall]) -> HeldOutResiduals:
-    displayed = observations_of(balls, job.tool_offset_mm, no_correction)
-    return held_out_residuals(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact)
