@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from conftest import opened, settings, with_token
+from panel_pages import opened, settings, with_token
 from playwright.sync_api import Browser, expect
 from service_process import service, simulator
 
@@ -38,6 +38,9 @@ def test_a_lost_link_is_an_alarm_with_what_to_do_and_a_dead_service_is_unmistaka
             banner = page.locator("#stale")
             expect(banner).to_be_visible(timeout=20_000)
             expect(banner).to_contain_text("keine Verbindung")
-            assert banner.bounding_box()["width"] == page.viewport_size["width"]
+            box, viewport = banner.bounding_box(), page.viewport_size
+            assert box is not None
+            assert viewport is not None
+            assert box["width"] == viewport["width"]
             expect(page.locator("body")).to_have_class(re.compile("stale-data"))
             expect(page.locator("#abort")).to_be_enabled()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from conftest import with_token
+from panel_pages import with_token
 from playwright.sync_api import Page, expect
 from service_process import Service
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import PANEL
+from panel_pages import PANEL
 from playwright.sync_api import Page, Response, Route, expect
 
 pytestmark = pytest.mark.timeout(300)

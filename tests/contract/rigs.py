@@ -76,7 +76,7 @@ def in_process() -> Iterator[SimulatedRig]:
     world = World(read_scenario(SCENARIO).without_errors())
     device = SimulatedMachineDevice(world, watched)
     device.open()
-    yield SimulatedRig(*[device] * 6, watched, interrupt, world)  # type: ignore[arg-type]
+    yield SimulatedRig(device, device, device, device, device, device, watched, interrupt, world)
     device.close()
 
 

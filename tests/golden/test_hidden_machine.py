@@ -28,7 +28,7 @@ from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 TOOL = np.array([0.0, 250.0, 0.0])
-AMPLITUDES = {
+AMPLITUDES: dict[str, float | list[float]] = {
     "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
     "straightness_um": [5.5, 3.3, 2.0, 1.2],
     "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],

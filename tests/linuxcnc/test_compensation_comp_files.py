@@ -51,7 +51,7 @@ class Rig:
         self.start()
 
     def store_accepting(self, loss_um: float) -> LinuxCncStore:
-        settings = CompensationSettings(way="comp-files", directory=Path("tables"), accepted_loss_um=loss_um)
+        settings = CompensationSettings(method="comp-files", directory=Path("tables"), accepted_loss_um=loss_um)
         return create_store(settings, self.controller, RealClock(), base_path=self.work, device="linuxcnc")
 
     def shift_at(self, *place_mm: float) -> np.ndarray:

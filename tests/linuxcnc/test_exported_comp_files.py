@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ pytestmark = skip_if_missing(unavailable_reason())
 
 RANGES = ((0.0, 800.0), (0.0, 400.0), (0.0, 320.0))
 TOOL = np.array([0.0, 0.0, -150.0])
-AMPLITUDES = {
+AMPLITUDES: dict[str, float | list[float]] = {
     "positioning_um": [9.0, 6.0, 4.0, 2.0, 1.0],
     "straightness_um": [2.0, 1.0, 0.8, 0.6],
     "rotation_urad": [4.0, 2.0, 1.0, 0.8, 0.6],
@@ -57,7 +58,7 @@ def test_a_running_linuxcnc_compensates_the_machines_errors(tmp_path: Path) -> N
     assert remaining < 0.6 * uncorrected < uncorrected < wrong_sign
 
 
-def added_by_linuxcnc(folder: Path, files: dict[str, str], points: np.ndarray) -> np.ndarray:
+def added_by_linuxcnc(folder: Path, files: Mapping[str, str], points: np.ndarray) -> np.ndarray:
     """Return the difference of motors and joints at rest at axis positions (n, 3), shape (n, 3), mm."""
     (folder / "build").mkdir()
     work = machine(folder / "work", compile_components(folder / "build"), "comp-files")

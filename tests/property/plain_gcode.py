@@ -48,8 +48,12 @@ class PlainController:
         self.saved = np.zeros(3)
         self.tool = np.zeros(3)
         self.inch, self.incremental, self.absolute_centres = False, False, False
-        self.plane, self.system, self.motion, self.feed_mode = 17, 54, None, 94
-        self.in_spindle = self.called = None
+        self.plane = 17
+        self.system: float = 54
+        self.motion: int | None = None
+        self.feed_mode: float = 94
+        self.in_spindle: float | None = None
+        self.called: float | None = None
         self.others: list[str] = []
 
     def run(self, text: str) -> list[Stroke]:
@@ -73,7 +77,9 @@ class PlainController:
             self.set_mode(code)
         unit = 25.4 if self.inch else 1.0
         if 43 in codes:
-            self.tool = np.array(self.tools[int(word.get("H", self.in_spindle))], dtype=float)
+            tool = word.get("H", self.in_spindle)
+            assert tool is not None, "G43 without H and without a tool in the spindle"
+            self.tool = np.array(self.tools[int(tool)], dtype=float)
         named = {axis: word[letter] * unit for axis, letter in enumerate("XYZ") if letter in word}
         if 43.1 in codes:
             for axis, value in named.items():
@@ -203,11 +209,12 @@ def letters_and_numbers(line: str) -> list[tuple[str, float]]:
     return words
 
 
-def ends(strokes: list[Stroke]) -> dict[int, np.ndarray]:
+def ends(strokes: list[Stroke]) -> dict[int | None, np.ndarray]:
     """Return the axis positions after the block of each N number; blocks without a number belong to the
     previous one.
     """
-    found, number = {}, None
+    found: dict[int | None, np.ndarray] = {}
+    number = None
     for stroke in strokes:
         number = stroke.number if stroke.number is not None else number
         found[number] = stroke.points[-1]

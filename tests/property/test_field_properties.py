@@ -13,7 +13,7 @@ from twin.machine.machine_population import family_from_amplitudes
 from twin.machine.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms, volumetric_error
 
 CASE_STUDY_RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
-CASE_STUDY_AMPLITUDES = {
+CASE_STUDY_AMPLITUDES: dict[str, float | list[float]] = {
     "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
     "straightness_um": [5.5, 3.3, 2.0, 1.2],
     "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
@@ -60,7 +60,8 @@ def test_what_linearisation_leaves_is_of_second_order(chain, tool, seed):
     rng = np.random.default_rng(seed)
     model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, 4)
     errors = rng.uniform(-1.0, 1.0, model.size) * [0.05 if p.unit == "mm" else 5e-5 for p in model.parameters]
-    points = rng.uniform(*np.array(CASE_STUDY_RANGES).T, (20, 3))
+    low, high = np.array(CASE_STUDY_RANGES).T
+    points = rng.uniform(low, high, (20, 3))
     left = [
         exact_deviation(model, points, tool, scale * errors) - linear_deviation(model, points, tool, scale * errors)
         for scale in (1.0, 0.5)

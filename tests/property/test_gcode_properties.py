@@ -33,7 +33,7 @@ def table_of(seed: int | None, size_mm: float = 0.03) -> CompensationTable:
     values = np.zeros((*shape, 3))
     if seed is not None:
         values = size_mm * np.random.default_rng(seed).uniform(-1.0, 1.0, values.shape)
-    return CompensationTable(*NODES, values, np.zeros(3), Anchor([0.0, 0.0, 0.0]), np.zeros(shape, dtype=bool))
+    return CompensationTable(*NODES, values, np.zeros(3), Anchor(np.zeros(3)), np.zeros(shape, dtype=bool))
 
 
 def added(table: CompensationTable, points: np.ndarray) -> np.ndarray:
@@ -41,16 +41,16 @@ def added(table: CompensationTable, points: np.ndarray) -> np.ndarray:
     return points + RegularGridInterpolator(table.nodes, table.corrections)(points)
 
 
-def corrected(text: str, table: CompensationTable, chord_mm: float = 0.005, **more: object) -> str:
-    setup = PartSetup(WORK, REFERENCES, TOOLS, **{"start": START, **more})
+def corrected(text: str, table: CompensationTable, chord_mm: float = 0.005) -> str:
+    setup = PartSetup(WORK, REFERENCES, TOOLS, START)
     parts: list[str] = []
     correct_program(text.splitlines(True), table, setup, CorrectionOptions(chord_mm), parts.append)
     return "".join(parts)
 
 
-def controller(start: tuple = START) -> PlainController:
+def controller() -> PlainController:
     references = {int(name[1:]): point for name, point in REFERENCES.items()}
-    return PlainController(start, work=dict(WORK), tools=dict(TOOLS), references=references)
+    return PlainController(np.array(START), work=dict(WORK), tools=dict(TOOLS), references=references)
 
 
 KINDS = ["line", "line", "line", "arc", "mode", "system", "tool", "datum", "machine", "reference"]
@@ -289,6 +289,7 @@ def test_inverse_time_is_shared_among_the_pieces(points, seed, feeds):
     number = 0
     for stroke in controller().run(corrected(text, table_of(seed), 0.002)):
         number = stroke.number if stroke.number is not None else number
+        assert stroke.minutes is not None
         minutes[number] = minutes.get(number, 0.0) + stroke.minutes
     for number, feed in zip(range(len(points)), feeds, strict=False):
         assert minutes[number] == pytest.approx(1.0 / round(feed, 4), rel=1e-5)

@@ -85,7 +85,8 @@ class Requests(RuleBasedStateMachine):
     def the_run_ends(self, end) -> None:
         self.house.puppet.end(end, ERRORS[end])
         assert self.owner.wait(PATIENCE_S)
-        self.state, self.cause = end, ERRORS[end] and ERRORS[end].message
+        error = ERRORS[end]
+        self.state, self.cause = end, None if error is None else error.message
 
     @precondition(lambda self: self.running)
     @rule()
@@ -118,7 +119,7 @@ class Requests(RuleBasedStateMachine):
 
     @rule(number=st.integers(1, 5), yes=st.booleans())
     def answer_what_was_not_asked(self, number, yes) -> None:
-        with pytest.raises(UserError, match="no open question"):
+        with pytest.raises(UserError, match="no question is open"):
             self.owner.answer(number, yes)
 
     def _request(self, what, request) -> None:

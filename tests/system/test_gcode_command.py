@@ -97,7 +97,7 @@ def test_as_a_process(identified: tuple, tmp_path: Path) -> None:
 
 def executed(text: str) -> np.ndarray:
     """Axis positions (n, 3) that cut, from the first one with F on."""
-    plain = PlainController(HOME, work={"G54": WORK}, tools={1: TOOL}, references={28: HOME}, arc_step=0.002)
+    plain = PlainController(np.array(HOME), work={"G54": WORK}, tools={1: TOOL}, references={28: HOME}, arc_step=0.002)
     return path(plain.run(text), feed_only=True)
 
 
@@ -149,7 +149,7 @@ class TestOnTheMachine:
         assert "N30 T1 M6 (end mill)" in text.splitlines()
         for words in ("S8000 M3", "M8", "M9", "M30"):
             assert words in text
-        plain, corrected = (PlainController(HOME, {"G54": WORK}, {1: TOOL}, {28: HOME}) for _ in range(2))
+        plain, corrected = (PlainController(np.array(HOME), {"G54": WORK}, {1: TOOL}, {28: HOME}) for _ in range(2))
         plain.run(PART)
         corrected.run(text)
         assert plain.others == corrected.others

@@ -69,6 +69,10 @@ class FakeControl:
         self.asked.append(("resume_run", source))
         return self._begin("calibrate", None)
 
+    def restore_table(self, run_id: str, role: str, source: Source) -> str:
+        self.asked.append(("restore_table", (run_id, role, source)))
+        return self._begin("restore", None)
+
     def _begin(self, kind: str, position_set: str | None) -> str:
         self.runs += 1
         run = f"2031-05-{self.runs:02d}-{kind}"

@@ -106,13 +106,13 @@ class FakeController:
 
     def advance_to(self, instant_s: float) -> None:
         if self.motion is MotionState.MOVING and self._target is not None:
-            self._move(self._speed * (instant_s - self.now))
+            self._move(self._target, self._speed * (instant_s - self.now))
         self.now = instant_s
 
-    def _move(self, distance: float) -> None:
-        way = self._target - self.position
+    def _move(self, target: Vector, distance: float) -> None:
+        way = target - self.position
         left = float(np.linalg.norm(way))
-        end = self._target if distance >= left - 1e-9 else self.position + way * (distance / left)
+        end = target if distance >= left - 1e-9 else self.position + way * (distance / left)
         if self.wall_y is not None and self._kind != "move" and end[1] >= self.wall_y:
             self.position = np.array([end[0], self.wall_y, end[2]])
             self._tripped()

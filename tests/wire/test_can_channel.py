@@ -195,6 +195,7 @@ def test_own_frames_are_dropped_on_multicast() -> None:
         if identifier == 0x185:
             done.set()
 
+    assert link._shared is not None
     network = link._shared.network
     for identifier in (0x205, 0x185):
         network.subscribe(identifier, hear)
@@ -246,6 +247,7 @@ def test_server_that_goes_away_is_noticed() -> None:
         address = CanAddress.of("socketcand", "can0", {"host": "127.0.0.1", "port": bus.port})
         link = networks.acquire(address)
         link.check()
+    assert link._shared is not None
     receiver = link._shared.receiver
     receiver.join(5.0)
     assert not receiver.is_alive()
@@ -262,6 +264,7 @@ def test_bus_off_ends_receiving(spec: str) -> None:
         link = CanNetworks().acquire(CanAddress.of(channel.interface, channel.channel, channel.options))
         link.check()
         channel.bus.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+        assert link._shared is not None
         receiver = link._shared.receiver
         receiver.join(5.0)
         with pytest.raises(LinkLost, match="off the bus"):
@@ -290,6 +293,7 @@ def test_network_is_shared_and_counted() -> None:
     first.add_node(5, canopen.ObjectDictionary())
     with pytest.raises(ConfigurationError, match="two devices claim CANopen node 5"):
         second.add_node(5, canopen.ObjectDictionary())
+    assert first._shared is not None
     bus = first._shared.bus
     first.close()
     first.close()

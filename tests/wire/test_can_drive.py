@@ -258,7 +258,9 @@ def test_factor_group_makes_the_unit_of_position() -> None:
     bench.ask("23 81 60 00 64 00 00 00")  # 100 units/s: 10 degrees/s
     bench.ask("23 7A 60 00 84 03 00 00")  # 900 units
     bench.control(0x003F)
-    assert bench.axes.commands == [("azimuth", pytest.approx(90.0), pytest.approx(10.0))]
+    [(axis, *motion)] = bench.axes.commands
+    assert axis == "azimuth"
+    assert motion == pytest.approx([90.0, 10.0])
 
 
 def test_polarity_bit_7_turns_the_position() -> None:

@@ -121,8 +121,7 @@ def test_planner_takes_fifteen_blocks_and_then_lines_wait_in_the_receive_buffer(
         heard = grbl.type(b"G53G1X%d\n" % (-3999 + number))
         assert heard == (["ok"] if number < 16 else [])
     grbl.type(b"$10=3\n")
-    heard = grbl.type(b"?")[0]
-    assert heard.startswith("<Run|")
+    assert grbl.type(b"?")[0].startswith("<Run|")
     assert grbl.wait(0.5) == ["ok"] or grbl.wait(5.0)
 
 

@@ -19,7 +19,7 @@ from modbus_fakes import FakeController, FakeLatch, FakeWorld
 from drivers.errors import ConfigurationError
 from drivers.roles import Activation, MotionState, Permission
 from simulators.wire.modbus.controller import ModbusController
-from simulators.wire.modbus.numbers import ScaledInt32Numbers
+from simulators.wire.modbus.numbers import RegisterNumberFormat, ScaledInt32Numbers
 from simulators.wire.shared_world import SharedWorld
 
 GOLDEN_A = "00 01 00 00 00 06 01  03 03 E8 00 46"
@@ -160,9 +160,9 @@ def rig() -> Iterator[Rig]:
     yield from _rig(FakeController())
 
 
-def _rig(controller: FakeController, **options: object) -> Iterator[Rig]:
+def _rig(controller: FakeController, numbers: RegisterNumberFormat | None = None) -> Iterator[Rig]:
     shared = SharedWorld(FakeWorld(controller))
-    server = ModbusController(shared, ("127.0.0.1", 0), **options)
+    server = ModbusController(shared, ("127.0.0.1", 0), numbers)
     server.start()
     peer = Peer(server.address)
     try:

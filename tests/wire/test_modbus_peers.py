@@ -49,6 +49,8 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def running(program: Path, *words: str) -> Iterator[None]:
     """Run the peer until its standard input closes."""
     with subprocess.Popen([program, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
         try:
             assert process.stdout.readline() == b"ready\n"
             yield
@@ -189,7 +191,8 @@ def test_move_touch_and_table(cnc: ModbusCnc) -> None:
     read = cnc.read_table(1)
     assert read is not None
     assert np.array_equal(read.counts, table().counts)
-    assert (read.origin_mm, read.step_mm) == (pytest.approx(table().origin_mm), pytest.approx(table().step_mm))
+    assert read.origin_mm == pytest.approx(table().origin_mm)
+    assert read.step_mm == pytest.approx(table().step_mm)
     with pytest.raises(StoreError, match="active"):
         cnc.stage(1, table())
     cnc.activate(0)

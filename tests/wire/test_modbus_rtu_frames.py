@@ -189,6 +189,7 @@ def test_an_answer_that_comes_late_or_twice_is_not_the_next_ones() -> None:
         slave.push(framed("11 03 06 DEAD DEAD DEAD"))  # what should have come before
         assert link.read(0x6B, 3) == VALUE_17
         assert link.read(0x6B, 3) == bytes.fromhex("0001 0002 0003")  # the copy was thrown away
+        assert isinstance(link.transport, RtuTransport)
         assert link.transport.stray_bytes == 2 * len(ANSWER_17)
 
 

@@ -12,7 +12,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 import serial
-from modbus_fakes import FakeWorld
+from modbus_fakes import FakeController, FakeWorld
 from rtu_slave import RtuSlave, crc, framed
 
 from drivers.clock import RealClock, VirtualClock, wall_seconds
@@ -96,7 +96,9 @@ def test_the_wall_is_touched_over_the_serial_line(controller: ModbusRtuControlle
     """One row of the contract with the fake world: the request arrives complete."""
     clock = VirtualClock()
     clock.subscribe(controller._shared.advance_to)
-    controller._shared.world.controller.wall_y = 200.0
+    physics = controller._shared.world.controller
+    assert isinstance(physics, FakeController)
+    physics.wall_y = 200.0
     settings = ModbusCncSettings.model_validate(controller.agent_settings)
     with closing(ModbusCnc(settings, clock, "cnc")) as cnc:
         cnc.open()

@@ -134,8 +134,13 @@ def at_rest(request) -> None:
             request.getfixturevalue(name).control.begin_anew()
 
 
+def own_id(name: str) -> ua.NodeId:
+    """Return the identifier of a node of volcal's own namespace."""
+    return ua.NodeId(ua.String(name), ua.Int16(2))
+
+
 def node(client: Client, path: str):
-    return client.get_node(ua.NodeId(path, 2))
+    return client.get_node(own_id(path))
 
 
 async def read(client: Client, path: str):
@@ -143,7 +148,7 @@ async def read(client: Client, path: str):
 
 
 async def call(client: Client, method: str, *arguments):
-    return await node(client, ROOT).call_method(ua.NodeId(method, 2), *arguments)
+    return await node(client, ROOT).call_method(own_id(method), *arguments)
 
 
 START = ("calibrate", "S1+S3", ua.Variant([1, 2], ua.VariantType.Int32), 15.5, False, True)
@@ -392,7 +397,7 @@ def test_other_methods_of_the_server_need_the_token(readable):
         async with readable.connected(password=None) as client:
             server = client.get_node(ua.ObjectIds.Server)
             with refused("BadUserAccessDenied"):
-                await server.call_method(ua.NodeId(ua.ObjectIds.Server_GetMonitoredItems), 1)
+                await server.call_method(ua.NodeId(ua.Int32(ua.ObjectIds.Server_GetMonitoredItems)), 1)
 
     asyncio.run(scene())
 

@@ -231,6 +231,7 @@ def test_port_that_is_none_says_so(tmp_path: Path) -> None:
 def test_adapter_that_is_pulled_out_is_a_lost_link() -> None:
     peer = SlcanPeerBus()
     link = CanNetworks().acquire(CanAddress.of("slcan", peer.port, READY))
+    assert link._shared is not None
     receiver = link._shared.receiver
     peer.shutdown()
     receiver.join(5.0)

@@ -46,9 +46,9 @@ def made(cnc: TapeCnc) -> Iterator[Line]:
     clock = VirtualClock()
     clock.subscribe(cnc.on_advance)
     settings = TapeSettings(port=cnc.line.device_path, operator_timeout_s=60.0, max_pause_s=20.0)
-    line = Line(cnc, clock, PunchRead(settings, clock, lambda text: press(line, text), device="cnc"))
-    with line.punch_read:
-        yield line
+    built = Line(cnc, clock, PunchRead(settings, clock, lambda text: press(built, text), device="cnc"))
+    with built.punch_read:
+        yield built
     cnc.line.close()
 
 

@@ -39,6 +39,8 @@ class FakePlc:
         self._handled = 0
         self._seen: tuple[int, float] | None = None
         self._beat = (0, 0.0)
+        self._target: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self._speed = 0.0
         self._motion: tuple[float, tuple[float, ...], tuple[float, ...], float, int] | None = None
         self._blocks: dict[int, bytes] = {}
         self.banks: dict[int, tuple[bytes, bytes]] = {}
@@ -217,9 +219,9 @@ class FakePlc:
             return
         share = 1.0 if duration_s == 0.0 else min(1.0, (self.now_s - began_s) / duration_s)
         length = math.dist(start, target)
-        trip = self.trip_at_mm is not None and self._code >= 13 and share * length >= self.trip_at_mm
-        if trip:
-            share = self.trip_at_mm / length
+        trip = False
+        if self.trip_at_mm is not None and self._code >= 13 and share * length >= self.trip_at_mm:
+            trip, share = True, self.trip_at_mm / length
         here = [a + share * (b - a) for a, b in zip(start, target, strict=True)]
         self.set_words(1012, "3d", *here)
         if self._code == 15 and (trip or share >= 1.0):

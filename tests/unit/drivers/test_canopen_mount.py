@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from canopen_rig import Rig, axis_settings, rig
+from pydantic import BaseModel
 
 from agent.errors import Aborted
 from drivers.canopen_mount.mount import CanopenMount
@@ -159,7 +160,7 @@ def test_following_error_without_a_fault() -> None:
 
 
 @pytest.mark.parametrize("exchange", range(1, 9))
-def test_request_with_a_lost_answer_is_repeated(exchange: int) -> None:
+def test_request_with_a_lost_answer_is_repeated(exchange: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """For any lost SDO answer during a turn, the set-point is accepted once and the turn ends."""
     with rig(sdo_timeout_s=0.5) as bench:
         bench.mount.orient_to(0.0, 0.0)
@@ -173,7 +174,7 @@ def test_request_with_a_lost_answer_is_repeated(exchange: int) -> None:
                 bench.azimuth_node.lose_answers(int(len(answered) == exchange))
             return receive(identifier, data)
 
-        bench.azimuth_node.receive = receive_and_count
+        monkeypatch.setattr(bench.azimuth_node, "receive", receive_and_count)
         assert bench.mount.orient_to(10.0, 0.0) == Orientation(10.0, 0.0)
         assert [command for command in bench.axes.commands if command[0] == "azimuth"] == [("azimuth", 10.0, 10.0)]
 
@@ -480,4 +481,7 @@ def test_missing_eds_file(tmp_path: Path) -> None:
 
 
 def test_settings_example_of_the_rig_is_strict() -> None:
-    assert set(axis_settings(5)) <= set(PLUGIN.settings.model_fields["azimuth"].annotation.model_fields)
+    axis = PLUGIN.settings.model_fields["azimuth"].annotation
+    assert isinstance(axis, type)
+    assert issubclass(axis, BaseModel)
+    assert set(axis_settings(5)) <= set(axis.model_fields)

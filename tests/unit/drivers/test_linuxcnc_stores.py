@@ -73,7 +73,7 @@ def loader(tmp_path: Path) -> Loader:
 
 @pytest.fixture
 def store(loader: Loader, tmp_path: Path) -> LinuxCncStore:
-    settings = CompensationSettings(way="kinematics", directory=Path())
+    settings = CompensationSettings(method="kinematics", directory=Path())
     return create_store(settings, loader, VirtualClock(), base_path=tmp_path, device="cnc")
 
 
@@ -183,7 +183,7 @@ def signals() -> Signals:
 
 @pytest.fixture
 def files(signals: Signals, tmp_path: Path) -> LinuxCncStore:
-    settings = CompensationSettings(way="comp-files", directory=tmp_path, accepted_loss_um=10.0)
+    settings = CompensationSettings(method="comp-files", directory=tmp_path, accepted_loss_um=10.0)
     return create_store(settings, signals, VirtualClock(), base_path=tmp_path, device="cnc")
 
 

@@ -213,18 +213,19 @@ def test_a_motion_after_a_stop_waits_until_the_axes_rest(cnc: ModbusCnc, plc: Fa
 
 def test_a_hold_from_within_the_wait_and_its_resume_do_not_disturb_it(plc: FakePlc, clock: VirtualClock) -> None:
     asked: list[str] = []
+    driver: ModbusCnc
 
     def check() -> None:
         if clock.now() > 0.6 and not asked:
             asked.append("hold")
-            cnc.hold()
+            driver.hold()
             clock.sleep(30.0)
-            cnc.resume()
+            driver.resume()
 
-    with opened(plc, InterruptibleClock(clock, check)) as cnc:
-        cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+    with opened(plc, InterruptibleClock(clock, check)) as driver:
+        driver.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
         assert plc.commands == [11, 21, 22]
-        assert cnc.position().tolist() == [250.0, 200.0, 300.0]
+        assert driver.position().tolist() == [250.0, 200.0, 300.0]
     assert clock.now() == pytest.approx(31.5, abs=0.2)
 
 

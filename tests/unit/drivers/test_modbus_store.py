@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -127,7 +128,7 @@ def test_only_banks_of_the_controller_can_be_staged(cnc: ModbusCnc, bank: int) -
     ],
 )
 def test_a_table_beyond_the_limits_is_refused_before_anything_is_sent(
-    cnc: ModbusCnc, plc: FakePlc, change: dict[str, object], text: str
+    cnc: ModbusCnc, plc: FakePlc, change: dict[str, Any], text: str
 ) -> None:
     with pytest.raises(StoreError, match=text):
         cnc.stage(1, replace(table_of((2, 2, 2)), **change))

@@ -37,7 +37,7 @@ from twin.uncertainty.truth_assumptions import TruthAssumptions
 CHAINS = ("tool-Y-Z-X-bed-workpiece", "tool-Z-bed-Y-X-workpiece")
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 TOOL = np.array([0.0, 250.0, 0.0])
-AMPLITUDES = {
+AMPLITUDES: dict[str, float | list[float]] = {
     "positioning_um": [12.0, 8.0],
     "straightness_um": [8.0],
     "rotation_urad": [10.0],

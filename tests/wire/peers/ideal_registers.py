@@ -76,7 +76,7 @@ class IdealRegisters(DataBank):
     def _prepare(self) -> None:
         self.words[1000:1002] = [0x5643, 0x0100]
         self.words[1006:1008] = [0x7F, 3]
-        self.here = (100.0, 100.0, 100.0)
+        self.here: tuple[float, ...] = (100.0, 100.0, 100.0)
         self.put_triple(1026, self.here)
         self.words[1043] = 0xFFFF
         self.words[1052] = 1
