@@ -86,7 +86,7 @@ def main() -> None:
         build = compile_components(Path(folder) / "build")
         for way in COMPONENT:
             work = machine(Path(folder) / way, build, way)
-            settings = CompensationSettings.model_validate({"way": way, "directory": work / "tables"})
+            settings = CompensationSettings.model_validate({"method": way, "directory": work / "tables"})
             with running(work) as controller:
                 measure(
                     way, controller, create_store(settings, controller, RealClock(), base_path=work, device="linuxcnc")

@@ -167,7 +167,7 @@ def _write_changed_copy(example: Path, path: Path, changes: dict[str, str]) -> P
 
 SHORT_CHANGES = {
     # other tests may keep the computer busy
-    "motion_margin_s = 120.0": f"motion_margin_s = 600.0\nanswer_within_s = {ANSWER_WITHIN_S}",
+    "motion_margin_s = 120.0": f"motion_margin_s = 600.0\nresponse_timeout_s = {ANSWER_WITHIN_S}",
     "watchdog_timeout_s = 2.0": "watchdog_timeout_s = 20.0",
     # one touch per point, at the feed of the search
     "touch_stages = 2": "touch_stages = 1",
