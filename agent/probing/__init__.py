@@ -1,1 +1,1 @@
-"""Plans: generators of frozen steps. No hardware, no clock, no randomness, no I/O."""
+"""Plans as generators of frozen steps: no hardware, no clock, no randomness, no I/O."""

@@ -163,7 +163,7 @@ class _Measuring:
         if isinstance(result, LostBall):
             raise MeasurementFault(
                 f"end ball {ball} was not found where it was expected: {result.reason}",
-                hint="check the station's place in the settings, the mount's zero and the artefact's seat",
+                hint="check the station's location in the settings, the mount's zero and the artefact's seat",
                 step=f"{self._task.key}/ball-{ball:02d}",
             )
         return result

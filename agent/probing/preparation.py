@@ -1,4 +1,4 @@
-"""Before anything is measured: find one ball, see that the probe repeats, qualify the stylus, turn the axes on it."""
+"""Preparation of a run on one ball: locate it, check the probe, qualify the stylus, measure reversal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from twin.collision.measuring_layout import MeasuringLayout
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """What is to be looked at before a run; None: not at all. `layout`: with the dense pattern's vectors and room."""
+    """Checks before a run; None: not made. `layout`: layout for the vectors and the room of the dense pattern."""
 
     check: ProbeCheck | None
     qualification: QualificationRules | None
@@ -38,7 +38,7 @@ class Preparation:
 
 @dataclass(frozen=True, eq=False)
 class PreparationResult:
-    """`rules` with what is known of the stylus now; `standing_at`: where the artefact stands now."""
+    """Result of the preparation: `rules` with the qualified stylus; `standing_at`: station of the artefact now."""
 
     rules: PositionRules
     standing_at: int | None
@@ -48,7 +48,7 @@ class PreparationResult:
 
     @property
     def reversals(self) -> tuple[AxisReversal, ...]:
-        """Of X, Y, Z; empty where they were not asked for."""
+        """Reversals of X, Y and Z; empty if they were not measured."""
         return () if self.reversal is None else self.reversal.axes
 
 
@@ -58,9 +58,9 @@ PREFIX = "probe"
 def prepare_probe(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, preparation: Preparation
 ) -> Plan[PreparationResult]:
-    """Check and qualify on the datum ball of `order`; begins anywhere, ends at the retreat plane before that ball.
+    """Check and qualify on the datum ball of `order`; start anywhere, end at the retreat plane before that ball.
 
-    Raises MeasurementFault where the ball is not found, the probe does not repeat, or the ball is no ball.
+    Raises MeasurementFault if the ball is not found, the probe does not repeat, or the ball exceeds its limits.
     """
     yield from _park_all_mounts(rules)
     if preparation.is_empty:
@@ -85,7 +85,7 @@ def prepare_probe(
 
 
 def _park_all_mounts(rules: PositionRules) -> Plan[None]:
-    """Nobody knows how mounts stand that a person or an earlier run has left."""
+    """Park all mounts: the pose in which a person or an earlier run left them is not known."""
     if rules.change.own_mounts:
         yield CheckPermissions(f"{PREFIX}/mounts/permissions")
         here = np.array((yield ReadPosition(f"{PREFIX}/mounts/here")))
@@ -117,12 +117,12 @@ def _go_to_ball(key: str, position: Position, predicted: Array, rules: PositionR
 
 
 def _locate_ball(key: str, predicted: Array, rules: PositionRules) -> Plan[FittedBall]:
-    """Where the ball really stands: the wide search by the pattern of the run."""
+    """Locate the ball with the wide search by the pattern of the run."""
     result = yield from measure_ball(key, predicted, rules.probing, rules.probing.locating_search)
     if isinstance(result, LostBall):
         raise MeasurementFault(
             f"the ball for the probe check was not found where it was expected: {result.reason}",
-            hint="check the station's place in the settings, the mount's zero and the artefact's seat",
+            hint="check the station's location in the settings, the mount's zero and the artefact's seat",
             step=key,
         )
     yield Record(f"{key}/found", "event", {"centre_mm": result.centre_mm, "form_um": result.form_mm * 1e3})
@@ -132,10 +132,9 @@ def _locate_ball(key: str, predicted: Array, rules: PositionRules) -> Plan[Fitte
 def _datum_ball(
     order: MeasuringOrder, layout: MeasuringLayout, preparation: Preparation
 ) -> Plan[tuple[Position, int, Preparation]]:
-    """Position and ball: the first that can be touched from everywhere the dense pattern asks for.
+    """Return position and number of the first ball that is accessible from all directions of the dense pattern.
 
-    Without one there is no qualification, which is an error; the reversal alone is given up, and the check is made on
-    any ball.
+    Without such a ball a qualification is an error; the reversal is skipped, and the check is made on any ball.
     """
     wanted = preparation.qualification.ball if preparation.qualification else None
     free = _first_free_ball(order, (preparation.layout, layout), wanted)
@@ -143,21 +142,21 @@ def _datum_ball(
         return *free, preparation
     anywhere = _first_free_ball(order, (layout,), wanted) if preparation.qualification is None else None
     if anywhere is not None:
-        reason = "reversal of the axes cannot be told: no ball of this run is free all around"
+        reason = "the reversal of the axes cannot be measured: no ball of this run is accessible from all directions"
         yield Record(f"{PREFIX}/no-free-ball", "event", {"reason": reason})
         return *anywhere, replace(preparation, reversal=None)
     name = "no ball" if wanted is None else f"ball {wanted} in no position"
     raise MeasurementFault(
-        f"the stylus cannot be qualified: {name} of this run is free all around",
-        hint="name another ball in qualification.ball, add a position where the artefact stands free, or switch the "
-        "qualification off",
+        f"the stylus cannot be qualified: {name} of this run is accessible from all directions",
+        hint="set another ball in qualification.ball, add a position with free access to the artefact, or disable the "
+        "qualification",
     )
 
 
 def _first_free_ball(
     order: MeasuringOrder, layouts: Sequence[MeasuringLayout], wanted: int | None
 ) -> tuple[Position, int] | None:
-    """Within reach in all of `layouts`."""
+    """Return the first position and ball within reach in all of `layouts`; None if there is none."""
     for position in order.positions:
         nominal = layouts[0].nominal(position)
         free = np.logical_and.reduce([layout.reachable(position, nominal) for layout in layouts])

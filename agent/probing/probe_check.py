@@ -1,4 +1,4 @@
-"""Does the probe repeat? n touches of the same place, their 2σ against a limit, and how sure so few of them are."""
+"""Check of the probe's repeatability: 2σ of n touches of one point against a limit, with its confidence interval."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from twin.artefact.repeatability import RepeatabilityEstimate, estimate_repeatab
 from twin.units import UM_PER_MM
 
 REFUSAL_CONFIDENCE = 0.99
-"""A run is refused only where the probe is beyond its limit with this confidence: five touches of a probe exactly at
-its limit exceed it every second night."""
+"""Confidence with which the probe must exceed its limit before a run is refused: five touches of a probe exactly at its
+limit exceed it every second night."""
 
 
 @dataclass(frozen=True)
 class ProbeCheck:
-    """`touches` of the pole; `limit_mm` for 2σ."""
+    """Rules of the check. `touches`: number of touches of the pole; `limit_mm`: limit of 2σ."""
 
     touches: int
     limit_mm: float
@@ -29,7 +29,7 @@ class ProbeCheck:
 
 @dataclass(frozen=True)
 class Repeatability:
-    """2σ of `touches` touches at the pole; the true one lies in `interval_um` with `confidence`."""
+    """Repeatability, 2σ of `touches` touches at the pole; the true value is in `interval_um` with `confidence`."""
 
     two_sigma_um: float
     limit_um: float
@@ -48,9 +48,9 @@ class Repeatability:
 
 
 def check_repeatability(key: str, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[Repeatability]:
-    """Touch the pole of the ball at `centre` again and again; as often once more where those were too far apart.
+    """Touch the pole of the ball at `centre` repeatedly; if 2σ exceeds the limit, the same number of times again.
 
-    Raises MeasurementFault where a touch misses, and where all of them together are surely beyond the limit.
+    Raises MeasurementFault if a touch misses, and if all touches together exceed the limit with `REFUSAL_CONFIDENCE`.
     """
     depths = yield from _depths(key, 0, centre, probing, check)
     if 2.0 * estimate_repeatability(depths).sigma > check.limit_mm:
@@ -70,14 +70,14 @@ def check_repeatability(key: str, centre: Vector, probing: ProbingParameters, ch
 
 
 def _depths(key: str, first: int, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[list[float]]:
-    """Latched positions along the stylus, mm from the ball's centre."""
+    """Return the latched positions along the stylus, in mm from the ball's centre."""
     pole = probing.directions[0]
     depths = []
     for number in range(first, first + check.touches):
         touched = yield from touch_ball(f"{key}/touch-{number}", centre, pole, probing, probing.narrow_search)
         if touched.latched_mm is None:
             raise MeasurementFault(
-                "a touch met nothing where the ball had just been found",
+                "a touch missed the ball, which had just been found",
                 hint="check the probe's signal and that the artefact is clamped",
                 step=f"{key}/touch-{number}",
             )

@@ -1,4 +1,4 @@
-"""Writing a table: back up, stage into the inactive bank, read back, compare, activate, read back."""
+"""Plans that write a table: stage into the inactive bank, read back, compare, activate, read back."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from drivers.roles import Activation, TableImage
 
 @dataclass(frozen=True)
 class ActiveCompensation:
-    """The compensation as it was found: which bank acts, and what is in it (None: no compensation)."""
+    """Active compensation: number of the active bank and its table (None: no compensation)."""
 
     bank: int
     table: TableImage | None
 
 
 def read_state(prefix: str) -> Plan[ActiveCompensation]:
-    """What acts now, completely read. This is what every way out restores."""
+    """Read the whole active compensation, which is restored however the run ends."""
     bank = yield ReadActiveBank(f"{prefix}/active-bank")
     table = (yield ReadTable(f"{prefix}/active-table", bank)) if bank else None
     if bank and table is None:
-        raise StoreError(f"bank {bank} is active but holds no table", hint="look at the controller's banks")
+        raise StoreError(f"bank {bank} is active but holds no table", hint="check the banks on the controller")
     return ActiveCompensation(bank, table)
 
 
 def choose_bank(banks: tuple[int, ...], active: int) -> int:
-    """The bank to write: one that does not act now. Bank 0 means no compensation and is never written."""
+    """Return the bank to write: one that is not active. Bank 0 means no compensation and is never written."""
     free = [bank for bank in banks if bank not in (0, active)]
     if not free:
         raise StoreError(
             f"no inactive bank to write: the controller has {list(banks)}, bank {active} is active",
-            hint="a store needs two banks so that the old table stays until the new one is proved",
+            hint="a store needs two banks, so that the old table stays until the new one is proved",
         )
     return free[0]
 
 
 def stage_table(bank: int, table: TableImage) -> Plan[None]:
-    """Write the inactive bank and compare every value that is read back."""
+    """Write the inactive bank, read it back and compare every value."""
     yield StageTable("publish/stage", bank, table)
     back = yield ReadTable("publish/read-back", bank)
     if back is None or not back.same_as(table):
@@ -60,15 +60,17 @@ def stage_table(bank: int, table: TableImage) -> Plan[None]:
 
 
 def restore(bank: int, *, after_fault: bool, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
-    """Make the former `bank` act again. A controller in fault takes no table command, so its fault is cleared."""
+    """Activate the former `bank` again. A controller in fault takes no table command, so its fault is cleared first."""
     if after_fault:
         yield ResetFault("restore/reset")
     yield from activate("restore", bank, activation)
 
 
 def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
-    """Activate `bank` and read back that it acts. Raises NotActiveYet where a person must do something before it does;
-    from there the plan can be gone on with."""
+    """Activate `bank` and read back that it is active.
+
+    Raises NotActiveYet if a person must act first; the plan can be resumed from there.
+    """
     yield ActivateBank(f"{prefix}/activate", bank)
     if activation is Activation.RESET:
         yield ResetFault(f"{prefix}/reset-to-take-effect")
@@ -77,7 +79,7 @@ def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIA
     active = yield ReadActiveBank(f"{prefix}/active-bank")
     if active != bank:
         raise ReadBackMismatch(
-            f"bank {bank} was activated, but the controller says that bank {active} is active",
-            hint="look at the controller before measuring or machining",
+            f"bank {bank} was activated, but the controller reports that bank {active} is active",
+            hint="check the controller before measuring or machining",
         )
     yield Record(f"{prefix}/activated", "decision", {"bank": bank})

@@ -1,4 +1,4 @@
-"""The stylus, qualified on one ball touched densely: effective radius, and where wanted the pretravel by direction."""
+"""Qualification of the stylus on one densely touched ball: effective radius and, on request, pretravel by direction."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True, eq=False)
 class QualificationRules:
-    """`directions` (k, 3) of the dense pattern, the pole first. `ball`: number of the datum ball; None: the first that
-    is free all around. `spread_mm`: standard deviation of the radii of the artefact's balls."""
+    """Rules of a qualification. `directions` (k, 3) of the dense pattern, the pole first. `ball`: number of the datum
+    ball; None: the first accessible from all directions. `spread_mm`: standard deviation of the balls' radii."""
 
     directions: Array
     ball: int | None
@@ -30,8 +30,8 @@ class QualificationRules:
 
 @dataclass(frozen=True, eq=False)
 class Qualification:
-    """What one dense ball said of the stylus. `trace_*_um2`: of a ball centre's covariance by the pattern of the run,
-    with a free and with the qualified radius; the smaller one decides which is used."""
+    """Result of a qualification. `trace_*_um2`: trace of a ball centre's covariance with the pattern of the run, for a
+    free and for the qualified radius; the fit with the smaller trace is used."""
 
     stylus: Stylus
     datum_mm: Array
@@ -53,7 +53,7 @@ class Qualification:
         if stylus.pretravel is not None:
             text += (
                 f"; pretravel map up to {stylus.pretravel.largest_mm * UM_PER_MM:.1f} µm, "
-                f"{stylus.pretravel.noise_mm * UM_PER_MM:.1f} µm rms left"
+                f"{stylus.pretravel.noise_mm * UM_PER_MM:.1f} µm rms residual"
             )
         return text
 
@@ -61,23 +61,27 @@ class Qualification:
 def qualify_stylus(
     key: str, centre: Array, probing: ProbingParameters, rules: QualificationRules
 ) -> Plan[Qualification]:
-    """Touch the ball at `centre` by the dense pattern. A datum ball that keeps breaking a limit raises
-    MeasurementFault: nothing could be trusted after it."""
+    """Touch the ball at `centre` by the dense pattern and qualify the stylus.
+
+    Raises MeasurementFault if the datum ball keeps exceeding a limit: no later measurement could be trusted.
+    """
     dense = replace(probing, directions=rules.directions, limits=rules.limits, stylus=None, stop_on_failure=True)
     found = yield from measure_ball(key, centre, dense, dense.narrow_search)
-    assert isinstance(found, FittedBall)  # noqa: S101  a lost one stops
+    assert isinstance(found, FittedBall)  # noqa: S101  a lost ball stops the plan
     result = qualification_of(found, probing, rules)
     yield Record(f"{key}/stylus", "decision", _payload(key, result))
     return result
 
 
 def qualification_of(found: FittedBall, probing: ProbingParameters, rules: QualificationRules) -> Qualification:
-    """What the densely touched ball says. The radius is fixed in later fits where that makes centres better known."""
+    """Evaluate the densely touched ball. The radius is fixed in later fits if that lowers the centres' uncertainty."""
     sigma_mm = probing.touch_sigma_mm
+    # Uncertainty of the radius for any ball: that of the dense fit, and the spread of the balls' radii.
     dense = fit_sphere(-rules.directions, sigma_mm)
     radius_sigma_mm = float(np.hypot(np.sqrt(dense.covariance[3, 3]), rules.spread_mm))
     free = float(np.trace(centre_covariance(probing.directions, sigma_mm)))
     fixed = float(np.trace(known_radius_covariance(probing.directions, sigma_mm, radius_sigma_mm)))
+    # The fit with the smaller trace of the centre's covariance is used.
     stylus = Stylus(found.radius_mm, radius_sigma_mm, fixed < free, _map(found, probing, rules))
     return Qualification(
         stylus=stylus,

@@ -1,8 +1,8 @@
-"""The loop over a run is closed: where the machine has changed, the first positions are measured again at the end.
+"""Repeated positions: if the machine's temperature has changed, the first positions are measured again at the end.
 
-Stations are visited one after the other, so what changes with time looks as if it changed along the travel: a scale
-that grows from station to station may as well be one that is not straight. Only a place that is measured twice, early
-and late, tells the two apart. A rigid motion of the bar since then is in its new pose.
+Stations are visited one after the other, so a change with time looks like a change along the travel: a scale that
+grows from station to station may as well be a nonlinear scale. Only positions measured twice, early and late,
+discriminate between the two. A rigid motion of the bar since then is in its new pose.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ REPEAT_PREFIX = "close"
 
 @dataclass(frozen=True)
 class RepeatRules:
-    """`change_k` of the machine from which on the loop is closed, with the first `count` of the positions `of`;
-    `declared_k` where no thermometer is on the machine."""
+    """Rules of repeated positions: from a change of the machine of `threshold_k`, the first `count` of `candidates` are
+    repeated; `declared_k`: change without a thermometer on the machine."""
 
-    change_k: float
+    threshold_k: float
     declared_k: float
     count: int
-    of: Collection[Position]
+    candidates: Collection[Position]
 
 
 def measure_with_repeats(
-    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, closing: RepeatRules
+    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, repeats: RepeatRules
 ) -> Plan[MeasuredPositions]:
-    """`measure_positions`, and the first ones of them again where the machine has changed in between."""
+    """Measure as `measure_positions`, and the first positions again if the machine has changed in between."""
     measured = yield from measure_positions(order, layout, rules)
-    change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], closing.declared_k)
-    first = _first(measured, closing)
-    if not first or change_k < closing.change_k:
+    change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
+    first = _first(measured, repeats)
+    if not first or change_k < repeats.threshold_k:
         return measured
     note = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
     yield Record(f"{REPEAT_PREFIX}/machine", "event", {"note": note})
@@ -48,9 +48,9 @@ def measure_with_repeats(
 
 
 def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:
-    """Range of what the machine's thermometers told; `declared_k` where there are none."""
-    told = [one.machine_c for one in conditions if one.machine_c is not None]
-    return max(told) - min(told) if told else declared_k
+    """Return the range of the machine's temperature readings; `declared_k` if there are none."""
+    readings_c = [one.machine_c for one in conditions if one.machine_c is not None]
+    return max(readings_c) - min(readings_c) if readings_c else declared_k
 
 
 def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:
@@ -58,7 +58,7 @@ def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:
 
 
 def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredPositions:
-    """As if all had been one order; the positions of the second are numbered on."""
+    """Join two measurements as if they had been one order; the position numbers of the second continue the first's."""
     start = max((ball.position for ball in measured_balls(one)), default=-1) + 1
     return MeasuredPositions(
         positions=(*one.positions, *(_renumbered(position, start) for position in other.positions)),
@@ -70,7 +70,7 @@ def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredP
 
 
 def drifts_um(measured: MeasuredPositions) -> Mapping[int, float]:
-    """By the number of each position: how far its first ball had moved at its end, where it was found again."""
+    """Return position number → distance in µm by which its first ball had moved when it was measured again."""
     found = ((position.balls[0].position, position.drift_mm) for position in measured.positions)
     lengths = {number: 1e3 * math.hypot(*drift.tolist()) for number, drift in found}
     return {number: length for number, length in lengths.items() if math.isfinite(length)}
@@ -84,9 +84,9 @@ def _renumbered(position: MeasuredPosition, start: int) -> MeasuredPosition:
     return replace(position, balls=tuple(shifted(ball) for ball in position.balls), again=again)
 
 
-def _first(measured: MeasuredPositions, closing: RepeatRules) -> tuple[Position, ...]:
-    """The first of the set that were measured, all at one station."""
+def _first(measured: MeasuredPositions, repeats: RepeatRules) -> tuple[Position, ...]:
+    """Return the first measured positions among the candidates, all at one station."""
     first = [position.balls[0] for position in measured.positions]
-    places = [Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first]
-    wanted = [place for place in places if place in closing.of]
-    return tuple(place for place in wanted if place.station == wanted[0].station)[: closing.count]
+    positions = [Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first]
+    wanted = [position for position in positions if position in repeats.candidates]
+    return tuple(position for position in wanted if position.station == wanted[0].station)[: repeats.count]

@@ -1,7 +1,8 @@
-"""Reversal of the linear axes on the datum ball: oblique places touched with each axis pre-loaded from either side.
+"""Reversal of the linear axes at the datum ball: oblique points touched with each axis preloaded from either side.
 
-No ball centre shows it: each touch goes the same way on every ball, so that lost motion moves all centres alike and no
-free artefact sees a common motion. Therefore it is measured apart, and what cannot be measured so is named.
+Ball centres do not show it: the approach directions are the same on every ball, so lost motion shifts all centres
+alike, and a freely placed artefact cannot reveal a common shift. It is therefore measured separately; the report
+states what this measurement does not cover.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from twin.artefact.reversal import SLOPE, ObliqueTouch, fit_lost_motion, plan_ob
 from twin.units import UM_PER_MM
 
 PRELOAD_MM = 1.0
-"""Far more than any play of a machine that is worth a calibration, and still clear of the ball."""
+"""Far more than the play of any machine worth calibrating, and still clear of the ball."""
 WITHIN, BEYOND = "within", "beyond"
 COVERAGE_FACTOR = 2.0
-"""Standard uncertainties: beyond the limit by as many is surely beyond."""
+"""Coverage factor: lost motion exceeds its limit reliably if it does so by this many standard uncertainties."""
 LIMITATION = (
     "not seen: reversal elsewhere along the travel, of the axes' angles apart from their effect at this place, of the "
     "mount's axes; none of it is in the table, which holds for the middle of both directions"
@@ -30,8 +31,8 @@ LIMITATION = (
 
 @dataclass(frozen=True)
 class ReversalCheck:
-    """`touches` from either side at each of two places an axis; `limit_mm`: largest lost motion without a warning;
-    `stop`: whether one that is surely beyond it ends the run before anything is measured."""
+    """Rules of the check: `touches` from either side at each of two points per axis; `limit_mm`: largest lost motion
+    without a warning; `stop`: a lost motion reliably above it stops the run before it measures."""
 
     touches: int
     limit_mm: float
@@ -40,7 +41,7 @@ class ReversalCheck:
 
 @dataclass(frozen=True)
 class AxisReversal:
-    """Lost motion of one axis, µm, positive where it lags, and its standard uncertainty; None where a touch missed."""
+    """Lost motion of one axis in µm, positive if it lags, and its standard uncertainty; None if a touch missed."""
 
     axis: str
     lost_um: float | None
@@ -56,7 +57,7 @@ class AxisReversal:
 
 @dataclass(frozen=True)
 class Reversal:
-    """What the datum ball at axis position `at_mm` said of X, Y, Z."""
+    """Reversal of X, Y and Z, measured at the datum ball at axis position `at_mm`."""
 
     axes: tuple[AxisReversal, ...]
     limit_um: float
@@ -64,7 +65,7 @@ class Reversal:
 
     @property
     def noticed(self) -> tuple[AxisReversal, ...]:
-        """Above the limit, or not to be told."""
+        """Axes above the limit or not measured."""
         return tuple(one for one in self.axes if one.verdict != WITHIN)
 
     @property
@@ -74,7 +75,7 @@ class Reversal:
     def _warning(self, one: AxisReversal) -> str:
         if one.lost_um is None:
             return f"The reversal of axis {one.text}."
-        return f"Lost motion of axis {one.text}; limit {self.limit_um:g} µm. No compensation table takes it off."
+        return f"Lost motion of axis {one.text}; limit {self.limit_um:g} µm. No compensation table corrects it."
 
     @property
     def text(self) -> str:
@@ -84,9 +85,9 @@ class Reversal:
 
 
 def measure_reversal(key: str, centre: Vector, probing: ProbingParameters, check: ReversalCheck) -> Plan[Reversal]:
-    """Begins and ends in the plane before the ball at `centre`, along the stylus.
+    """Measure reversal; start and end in the plane before the ball at `centre`, along the stylus.
 
-    Raises MeasurementFault where the check says stop and an axis is surely beyond the limit.
+    Raises MeasurementFault if the check is set to stop and an axis is reliably above the limit.
     """
     axes = []
     for axis, name in enumerate("XYZ"):
@@ -98,8 +99,8 @@ def measure_reversal(key: str, centre: Vector, probing: ProbingParameters, check
     beyond = [one.text for one in result.axes if one.verdict == BEYOND]
     if beyond and check.stop:
         raise MeasurementFault(
-            f"an axis loses too much motion when it turns round: {', '.join(beyond)}; limit {result.limit_um:g} µm",
-            hint="have the controller's backlash compensation, the screw and its bearings looked at",
+            f"the lost motion of an axis at reversal is too large: {', '.join(beyond)}; limit {result.limit_um:g} µm",
+            hint="check the controller's backlash compensation, the screw and its bearings",
             step=key,
         )
     return result
@@ -107,7 +108,7 @@ def measure_reversal(key: str, centre: Vector, probing: ProbingParameters, check
 
 @dataclass
 class _Readings:
-    """Touches of one axis so far, as `fit_lost_motion` takes them."""
+    """Touches of one axis so far, in the form required by `fit_lost_motion`."""
 
     ratios: list[float] = field(default_factory=list)
     upwards: list[bool] = field(default_factory=list)
@@ -124,7 +125,7 @@ class _Readings:
 def _measured(
     key: str, name: str, axis: int, centre: Vector, probing: ProbingParameters, check: ReversalCheck
 ) -> Plan[AxisReversal]:
-    """Up, down, down, up …, so that a steady drift drops out."""
+    """Measure one axis in the sequence up, down, down, up …, which cancels a steady drift."""
     readings = _Readings()
     for place, touch in enumerate(plan_oblique_touches(axis, probing.stylus_axis)):
         for number in range(2 * check.touches):
@@ -133,7 +134,7 @@ def _measured(
             latched = yield from _touched(step, centre, touch, upwards, probing)
             if latched is None:
                 yield Record(f"{step}/missed", "event", {"reason": f"reversal of {name}: a touch met nothing"})
-                return AxisReversal(name, None, None, "cannot be told: a touch met nothing")
+                return AxisReversal(name, None, None, "could not be measured: a touch met nothing")
             readings.add(place, touch, upwards, latched)
     lost = fit_lost_motion(
         readings.ratios, readings.upwards, readings.places, readings.latched_mm, probing.touch_sigma_mm / SLOPE
@@ -144,7 +145,7 @@ def _measured(
 def _touched(
     key: str, centre: Vector, touch: ObliqueTouch, upwards: bool, probing: ProbingParameters
 ) -> Plan[float | None]:
-    """Before the ball, past the start by the pre-load, back to it by the axis asked for alone, then the touch."""
+    """Touch once: move past the start by the preload, back to it with the tested axis alone, then touch."""
     approach_mm = max(probing.narrow_search.approach_mm, 3.0 * PRELOAD_MM)
     contact = centre + touch.normal * probing.contact_mm
     start = contact - touch.direction * approach_mm
@@ -155,6 +156,7 @@ def _touched(
     yield MoveTo(f"{key}/above", point(above))
     yield MoveTo(f"{key}/beside", point(beside))
     yield MoveTo(f"{key}/start", point(start))
+    # The start is reached by the tested axis alone, so the direction of its last motion is known.
     target = contact + touch.direction * probing.narrow_search.beyond_mm
     result = yield TouchTowards(key, point(target), probing.feed_mm_per_s)
     yield MoveTo(f"{key}/back", point(above))

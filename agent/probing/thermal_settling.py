@@ -1,4 +1,4 @@
-"""Waiting until the artefact has settled: where it is too far from 20 °C or changes too fast, nothing is measured."""
+"""Wait until the artefact has settled: too far from 20 °C or changing too fast, it is not measured."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_
 from twin.units import S_PER_MIN
 
 MIN_TREND_S = 60.0
-"""Readings over less than this say more of the thermometer's noise than of a rate."""
+"""Readings over a shorter time show the thermometer's noise rather than a rate."""
 TREND_WINDOW_S = 600.0
 
 
 @dataclass(frozen=True)
 class SettlingRules:
-    """Limits of the artefact's rate and of its departure from 20 °C; how often a held run looks, how long at most."""
+    """Limits of the artefact's rate of change and of its departure from 20 °C; interval and limit of waiting."""
 
     thermometers: Thermometers = field(default_factory=Thermometers)
     max_rate_k_per_h: float = math.inf
@@ -27,7 +27,7 @@ class SettlingRules:
     deadline_s: float = 3600.0
 
     def complaint(self, trace: Sequence[Conditions]) -> str:
-        """Why the last reading of `trace` must be waited on; empty where it need not."""
+        """Return why the artefact has not settled at the last reading of `trace`; empty if it has."""
         now = trace[-1]
         if abs(now.departure_k) > self.max_departure_k:
             return (
@@ -44,18 +44,18 @@ class SettlingRules:
 
 
 def wait_until_settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Plan[Conditions]:
-    """Conditions in which the artefact may be measured: at once, or after a wait with nothing moving.
+    """Return conditions in which the artefact may be measured, at once or after a wait without motion.
 
-    `history`: readings that came with the balls before, oldest first. Raises MeasurementFault at the deadline.
+    `history`: readings with the previous balls, oldest first. Raises MeasurementFault at the deadline.
     """
     trace = [*history, (yield from read_conditions(key, rules.thermometers))]
-    looks = math.ceil(rules.deadline_s / rules.poll_interval_s)
-    for look in range(1, looks + 1):
+    attempts = math.ceil(rules.deadline_s / rules.poll_interval_s)
+    for attempt in range(1, attempts + 1):
         complaint = rules.complaint(trace)
         if not complaint:
             return trace[-1]
-        here = f"{key}/settle-{look}"
-        if look == 1:
+        here = f"{key}/settle-{attempt}"
+        if attempt == 1:
             note = f"waiting until the artefact has settled: {complaint}"
             yield Record(f"{here}/held", "event", {"note": note, "deadline_minutes": rules.deadline_s / S_PER_MIN})
         yield Dwell(f"{here}/wait", rules.poll_interval_s)
@@ -65,6 +65,6 @@ def wait_until_settled(key: str, rules: SettlingRules, history: Sequence[Conditi
         raise MeasurementFault(
             f"the artefact has not settled within {rules.deadline_s / S_PER_MIN:g} min: {complaint}",
             hint="leave the artefact on the table until it has the temperature of the machine, keep doors closed and "
-            "coolant off, then start again; limits are in [temperature] of the settings",
+            "coolant off, then start again; the limits are in [temperature] of the settings",
         )
     return trace[-1]

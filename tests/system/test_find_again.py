@@ -91,4 +91,4 @@ def test_too_far_off_is_a_clear_fault_and_nothing_is_hit(
     assert "station-2" in str(error.where["step"])
     if isinstance(error, MeasurementFault):
         assert "was not found where it was expected" in error.message
-        assert "the station's place" in (error.hint or "")
+        assert "the station's location" in (error.hint or "")

@@ -85,7 +85,7 @@ def test_several_thermometers_are_averaged_and_a_silent_one_is_named() -> None:
     assert two.artefact_c({"artefact": 20.0, "artefact-2": 20.5}) == 20.25
     assert two.machine_c({"bed": 22.0}) == 22.0
     assert two.machine_c({}) is None
-    with pytest.raises(MeasurementFault, match="nothing is told of artefact-2; there are: artefact"):
+    with pytest.raises(MeasurementFault, match="no reading of artefact-2; readings: artefact"):
         two.artefact_c({"artefact": 20.0})
     assert Thermometers(declared_artefact_c=21.5).artefact_c({}) == 21.5
 
