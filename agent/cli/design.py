@@ -169,7 +169,7 @@ def _document(
         "positions": [_as_json(position) for position in found.positions],
         **_worth(found),
         "held_out": [_as_json(position) for position in found.held_out],
-        "candidates": found.setting.candidates.count,
+        "candidates": found.problem.candidates.count,
         "rehearsed": found.preflight_passed,
         "front": [vars(point) for point in found.front],
         "settings_sets": [vars(rival) for rival in rivals],
@@ -201,7 +201,7 @@ def _show(
     rows = [
         (
             "positions",
-            f"{len(found.positions)} of {found.setting.candidates.count} within reach, {found.balls} balls",
+            f"{len(found.positions)} of {found.problem.candidates.count} within reach, {found.balls} balls",
         ),
         ("machine time", f"{found.minutes:.1f} min"),
         ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),

@@ -1,7 +1,7 @@
-"""Machine time of a set of positions before anything moves: the run's own plan, walked on an ideal machine.
+"""Machine time of a set of positions before anything moves: the plan of the run, executed on an ideal machine.
 
 Nothing is simulated and no device is asked: some thousand steps take a fraction of a second, so that designs can be
-compared by what they cost. `agent.planning.preflight` is the dry run with physics; both reckon by the same `TimeModel`.
+compared by their cost. `agent.planning.preflight` is the dry run with physics; both use the same `TimeModel`.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ T = TypeVar("T")
 PREFIX = "timed"
 CARRYING, TURNING, MOVING, TOUCHING, WAITING = "carrying", "turning", "moving", "touching", "waiting"
 PARTS = (CARRYING, TURNING, MOVING, TOUCHING, WAITING)
-"""What machine time is spent on: a person's time, motion of mount and axes, and the latency of every command."""
+"""Parts of machine time: the operator's time, motion of mount and axes, and the latency of all commands."""
 
 _MOTION = {OrientTo: TURNING, MoveTo: MOVING, TouchTowards: TOUCHING}
 
 
 @dataclass(frozen=True)
 class TimedStep:
-    """`motion_s` of axes or mount; `overhead_s`: latency of the command, or the operator's time."""
+    """Step with its time. `motion_s` of axes or mount; `overhead_s`: latency of the command, or the operator's time."""
 
     step: Step
     motion_s: float
@@ -55,8 +55,8 @@ class TimedStep:
 
 @dataclass(frozen=True)
 class MachineMinutes:
-    """`total` = `carrying` (by a person, between stations) + what every position takes, turning and the way to it
-    included; a position with fewer than three balls within reach takes none."""
+    """Machine time in minutes. `total` = `carrying` (by the operator, between stations) + the times `per_position`,
+    which include turning and the path there; a position with fewer than three balls within reach takes none."""
 
     total: float
     per_position: Mapping[Position, float]
@@ -64,8 +64,10 @@ class MachineMinutes:
 
 
 def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
-    """Machine time of measuring `positions` in their order (stations contiguous), from the travel's lower end and
-    the mount at zero; the held-out positions of the proof are not part of it."""
+    """Return the machine time of measuring `positions` in their order (stations contiguous).
+
+    The axes start at the travel's lower end, the mount at zero; held-out positions are not included.
+    """
     order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)
     _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules))
     seconds: dict[str, float] = defaultdict(float)
@@ -80,8 +82,11 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
 
 
 def position_minutes(job: Job, position: Position) -> float:
-    """Machine time of one more position at a station, the tip beside a ball of a bar that stands with the mount at zero
-    until the last ball is measured; where ways are plain, from parked until parked again."""
+    """Return the machine minutes of one more position at a station.
+
+    The time starts with the tip beside a ball of a bar with the mount at zero and ends with the last ball measured;
+    with plain paths it is from the park location back to it.
+    """
     retreat = job.rules.retreat
     if retreat.path_rules is None:
         parked = point(retreat.park_location(job.layout.nominal(position).mean(axis=0), position.station))
@@ -94,14 +99,14 @@ def position_minutes(job: Job, position: Position) -> float:
 
 
 def without_optimisation(job: Job) -> Job:
-    """The same with stations and positions in the order in which they are listed, and plain ways."""
+    """Return the job with stations and positions in their listed order, and plain paths."""
     procedure = job.settings.procedure.model_copy(update={"paths": "plain", "optimise_order": False})
     rules = replace(job.rules, retreat=replace(job.rules.retreat, path_rules=None))
     return replace(job, settings=job.settings.model_copy(update={"procedure": procedure}), rules=rules)
 
 
 def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
-    """Station → part (each of `PARTS`) → minutes."""
+    """Return station → part (each of `PARTS`) → minutes."""
     minutes: dict[int, dict[str, float]] = defaultdict(lambda: dict.fromkeys(PARTS, 0.0))
     for timed in steps:
         station = minutes[_station_of(timed.step)]
@@ -114,7 +119,7 @@ def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
 
 
 def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:
-    """What `plan` concludes on a machine without errors, and its steps that take time, in order."""
+    """Execute `plan` on an ideal machine; return its result and the steps that take time, in order."""
     steps: list[TimedStep] = []
 
     def note(step: Step, motion_s: float, overhead_s: float) -> None:
@@ -149,7 +154,7 @@ def _lower_end(job: Job) -> Point:
 
 
 def _position_of(key: str) -> str:
-    """``station-1/az45-el0`` of ``measure/station-1/az45-el0/ball-03/touch-2``; see `position_key`."""
+    """Return ``station-1/az45-el0`` for ``measure/station-1/az45-el0/ball-03/touch-2``; see `position_key`."""
     _, station, orientation, *_ = key.split("/")
     return f"{station}/{orientation}"
 

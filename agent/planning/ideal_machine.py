@@ -1,6 +1,6 @@
-"""A machine without errors that does each step at once and says how long it would have taken: no physics, no device.
+"""Ideal machine: executes each step at once and reports the time it would take, without physics or device.
 
-It plays the engine's actions, so that the very plans of a run can be walked to know their time.
+It provides the engine's actions, so that the plans of a run themselves can be timed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from twin.collision.motion_law import StraightPath, entry_distance, straight_pat
 
 
 class IdealMachine:
-    """Axes at `start_mm`, the mount's at zero; mounts at every station begin where they are turned to first.
+    """Ideal machine with its axes at `start_mm` and the mount at zero; mounts at stations of their own start at the
+    angles of their first turn.
 
     `spent(step, motion_s, beyond_s)` hears of every step that takes time. Every ball stands where `layout` has it; the
     probe trips at contact.
@@ -36,7 +37,7 @@ class IdealMachine:
         self._balls: list[Point] = []
 
     def actions(self) -> dict[type, Action]:
-        """For the engine; the steps of a plan that measures."""
+        """Return the engine's actions for the steps of a measuring plan."""
         return {
             s.MoveTo: self._move,
             s.TouchTowards: self._touch,
@@ -73,7 +74,7 @@ class IdealMachine:
         return Orientation(*target_deg)
 
     def _contact(self, path: StraightPath) -> float | None:
-        """Distance along `path` at which the first ball is met."""
+        """Return the distance along `path` at which the first ball is touched; None if there is none."""
         reach, first = self._layout.contact_mm, math.inf
         for ball in self._balls:
             distance = entry_distance(path.start, path, ball, reach)

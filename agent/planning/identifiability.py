@@ -1,4 +1,5 @@
-"""What a procedure will see of a machine before anything is measured: from files and names to a set-up and its rank."""
+"""Identifiability of a machine by a procedure, before any measurement: from files and names to a set-up and its
+rank."""
 
 from __future__ import annotations
 
@@ -29,9 +30,9 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class RankRequest:
-    """The files and choices of a rank. `position_set`: names joined by + or a position file, None for that of the
-    settings; `tools`: names in the machine file, none for that of the settings; `stations`: evenly along X instead of
-    those of the settings."""
+    """Files and choices of `rank`. `position_set`: names joined by + or a position file, None for that of the settings;
+    `tools`: names in the machine file, empty for that of the settings; `stations`: number spaced evenly along X, None
+    for those of the settings."""
 
     config: Path
     machine: Path | None = None
@@ -45,7 +46,7 @@ class RankRequest:
 
 @dataclass(frozen=True, eq=False)
 class RankResult:
-    """`vce`: to expect at each field of `seen`; `advice`: best first."""
+    """Result of `rank`. `vce`: expected at each field of `seen`; `advice`: best first."""
 
     job: Job
     position_set: str
@@ -83,7 +84,7 @@ class RankResult:
 
 
 def rank(question: RankRequest) -> RankResult:
-    """Raises UserError naming file, key and what is known for whatever cannot be used, or sees nothing."""
+    """Assess the identifiability. Raises UserError, naming file, key and valid values, for unusable or empty input."""
     job = load_case(
         question.config,
         machine=question.machine,
@@ -114,7 +115,7 @@ def _ranked(job: Job, name: str, set_up: SetUp, grid: Array) -> RankResult:
 
 
 def _set_up(job: Job, question: RankRequest, name: str) -> SetUp:
-    """Every position is measured with every tool asked for, unless a file says with which."""
+    """Return the set-up: every position with every requested tool, unless a position file names the tool."""
     positions = _positions(job, question, name)
     asked = tuple(dict.fromkeys(question.tools)) or (job.settings.tool,)
     named = [position.tool for position in positions if position.tool]
@@ -142,7 +143,7 @@ def _positions(job: Job, question: RankRequest, name: str) -> tuple[Position, ..
 
 
 def _with_tools(positions: Sequence[Position], tools: Sequence[str]) -> tuple[Position, ...]:
-    """One tool after the other, as they are changed by hand; what names its tool keeps it."""
+    """Return the positions tool by tool, since tools are changed by hand; a position that names its tool keeps it."""
     free = [position for position in positions if position.tool is None]
     bound = [position for position in positions if position.tool is not None]
     return (*(replace(position, tool=tool) for tool in tools for position in free), *bound)

@@ -32,8 +32,8 @@ class ObservedStep:
 
 @dataclass(frozen=True)
 class StepKindTiming:
-    """All steps of one kind, in seconds. Latencies are the time beyond the motion of each step (the whole time of an
-    AskOperator), as set and as suggested; `rest_s`: rms of the residuals with the suggested latency."""
+    """Times of all steps of one kind, in seconds. Latencies are the time beyond the motion of each step (the whole time
+    of an AskOperator), as set and as suggested; `rest_s`: rms of the residuals with the suggested latency."""
 
     kind: str
     count: int

@@ -1,8 +1,8 @@
-"""In which order stations and positions are measured: what takes least machine time, decided once before a run.
+"""Order of stations and positions that takes the least machine time, decided once before a run.
 
-Nothing but settings goes in, so that a run that is gone on with has the same order again. Between two positions it
-costs the turn of the mount, and the ways from the last ball to a place clear of the turning artefact and on to the
-next; between two stations the artefact is carried.
+It depends on the settings only, so that a resumed run has the same order. A change of position costs the turn of the
+mount and the paths from the last ball to a point clear of the turning artefact and on to the next ball; a change of
+station costs carrying the artefact.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from twin.collision.travelling_salesman import shortest_tour
 from twin.design.procedure import MIN_BALLS
 
 MAX_PERMUTED_STATIONS = 7
-"""More stations than this are measured as they are listed."""
+"""Largest number of stations whose order is optimised; more are measured as listed."""
 
 PARK_DETOUR_S = 20.0
-"""About what the way over a parking place takes."""
+"""Approximate time of the path by way of a park location."""
 
 AT_REST_DEG = (0.0, 0.0)
 
@@ -36,22 +36,23 @@ Angles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class OrderOptimiser:
-    """Orders the positions of one layout. Where all ways between positions go by the retreat plane, they cost about the
-    same, and only the turns differ."""
+    """Optimises the order of the positions of one layout. Plain paths between positions, by the retreat plane, cost
+    about the same, so that only the turns differ."""
 
     layout: MeasuringLayout
     rules: PositionRules
     times: TimeModel
 
     def stations(self, listed: Sequence[int], standing_at: int | None, last_at: Sequence[int]) -> tuple[int, ...]:
-        """`listed` from where the artefact stands, with as few carries as can be, the next measurement being at
-        `last_at`; among equals the shortest ways along the machine, then as listed."""
+        """Return `listed` in an order that starts at the artefact's station and needs the fewest carries, the next
+        measurement being at `last_at`; ties are decided by the distance along the machine, then by the listed order."""
         if len(listed) > MAX_PERMUTED_STATIONS:
             return (*(s for s in listed if s == standing_at), *(s for s in listed if s != standing_at))
         return min(permutations(listed), key=lambda order: self._carrying(order, standing_at, last_at))
 
     def positions(self, positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
-        """Station by station; within each what takes least time, the mount standing as the station before left it."""
+        """Return the positions station by station, within each in the fastest order from the mount's previous
+        angles."""
         angles, done = AT_REST_DEG, list[Position]()
         for station in stations:
             here = [position for position in positions if position.station == station]
@@ -82,7 +83,7 @@ class OrderOptimiser:
         return self.times.turn_s(_angles(before), _angles(after))
 
     def _path_seconds(self, begin: Position) -> Callable[[Position, Position], float]:
-        """Seconds of the ways from one position to the next; none to the first, which is reached from outside."""
+        """Return a function for the path time in s between two positions; 0 for the first, reached from outside."""
         path_rules = self.rules.retreat.path_rules
         if path_rules is None:
             return lambda _, __: 0.0
@@ -97,7 +98,7 @@ class OrderOptimiser:
             key = (*poses, tuple(starts), tuple(ends))
             if key not in finder.turning_estimates:
                 finder.turning_estimates[key] = finder.min_turning_seconds(poses[0], starts, poses[1], ends)
-            # Where nothing before the turning artefact is clear, the way is over the parking place; that is far.
+            # If no waiting point before the turning artefact is free, the path leads by the park location.
             found = finder.turning_estimates[key]
             return found if math.isfinite(found) else PARK_DETOUR_S
 
@@ -114,7 +115,7 @@ class OrderOptimiser:
         return [TipLocation(ball, point(probing.directions[0]), out_mm) for ball in self._ends(position)]
 
     def _ends(self, position: Position) -> tuple[int, ...]:
-        """Both end balls; none where too few are within reach."""
+        """Return both end balls; empty if too few are within reach."""
         reached = self.layout.reachable(position, self.layout.nominal(position)).nonzero()[0].tolist()
         return (reached[0], reached[-1]) if len(reached) >= MIN_BALLS else ()
 

@@ -1,4 +1,4 @@
-"""Rules that no measuring plan may break, whatever a simulated machine would permit; the preflight checks each step."""
+"""Rules for every measuring plan, even if a simulated machine would permit more; the preflight checks each step."""
 
 from __future__ import annotations
 

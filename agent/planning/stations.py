@@ -70,7 +70,7 @@ def check_stations(settings: Settings) -> None:
             raise ConfigurationError(
                 "artefacts of their own need a mount at every station",
                 key="stations.artefacts",
-                hint="name a mount for each station in roles.mount, or leave stations.artefacts away",
+                hint="name a mount for each station in roles.mount, or remove stations.artefacts",
             )
         return
     _check_mounts(named, len(settings.stations.places_mm), settings.devices)
@@ -88,7 +88,7 @@ def _check_mounts(named: Mapping[int, str], count: int, devices: Mapping[str, De
             raise ConfigurationError(
                 f"there is no station {station}",
                 key=f"roles.mount.{station}",
-                hint="stations.places_mm has no such place",
+                hint="stations.places_mm has no entry for it",
             )
         first = owner.setdefault(device, station)
         if first != station and not _plays_several(devices, device):
@@ -117,11 +117,11 @@ def _check_artefacts(artefact: Path, stations: StationSettings) -> None:
             raise ConfigurationError(
                 f"stations {first} and {number} have the same artefact {path.name}",
                 key=key,
-                hint="each bar has a certificate of its own; for one that is carried leave stations.artefacts away",
+                hint="each bar has its own certificate; for a single bar that is carried remove stations.artefacts",
             )
     if artefact != files[0]:
         raise ConfigurationError(
             f"the artefact is {artefact.name}, that of station 1 is {files[0].name}",
             key="artefact",
-            hint="where every station has an artefact of its own, `artefact` is that of the first",
+            hint="if every station has an artefact of its own, `artefact` is that of the first",
         )

@@ -1,8 +1,8 @@
-"""How long each step takes: the motion law by the machine's own limits, and what every command costs beyond it.
+"""Time of each step: motion by the motion law within the machine's limits, and the latency of every command.
 
-Motion is reckoned as the axes run (`twin.collision.motion_law`): straight lines from rest to rest, a touch braked at
-the trip. What cannot be known from a data sheet, the time a controller takes to begin and to report the end, is a
-latency for each kind of command.
+Motion is computed as in `twin.collision.motion_law`: straight lines from rest to rest, a touch braked at the trip.
+The time a controller takes to begin and to report the end is in no data sheet; it is a latency for each kind of
+command.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from twin.units import S_PER_MIN
 
 @dataclass(frozen=True)
 class TimeModel:
-    """`rapid_mm_per_s` and `acceleration_mm_per_s2` (X, Y, Z) of the machine file; the mount's speed and acceleration
-    hold for each of its axes, which turn at once. The latencies come on top of each move, touch and turn (the mount's
-    settling included); `carrying_s` is what a person takes to put artefact and mount at another station.
+    """Model of step times. `rapid_mm_per_s` and `acceleration_mm_per_s2` (X, Y, Z) of the machine file; the mount's
+    speed and acceleration apply to each of its axes, which turn simultaneously. The latencies are added to each move,
+    touch and turn (including the mount's settling); `carrying_s`: operator's time to put artefact and mount at another
+    station.
     """
 
     rapid_mm_per_s: Point
@@ -35,18 +36,19 @@ class TimeModel:
     carrying_s: float = 0.0
 
     def move_s(self, start_mm: Point, target_mm: Point, feed_mm_per_s: float | None) -> float:
-        """Straight from rest to rest, latency not included; rapid without a feed."""
+        """Return the time of a straight move from rest to rest, without latency; rapid without a feed."""
         path = straight_path(start_mm, target_mm)
         speed = min(feed_mm_per_s or math.inf, path.limit_along(self.rapid_mm_per_s))
         return travel_time_s(path.length, speed, path.limit_along(self.acceleration_mm_per_s2))
 
     def touch_s(self, path: StraightPath, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
-        """Seconds, latency not included, and where the axes stand afterwards.
+        """Return the time in s, without latency, and the axis positions afterwards.
 
         `trip_mm`: distance along `path` at which the probe trips and the axes brake; None for a miss.
         """
         speed = min(feed_mm_per_s, path.limit_along(self.rapid_mm_per_s))
         acceleration = path.limit_along(self.acceleration_mm_per_s2)
+        # The axes brake from the speed v at the trip: v/a longer and v²/2a farther.
         law = trapezoid(0.0, path.length, speed, acceleration)
         if trip_mm is None:
             return law.end_s, path.at(path.length)
@@ -55,12 +57,12 @@ class TimeModel:
         return trip_s + speed / acceleration, path.at(trip_mm + 0.5 * speed * speed / acceleration)
 
     def turn_s(self, start_deg: tuple[float, float], target_deg: tuple[float, float]) -> float:
-        """Azimuth and elevation at once, latency not included."""
-        way_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
-        return travel_time_s(way_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
+        """Return the time to turn azimuth and elevation simultaneously, without latency."""
+        angle_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
+        return travel_time_s(angle_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
 
     def overhead_s(self, step: Step) -> float:
-        """What `step` takes besides motion: its latency, or the operator's time."""
+        """Return the time of `step` besides motion: its latency, or the operator's time."""
         match step:
             case MoveTo():
                 return self.command_latency_s
@@ -74,7 +76,7 @@ class TimeModel:
 
 
 def time_model(machine: MachineDescription, timing: TimingSettings) -> TimeModel:
-    """Dynamics of the machine file, the rest of the settings."""
+    """Return the time model: dynamics from the machine file, everything else from the settings."""
     x, y, z = machine.rapid_mm_per_min
     return TimeModel(
         rapid_mm_per_s=(x / S_PER_MIN, y / S_PER_MIN, z / S_PER_MIN),

@@ -1,1 +1,1 @@
-"""`volcal design`: from a job to a position file, with its price in machine minutes and what it is worth."""
+"""`volcal design`: from a job to a position file, with its machine minutes and its value."""

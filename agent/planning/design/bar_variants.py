@@ -1,4 +1,4 @@
-"""The case's ball bar with another number of balls or other tilted holders, everything else as certified."""
+"""Variants of the case's ball bar: other number of balls or other tilt of the holders, everything else as certified."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from twin.artefact.artefact import Artefact, ball_bar, bar_balls
 from twin.errors import DataError
 
-_ALIKE_MM = 1.0  # calibrated centres lie that near to those of the drawing
+_ALIKE_MM = 1.0  # largest deviation of a calibrated centre from the drawing
 
 
 @dataclass(frozen=True, eq=False)
 class Bar:
-    """`certified`: the bar that is at hand; `length_mm` between its end balls; `tilt_deg` of its holders."""
+    """Ball bar. `certified`: the actual bar; `length_mm` between its end balls; `tilt_deg` of its holders."""
 
     certified: Artefact
     length_mm: float
@@ -23,7 +23,8 @@ class Bar:
 
     @classmethod
     def of(cls, artefact: Artefact) -> Bar:
-        """DataError for an artefact that is no bar of equally pitched balls on holders tilted in turn."""
+        """Return the bar. Raises DataError for an artefact that is not a bar of equally spaced balls on alternately
+        tilted holders."""
         along = artefact.balls[:, 0]
         length_mm = float(np.ptp(along))
         holder_mm = artefact.holder_length_mm
@@ -33,20 +34,21 @@ class Bar:
         off_drawing = np.abs(drawn - artefact.balls).max()
         if off_drawing > _ALIKE_MM:
             raise DataError(
-                f"'{artefact.name}' is no bar of equally pitched balls on tilted holders: its balls are up to "
-                f"{off_drawing:.1f} mm from where such a bar has them",
-                hint="this study changes the bar's balls and their tilt; take a bar such as config/artefacts/"
+                f"'{artefact.name}' is not a bar of equally spaced balls on tilted holders: its balls deviate "
+                f"by up to {off_drawing:.1f} mm from such a bar",
+                hint="this study changes the bar's balls and their tilt; use a bar such as config/artefacts/"
                 "ball-bar-1500.toml",
             )
         return cls(artefact, length_mm, tilt_deg)
 
     @property
     def standard_uncertainty_mm(self) -> float:
-        """Of one coordinate in the certificate, on average."""
+        """Root mean square of the standard uncertainties of all coordinates in the certificate."""
         return float(np.sqrt(np.diagonal(self.certified.covariance).mean()))
 
     def with_(self, balls: int | None = None, tilt_deg: float | None = None) -> Artefact:
-        """The bar as drawn, with another number of balls over the same length, or with other tilted holders."""
+        """Return the bar by the drawing with another number of balls over the same length, or another tilt of the
+        holders."""
         count = self.certified.count if balls is None else balls
         tilt = self.tilt_deg if tilt_deg is None else tilt_deg
         artefact = self.certified

@@ -1,4 +1,4 @@
-"""One design for each way to measure, and which of them serves the goal best."""
+"""Designs for several measuring variants, and the one that meets the goal best."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.design.goals import Goal, TargetErrorGoal
 
 @dataclass(frozen=True, eq=False)
 class VariantDesign:
-    """`design` None: the goal cannot be reached this way, for the `reason` given."""
+    """Design of one variant. `design` None: the goal cannot be reached with this variant, for the `reason` given."""
 
     variant: Variant
     design: DesignResult | None
@@ -23,7 +23,7 @@ class VariantDesign:
 
     @property
     def found(self) -> DesignResult:
-        """The design of a choice that has one."""
+        """Design of this variant. Raises ValueError with the reason if it has none."""
         if self.design is None:
             raise ValueError(self.reason)
         return self.design
@@ -32,13 +32,13 @@ class VariantDesign:
 def compare_variants(
     variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say
 ) -> list[VariantDesign]:
-    """A choice for each variant, one of them the best. Raises the first variant's error where none reaches the goal."""
+    """Return a design for each variant, one of them marked best. Raises the first error if none reaches the goal."""
     choices: list[VariantDesign] = []
     errors: list[UserError] = []
     for variant in variants:
         try:
-            setting = DesignProblem(variant.jobs, grid_deg)
-            found = find_design(setting, goal, verify=verify, with_preflight=not variant.made_up, say=say)
+            problem = DesignProblem(variant.jobs, grid_deg)
+            found = find_design(problem, goal, verify=verify, with_preflight=not variant.made_up, say=say)
             choices.append(VariantDesign(variant, found))
         except UserError as error:
             errors.append(error)

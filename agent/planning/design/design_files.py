@@ -1,4 +1,4 @@
-"""The files of a design: the position set, one for each tool, the held-out set, the front as CSV, PNG and SVG."""
+"""Files of a design: the position set, one for each tool, the held-out set, the front as CSV, PNG and SVG."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ FIGURE_SIZE_IN = (7.0, 4.2)
 
 
 def check_target(path: Path) -> None:
-    """Raise InputError for a name that `calibrate` would not take for a position file."""
+    """Raise InputError for a file name that `calibrate` would not accept as a position file."""
     if path.suffix != ".csv":
         raise InputError("a position set is written as CSV", hint=f"call it {path.stem}.csv", key="--out")
 
 
 def write_design(found: DesignResult, rivals: Sequence[ReferenceSet], path: Path) -> list[Path]:
-    """Write all files beside `path` or none; their paths, the position set first (one for each tool where there are
-    several, since a run has one tool)."""
+    """Write all files beside `path` or none; return their paths, the position set first.
+
+    There is one position file for each tool, since a run has one tool.
+    """
     contents: dict[str, str | bytes] = {}
-    by_tool = list(found.setting.by_tool(found.positions))
+    by_tool = list(found.problem.by_tool(found.positions))
     for job, positions in by_tool:
         name = path.name if len(by_tool) == 1 else f"{path.stem}-{job.settings.tool}.csv"
         contents[name] = format_positions(positions)

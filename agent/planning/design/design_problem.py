@@ -1,4 +1,4 @@
-"""What a design chooses from: the candidates of a job, what each costs, and whether it can really be measured."""
+"""Design problem: candidate positions of a job, their cost, and their feasibility."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost car
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """`jobs`: tool → job with that tool, the tool of the settings first; `refused`: what a preflight has refused;
-    `vettings`: by tool, kept while positions are refused."""
+    """Design problem. `jobs`: tool → job with that tool, the tool of the settings first; `refused`: positions refused
+    by a preflight; `feasibility`: checks by tool, retained while positions are refused."""
 
     jobs: Mapping[str, Job]
     grid_deg: float
     refused: frozenset[Position] = frozenset()
-    vettings: dict[str, FeasibilityCheck] = field(default_factory=dict, repr=False)
+    feasibility: dict[str, FeasibilityCheck] = field(default_factory=dict, repr=False)
 
     @property
     def job(self) -> Job:
@@ -38,7 +38,7 @@ class DesignProblem:
 
     @property
     def options(self) -> Options:
-        """Of the closed form that is minimised: centres, everything as stated."""
+        """Options of the closed form to be minimised: centres, all uncertainties as stated."""
         return Options(estimate_scales=False, outliers="none")
 
     @property
@@ -49,16 +49,16 @@ class DesignProblem:
     def refusing(self, position: Position) -> DesignProblem:
         return replace(self, refused=self.refused | {position})
 
-    def vetting(self, position: Position) -> FeasibilityCheck:
-        """That of the position's tool."""
+    def feasibility_of(self, position: Position) -> FeasibilityCheck:
+        """Return the feasibility check of the position's tool."""
         name = position.tool or next(iter(self.jobs))
-        if name not in self.vettings:
-            self.vettings[name] = FeasibilityCheck(self.jobs[name])
-        return self.vettings[name]
+        if name not in self.feasibility:
+            self.feasibility[name] = FeasibilityCheck(self.jobs[name])
+        return self.feasibility[name]
 
     @cached_property
     def candidates(self) -> CandidatePositions:
-        """What each position of the grid tells of the field. TwinError where none is within reach."""
+        """Information of each position of the grid on the error field. Raises TwinError if none is within reach."""
         job = self.job
         grid = evaluation_grid(job.machine.model.ranges_mm)
         offered = [position for position in self._offered() if position not in self.refused]
@@ -72,12 +72,12 @@ class DesignProblem:
         )
 
     def passes(self, position: Position) -> bool:
-        """Whether nothing is hit on the way through a position."""
-        return not self.vetting(position).hit(position)
+        """Return whether a position is measured without a collision."""
+        return not self.feasibility_of(position).hit(position)
 
     def prices(self, candidates: CandidatePositions) -> MeasuringCosts:
         tools = list(self.jobs)
-        minutes = np.array([self.vetting(position).minutes(position) for position in candidates.positions])
+        minutes = np.array([self.feasibility_of(position).minutes(position) for position in candidates.positions])
         codes = [_TOOL_STRIDE * (tools.index(p.tool) if p.tool else 0) + p.station for p in candidates.positions]
         return MeasuringCosts(
             minutes=minutes,
@@ -87,7 +87,7 @@ class DesignProblem:
         )
 
     def in_order(self, chosen: Sequence[Position]) -> tuple[Position, ...]:
-        """Tool by tool, station by station, at each the mount turned little from one to the next."""
+        """Return the positions tool by tool and station by station, with small turns of the mount in between."""
         ordered: list[Position] = []
         for name in self.jobs:
             tool = None if name == self.job.settings.tool else name
@@ -97,7 +97,7 @@ class DesignProblem:
         return tuple(ordered)
 
     def by_tool(self, chosen: Sequence[Position]) -> Iterator[tuple[Job, tuple[Position, ...]]]:
-        """The job of each tool that is used, and its positions as a run with that tool knows them."""
+        """Yield the job of each tool in use and its positions, without the tool as in a run."""
         for name, job in self.jobs.items():
             tool = None if name == self.job.settings.tool else name
             own = tuple(replace(position, tool=None) for position in chosen if position.tool == tool)
@@ -105,7 +105,7 @@ class DesignProblem:
                 yield job, own
 
     def minutes(self, chosen: Sequence[Position]) -> float:
-        """Machine minutes of the whole set in its order, by the run's own plan."""
+        """Return the machine minutes of the whole set in its order, by the plan of the run."""
         return sum(machine_minutes(job, own).total for job, own in self.by_tool(chosen))
 
     def _offered(self) -> Iterator[Position]:

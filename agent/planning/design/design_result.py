@@ -1,4 +1,4 @@
-"""A finished design: positions chosen, ordered, timed by the run's own plan and proved by a preflight."""
+"""Finished design: positions selected, ordered, timed by the plan of the run and checked by a preflight."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ from twin.design.valuation import Valuation
 
 Say = Callable[[str], None]
 
-_MOST_TRIES = 12
-_LITTLE_MIN = 0.01
-_MARGIN = 1.3  # beyond what a slot was exceeded by, so that one more search does as a rule
+_MAX_ATTEMPTS = 12
+_SLACK_MIN = 0.01
+_MARGIN = 1.3  # factor on the excess over a slot, so that one more search usually suffices
 
 
 @dataclass(frozen=True, eq=False)
 class DesignResult:
-    """`chosen` of the setting's candidates, as `positions` in the order of measuring; `minutes` by the run's own plan;
-    `held_out`: positions for the proof, if asked for; `preflight_passed`: a preflight was run and passed."""
+    """Finished design. `chosen`: indices of the problem's candidates, as `positions` in measuring order; `minutes` by
+    the plan of the run; `held_out`: positions for verification, if requested; `preflight_passed`: a preflight ran and
+    passed."""
 
-    setting: DesignProblem
+    problem: DesignProblem
     chosen: tuple[int, ...]
     positions: tuple[Position, ...]
     minutes: float
@@ -43,72 +44,76 @@ class DesignResult:
 
     @cached_property
     def front(self) -> tuple[FrontPoint, ...]:
-        """What every further minute buys."""
-        return front_of(self.setting.search, self.chosen, self.minutes)
+        """Pareto front of expected error against machine minutes."""
+        return front_of(self.problem.search, self.chosen, self.minutes)
 
     @property
     def touches(self) -> int:
-        return self.balls * self.setting.job.settings.procedure.touches_per_ball
+        return self.balls * self.problem.job.settings.procedure.touches_per_ball
 
 
-def find_design(setting: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
-    """The best set found for `goal`. A position that the preflight refuses is left out and all is done again.
+def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
+    """Return the best set found for `goal`. A position that the preflight refuses is excluded and the search repeated.
 
     Raises InputError for a goal that cannot be reached, ConfigurationError for settings that offer nothing.
     """
-    for _ in range(_MOST_TRIES):
+    for _ in range(_MAX_ATTEMPTS):
         say("candidates")
         with translated(ConfigurationError, key="stations.places_mm"):
-            candidates = setting.candidates
+            candidates = problem.candidates
         say("minutes of every candidate")
-        search = setting.search
+        search = problem.search
         say("search")
-        chosen = _within(setting, search, goal)
-        held_out = _held_out(setting, candidates, chosen) if verify else ()
-        positions = setting.in_order([candidates.positions[index] for index in chosen])
+        chosen = _within(problem, search, goal)
+        held_out = _held_out(problem, candidates, chosen) if verify else ()
+        positions = problem.in_order([candidates.positions[index] for index in chosen])
         if with_preflight:
             say("preflight")
-            refused = _refused(setting, positions, held_out)
+            refused = _refused(problem, positions, held_out)
             if refused is not None:
-                setting = setting.refusing(refused)
+                problem = problem.refusing(refused)
                 continue
         return DesignResult(
-            setting=setting,
+            problem=problem,
             chosen=chosen,
             positions=positions,
-            minutes=setting.minutes(positions),
+            minutes=problem.minutes(positions),
             valuation=Valuation(candidates.vce([]), candidates.vce(chosen)),
             balls=int(sum(candidates.balls[list(chosen)])),
             held_out=held_out,
             preflight_passed=with_preflight,
         )
     raise ConfigurationError(
-        f"the preflight refused a position of each of {_MOST_TRIES} designs",
-        hint="`volcal plan` tells what is in the way",
+        f"the preflight refused a position of each of {_MAX_ATTEMPTS} designs",
+        hint="`volcal plan` shows the obstacle",
     )
 
 
-def _within(setting: DesignProblem, search: ExchangeSearch, goal: Goal) -> tuple[int, ...]:
-    """The search sums the minutes of its positions; a slot must hold for the plan as a whole, so it is drawn in."""
+def _within(problem: DesignProblem, search: ExchangeSearch, goal: Goal) -> tuple[int, ...]:
+    """Return a selection whose whole plan fits the goal.
+
+    The search adds up the minutes of its positions; a time slot must hold for the plan as a whole, so the slot given to
+    the search is reduced until it does.
+    """
     asked = goal
     while True:
         with translated(InputError):
             chosen = goal.select(search)
         if not isinstance(goal, TimeSlotGoal) or not isinstance(asked, TimeSlotGoal):
             return chosen
-        positions = setting.in_order([search.candidates.positions[index] for index in chosen])
-        over = setting.minutes(positions) - asked.minutes
+        positions = problem.in_order([search.candidates.positions[index] for index in chosen])
+        over = problem.minutes(positions) - asked.minutes
         if over <= 0.0:
             return chosen
-        goal = TimeSlotGoal(goal.minutes - _MARGIN * over - _LITTLE_MIN)
+        goal = TimeSlotGoal(goal.minutes - _MARGIN * over - _SLACK_MIN)
 
 
-def _held_out(setting: DesignProblem, candidates: CandidatePositions, chosen: Sequence[int]) -> tuple[Position, ...]:
-    """As many orientations as the settings hold out, each at every station of the verification."""
-    job = setting.job
+def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Sequence[int]) -> tuple[Position, ...]:
+    """Return the most informative held-out orientations, as many as in the settings, at every verified station."""
+    job = problem.job
     groups: dict[tuple[float, float], list[int]] = {}
     for index, position in enumerate(candidates.positions):
-        if position.station in job.verified_stations and position.tool is None and setting.passes(position):
+        if position.station in job.verified_stations and position.tool is None and problem.passes(position):
             groups.setdefault((position.azimuth_deg, position.elevation_deg), []).append(index)
     whole = [group for group in groups.values() if len(group) == len(job.verified_stations)]
     count = len(job.settings.verification.positions_deg)
@@ -117,9 +122,9 @@ def _held_out(setting: DesignProblem, candidates: CandidatePositions, chosen: Se
     return tuple(candidates.positions[index] for group in telling for index in group)
 
 
-def _refused(setting: DesignProblem, positions: Sequence[Position], held_out: Sequence[Position]) -> Position | None:
-    """The position at which the real preflight stops; PlanRefused where it stops at another place."""
-    for job, own in setting.by_tool(positions):
+def _refused(problem: DesignProblem, positions: Sequence[Position], held_out: Sequence[Position]) -> Position | None:
+    """Return the position at which the preflight stops; None if it passes. Raises PlanRefused if it stops elsewhere."""
+    for job, own in problem.by_tool(positions):
         proof = tuple(held_out) or job.held_out
         try:
             run_preflight(replace(job, positions=own, held_out=proof))

@@ -1,7 +1,7 @@
-"""Whether a position can be measured without a collision, and in how many minutes: its own plan, walked in thought.
+"""Feasibility of a position: whether its plan is free of collisions, and how many minutes it takes.
 
-The preflight simulates the finished set with physics. A search looks at hundreds of positions, so here the straight
-moves of the plan are checked against the bodies as they stand, which takes milliseconds.
+The preflight simulates the finished set with physics. A search evaluates hundreds of positions, so here the straight
+moves of the plan are only checked against the nominal bodies, which takes milliseconds.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import Point, translate_point
 
 CLEARANCE_MM = 1.0
-"""What every move keeps from everything: the mount never stands exactly where it is said to."""
+"""Clearance of every move from all bodies: a mount is never exactly at its nominal location."""
 
 _PREFIX = "vetted"
 _BALL = re.compile(r"/ball-(\d+)")
@@ -34,22 +34,22 @@ _Key = tuple[float, float, float, float, float, bytes]
 
 @dataclass(frozen=True, eq=False)
 class FeasibilityCheck:
-    """Vets the positions of a job. Stations at the same depth and height, with the same way to the parking place,
-    differ only in what is within reach, so what was found at one of them holds at the others."""
+    """Checks the positions of a job. Stations at the same depth and height, with the same path to the park location,
+    differ only in the balls within reach, so a result at one of them holds at the others."""
 
     job: Job
     _minutes: dict[_Key, float] = field(default_factory=dict, init=False, repr=False)
     _hits: dict[_Key, str] = field(default_factory=dict, init=False, repr=False)
 
     def minutes(self, position: Position) -> float:
-        """Machine minutes at a station where the mount stands already."""
+        """Return the machine minutes at a station where the mount already stands."""
         key = self._key(position)
         if key not in self._minutes:
             self._minutes[key] = position_minutes(self.job, position)
         return self._minutes[key]
 
     def hit(self, position: Position) -> str:
-        """What would hit what on the way, for people; empty where all is clear."""
+        """Return the two bodies of the first collision, as text; empty if there is none."""
         key = self._key(position)
         if key not in self._hits:
             self._hits[key] = self._first_hit(position)
@@ -63,7 +63,7 @@ class FeasibilityCheck:
         return position.azimuth_deg, position.elevation_deg, park, y, z, reached.tobytes()
 
     def _first_hit(self, position: Position) -> str:
-        """Over every straight move. What touches stops at its own ball, and draws back from there."""
+        """Return the first collision of any straight move. A touch stops at its own ball and retracts from there."""
         job, scene = self.job, self._scene(position)
         resting_mm = job.layout.contact_mm - job.layout.overtravel_mm
         balls, tool = job.layout.nominal(position), point(job.tool_offset_mm)
@@ -101,6 +101,6 @@ class FeasibilityCheck:
 
 
 def _at_rest(start: Point, centre: Array, resting_mm: float) -> Point:
-    """Where the tip that comes from `start` stands after a touch; touches go towards the centre."""
+    """Return the tip centre after a touch from `start` towards the centre of the ball."""
     away = np.array(start) - centre
     return point(centre + away * (resting_mm / np.linalg.norm(away)))

@@ -1,4 +1,4 @@
-"""The Pareto front as a figure: expected VCE against machine minutes, with the design and the set it competes with."""
+"""Figure of the Pareto front: expected VCE against machine minutes, with the design and reference sets."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from agent.planning.design.pareto_front import FrontPoint
 
 @dataclass(frozen=True)
 class ReferenceSet:
-    """A set that is there already, such as that of the settings."""
+    """Existing set for comparison, such as that of the settings."""
 
     name: str
     minutes: float
@@ -21,7 +21,7 @@ class ReferenceSet:
 
 
 def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[ReferenceSet]) -> None:
-    """On an empty figure under the house style."""
+    """Draw on an empty figure in the house style."""
     axes = figure.subplots()
     best = [point for point in points if point.best]
     axes.plot([p.minutes for p in best], [p.vce_um for p in best], "-o", color=BLUE, label="Pareto front of the design")
@@ -44,5 +44,5 @@ def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[Re
 
 
 def _before(points: Sequence[FrontPoint]) -> float:
-    """µm of the family, from any point: its VCE and by how much that is less."""
+    """Return the VCE in µm without compensation, from the VCE of any point and its reduction."""
     return points[0].vce_um / (1.0 - points[0].valuation / 100.0)

@@ -1,4 +1,4 @@
-"""The Pareto front: what every further minute buys."""
+"""Pareto front of expected error against machine minutes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from twin.design.goals import MIN_POSITIONS
 from twin.design.search import ExchangeSearch, Selection
 
 FURTHEST = 24
-"""Positions up to which a front goes at least."""
+"""Least number of positions at the end of a front."""
 
 
 @dataclass(frozen=True)
 class FrontPoint:
-    """A set that was looked at; `best`: no other is as good in less time. `design`: the one that was asked for."""
+    """Evaluated set. `best`: no other set is as good in less time; `design`: the requested design."""
 
     positions: int
     minutes: float
@@ -29,7 +29,7 @@ class FrontPoint:
 
 
 def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> tuple[FrontPoint, ...]:
-    """Sets grown by gain per minute, and the design (`chosen`, priced `minutes`), by rising minutes."""
+    """Return sets grown by gain per minute, and the design (`chosen`, of `minutes`), in the order of their minutes."""
     candidates = search.candidates
     before = candidates.vce([]).aligned_um
     furthest = max(FURTHEST, len(chosen))
@@ -50,7 +50,7 @@ def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> t
 
 
 def format_front(points: Sequence[FrontPoint]) -> str:
-    """CSV text."""
+    """Return the points as CSV text."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(

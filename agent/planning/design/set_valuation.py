@@ -1,4 +1,4 @@
-"""What any set of positions is worth, before anything moves."""
+"""Valuation of any set of positions, before anything moves."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from twin.machine.volumetric import evaluation_grid
 
 
 def valuation_of(job: Job, positions: Sequence[Position]) -> Valuation:
-    """Of a set measured as the job measures, identified from ball centres with the prior.
+    """Return the valuation of a set measured as in the job and identified from ball centres with the prior.
 
-    Raises ConfigurationError where none of it is within reach.
+    Raises ConfigurationError if none of it is within reach.
     """
     with translated(ConfigurationError, key="procedure.position_set"):
         return valuation(

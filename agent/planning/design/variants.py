@@ -1,4 +1,4 @@
-"""Other ways to measure than the settings': touches a ball, number of balls, tilt of the holders, tools."""
+"""Measuring variants beside the settings: touches per ball, number of balls, tilt of the holders, tools."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.artefact.artefact import Artefact
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """`jobs`: tool → job; `theta_deg` None and not `made_up`: the artefact that the settings name."""
+    """Measuring variant. `jobs`: tool → job; `theta_deg` None and not `made_up`: the artefact of the settings."""
 
     touches: int
     balls: int
@@ -34,7 +34,7 @@ def variants_of(
     balls: Sequence[int] = (),
     thetas_deg: Sequence[float] = (),
 ) -> list[Variant]:
-    """Every combination; what is not given stays as the job has it. Raises ConfigurationError for an unknown tool."""
+    """Return all combinations; omitted choices stay as in the job. Raises ConfigurationError for an unknown tool."""
     made_up = bool(balls or thetas_deg)
     with translated(ConfigurationError, file=str(job.settings.artefact)):
         bar = Bar.of(job.artefact) if made_up else None

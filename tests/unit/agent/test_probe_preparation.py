@@ -71,7 +71,7 @@ def test_a_probe_surely_beyond_its_limit_stops_the_run_with_the_figure() -> None
 def test_a_touch_that_misses_the_ball_just_found_stops_the_run() -> None:
     player = TouchedBall(CENTRE + np.array([0.0, 40.0, 0.0]), PROBING.contact_mm, lambda *_: 0.0)
     _, end = ended(player, check_repeatability("c", CENTRE, PROBING, CHECK))
-    assert "met nothing" in end
+    assert "missed the ball" in end
 
 
 def test_qualification_finds_the_effective_radius_and_fixes_it_where_that_is_better() -> None:
