@@ -108,17 +108,17 @@ def test_balls_of_the_second_station_are_counted_on() -> None:
     assert moved == pytest.approx(job.artefact.balls[11:] - job.artefact.balls[:11])
 
 
-class Ways:
-    def retreated(self, position: np.ndarray) -> np.ndarray:
+class Locations:
+    def at_retreat_plane(self, position: np.ndarray) -> np.ndarray:
         return np.array([position[0], 0.0, position[2]])
 
-    def parked(self, position: np.ndarray, station: int) -> np.ndarray:
+    def park_location(self, position: np.ndarray, station: int) -> np.ndarray:
         return np.array([1000.0 * station, 0.0, position[2]])
 
 
 def steps_of(change: StationChange, leaving: int | None) -> list[s.Step]:
     player = TouchedBall(np.zeros(3), 1.0, lambda *_: 0.0)
-    player.run(change_station("m", change, Ways(), np.array([5.0, 6.0, 7.0]), leaving=leaving, to=2, index=4))
+    player.run(change_station("m", change, Locations(), np.array([5.0, 6.0, 7.0]), leaving=leaving, to=2, index=4))
     return player.steps
 
 
@@ -151,7 +151,7 @@ def test_where_every_station_has_its_own_nobody_is_asked() -> None:
 def test_every_mount_is_parked_before_a_run_in_its_own_station() -> None:
     player = TouchedBall(np.zeros(3), 1.0, lambda *_: 0.0)
     change = StationChange(CarriedItem.NOTHING, (1, 2, 3))
-    here = player.run(park_mounts("probe", "mounts", change, Ways(), np.array([5.0, 6.0, 7.0]), change.own_mounts))
+    here = player.run(park_mounts("probe", "mounts", change, Locations(), np.array([5.0, 6.0, 7.0]), change.own_mounts))
     assert here.tolist() == [3000.0, 0.0, 7.0]
     assert [step.station for step in player.steps if isinstance(step, s.OrientTo)] == [1, 2, 3]
     keys = [step.key for step in player.steps]
