@@ -30,7 +30,7 @@ from twin.formats.estimate_file import format_estimate
 
 
 class CalibrationRun(GuardedRun):
-    """Calibration of one `Job`. `last`: the last accepted night of this machine, against which the change is judged."""
+    """Calibration of one `Job`. `reference`: last accepted night of this machine, with which the change is compared."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class CalibrationRun(GuardedRun):
         self.calibrate(prepared.standing_at)
 
     def calibrate(self, standing_at: int | None) -> None:
-        """Calibrate from the first position of the set on; the state is measuring, the compensation has been read."""
+        """Calibrate from the first position of the set; the state is measuring and the compensation has been read."""
         job, progress = self._job, self.progress
         order = replace(job.measuring, standing_at=standing_at)
         progress.measured = self._engine.run(measure_with_repeats(order, job.layout, self._rules, job.repeat_rules))
@@ -78,7 +78,7 @@ class CalibrationRun(GuardedRun):
         return (*gates, change_gate(change.found_um, change.expected_um, self._job.gate_limits))
 
     def _pass_gates(self, gates: Sequence[Gate]) -> None:
-        """Journal every gate. GateRefused if one stays closed; the gate of the change opens by consent."""
+        """Journal every gate. Raise GateRefused if one stays closed; the gate of the change opens by consent."""
         self.progress.gates += gates
         given = any(opens_by_consent(gate, self._consent) for gate in gates)
         if given or (self._consent is Consent.ASK and self._engine.run(ask_consent(gates))):

@@ -1,4 +1,4 @@
-"""How a machine may change between two nights, and how far an estimate says that it has."""
+"""Expected change of a machine between two nights, and the change that an estimate shows."""
 
 from __future__ import annotations
 
@@ -20,35 +20,36 @@ SCALES = ("EXX[1]", "EYY[1]", "EZZ[1]")
 
 @dataclass(frozen=True)
 class Change:
-    """Rms field over the workspace, aligned, µm: by how much it has changed, and by how much it was expected to."""
+    """Change found and change expected: rms of the field over the workspace, aligned, in µm."""
 
     found_um: float
     expected_um: float
 
 
 def night_noise(job: Job, model: ErrorModel) -> Array:
-    """(p,) standard deviations (mm or rad) by which each parameter may change in one night."""
+    """Return the standard deviations (p,), in mm or rad, by which each parameter may change in one night."""
     chosen = job.settings.nightly
     family = job.machine.with_model(model).family
     noise = process_noise(family, MM_PER_UM * chosen.drift_um, job.tool_offset_mm)
     for name, (low, high) in zip(SCALES, model.ranges_mm, strict=True):
-        place = model.names.index(name)
-        noise[place] = np.hypot(noise[place], 0.5e-6 * chosen.scale_drift_um_per_m * (high - low))
+        index = model.names.index(name)
+        # The coefficient of degree 1 is half the change of length over the axis range: 1 µm/m is 0.5e-6 of the range.
+        noise[index] = np.hypot(noise[index], 0.5e-6 * chosen.scale_drift_um_per_m * (high - low))
     return noise
 
 
 def prior_tonight(job: Job, reference: ReferenceState, nights: float) -> CarriedOverPrior:
-    """What the last accepted night knows, grown older by `nights`."""
+    """Return the estimate of the last accepted night as prior, widened by the drift of `nights`."""
     return reference.estimate.carried_over().after(night_noise(job, reference.estimate.model), nights)
 
 
 def change_since(
     job: Job, reference: ReferenceState, nights: float, estimate: Estimate, *, fused: bool = False
 ) -> Change:
-    """From what the last accepted night knew to `estimate`, which has taken that for its prior (`fused`) or nothing.
+    """Return the change from the last accepted night to `estimate`. `fused`: that night was the prior of `estimate`.
 
-    What an estimate learns beyond its prior is as large as the prior's covariance less its own; two estimates that know
-    nothing of each other differ by the sum of theirs.
+    An estimate differs from its prior by the prior's covariance less its own; two independent estimates differ by the
+    sum of their covariances.
     """
     offset, old = job.tool_offset_mm, reference.estimate
     grid = evaluation_grid(old.model.ranges_mm)

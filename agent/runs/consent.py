@@ -24,7 +24,7 @@ def opens_by_consent(gate: Gate, consent: Consent) -> bool:
 def ask_consent(gates: Sequence[Gate]) -> Plan[bool]:
     """Ask the operator for consent if only the gate of the change is closed. True if consent was given.
 
-    In any other case nobody is asked. A no ends the run as an abort does.
+    In any other case there is no question. The answer no ends the run as an abort does.
     """
     closed = [gate for gate in gates if not gate.passed]
     if [gate.name for gate in closed] != [CHANGE]:

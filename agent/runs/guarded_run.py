@@ -1,4 +1,4 @@
-"""Guarded run, the base of every kind: whatever happens, the machine is left as it was found."""
+"""Guarded run, the base of every kind: on every exit the machine is left as it was found."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from drivers.roles import Activation
 class RunProgress:
     """Results of a run so far, filled in while it runs, so that a fault loses nothing.
 
-    `job`: what `measured` was measured for, where it is not the job that the run began with.
+    `job`: job for which `measured` was measured, if it is not the one that the run began with.
     """
 
     found: publish.ActiveCompensation | None = None

@@ -1,4 +1,4 @@
-"""Compare the controller's compensation at a start with the journal of the last run, and repair it if necessary.
+"""Comparison of the controller's compensation at a start with the journal of the last run, and its repair if necessary.
 
 An active table that was never proved is the only state that must not stay: the former table is reactivated. Every other
 state is complete and consistent at whatever instant the run ended, because an active bank is never written.

@@ -135,10 +135,10 @@ def require_reference(job: Job, before_run: int = ANY_RUN) -> ReferenceState:
             file=str(directory),
             hint="run `volcal calibrate` first",
         )
-    strange = mismatch(job, reference)
-    if strange:
+    difference = mismatch(job, reference)
+    if difference:
         raise ConfigurationError(
-            f"the last accepted night (run {reference.run_id}) cannot be continued: {strange}",
+            f"the last accepted night (run {reference.run_id}) cannot be continued: {difference}",
             file=str(directory),
             hint="pass the settings of that machine, or run `volcal calibrate` for this one",
         )

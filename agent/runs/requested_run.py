@@ -30,7 +30,7 @@ def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
 
 def kind_of(request: RunRequest, *, slot_minutes: float | None = None, nights: float | None = None) -> Kind:
     """Return the kind of run. `slot_minutes` of a night, None: as the settings say; `nights` since the last accepted
-    one, None: by the calendar. UserError if a kind that measures at one station is asked for at several."""
+    one, None: by the calendar. UserError if a kind that measures at one station is requested at several."""
     match request.kind:
         case "calibrate":
             return FullCalibration(nights, Consent.ASK if request.consent else Consent.REFUSED)

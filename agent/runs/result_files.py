@@ -1,4 +1,4 @@
-"""The files a run leaves: ball centres, estimate, table, report; each complete or not there."""
+"""Result files of a run: ball centres, estimate, table, report; each complete or absent."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ REPORT = "report.html"
 
 
 def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Mapping[str, str | bytes]) -> Outcome:
-    """Write what there is under ``STATE/RUN_ID`` and return the outcome with the report's path.
+    """Write the available result files under ``STATE/RUN_ID``. Return the outcome with the report's path.
 
-    A run that did not come to an estimate leaves its `report` alone; its measurements are in the journal.
+    A run that did not reach an estimate leaves only its `report`; its measurements are in the journal.
     """
     state = job.settings.state_directory
     texts = dict(report)

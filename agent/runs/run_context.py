@@ -1,4 +1,4 @@
-"""Context of a run: the open devices and records it works with, and the hooks of whoever started it."""
+"""Context of a run: the devices and records that it works with, and the hooks of the caller that started it."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from agent.reports.renderer import ReportRenderer, render_in_process
 from drivers.clock import Clock
 
 
-def _announced_to_nobody(_: Announcement) -> None: ...
+def _ignore_announcement(_: Announcement) -> None: ...
 
 
-def _interrupted_by_nobody(_: Supervisor) -> None: ...
+def _ignore_supervisor(_: Supervisor) -> None: ...
 
 
-def _unobserved(_: Step, __: object) -> None: ...
+def _ignore_step(_: Step, __: object) -> None: ...
 
 
-def _permitted(_: Job, __: PreflightResult) -> None: ...
+def _permit(_: Job, __: PreflightResult) -> None: ...
 
 
 @dataclass(frozen=True)
 class RunHooks:
-    """Hooks into a run for whoever starts it; the defaults serve a run that nobody watches.
+    """Hooks of the caller into a run; the defaults serve a run without an observer.
 
     `announce` receives states, progress and notes. `attach` receives the supervisor, through which signals and
     endpoints hold or abort the run. `observe` sees every step and its result. `preflight_passed` receives the job as it
@@ -44,10 +44,10 @@ class RunHooks:
     as files too; the journal has them in any case.
     """
 
-    announce: Listener = _announced_to_nobody
-    attach: Callable[[Supervisor], None] = _interrupted_by_nobody
-    observe: Observer = _unobserved
-    preflight_passed: Callable[[Job, PreflightResult], None] = _permitted
+    announce: Listener = _ignore_announcement
+    attach: Callable[[Supervisor], None] = _ignore_supervisor
+    observe: Observer = _ignore_step
+    preflight_passed: Callable[[Job, PreflightResult], None] = _permit
     lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
     devices: Devices = field(default_factory=Devices)
     reports: ReportRenderer = render_in_process

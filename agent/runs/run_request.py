@@ -14,12 +14,12 @@ KindName = Literal["calibrate", "verify", "nightly"]
 KINDS: tuple[KindName, ...] = get_args(KindName)
 
 Source = Literal["timer", "page", "panel", "opc ua", "command line"]
-"""Who asked for a run; journaled with the run."""
+"""Source of a request; journaled with the run."""
 SOURCES: tuple[Source, ...] = get_args(Source)
 
 
 class RunRequest(BaseModel):
-    """Run that somebody asks for. None: as the settings say.
+    """Request for a run. None: as the settings say.
 
     `position_set`: a name, never a path, so that an endpoint cannot choose which file the agent opens. `consent`: a
     person stands at the machine and has confirmed that it may move; a timer never has consent, and the agent then
@@ -49,6 +49,6 @@ class RunRequest(BaseModel):
 
 
 def run_request(**fields: object) -> RunRequest:
-    """Return the request with these fields. InputError naming the field that cannot be."""
+    """Return the request with these fields. Raise InputError, naming the field, if one is not permitted."""
     with translated(InputError):
         return validate_document(fields, "request", RunRequest)

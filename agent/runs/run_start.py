@@ -1,4 +1,4 @@
-"""Start of a new run: its entry in the journal, and the conditions it starts from."""
+"""Start of a new run: its entry in the journal, and the conditions from which it starts."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) 
 
 
 def _require_finished_compensation(rig: Rig, state_directory: Path) -> None:
-    """Raise PlanRefused if a former run left a table that must be proved or taken back first: another run would take it
-    for the compensation that the machine is meant to have."""
+    """Raise PlanRefused if a former run left a table that must be proved or reverted first: another run would treat it
+    as the intended compensation of the machine."""
     if not has_compensation_record(state_directory):
         return
     left = reconcile(rig, state_directory, restore=False)

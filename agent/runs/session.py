@@ -85,7 +85,7 @@ def carry_out(
                 journal.origin(origin_record(settings, kind, base, start))
                 run = session.plan(start).begin(context)
                 journal.begun()
-                resources.journal.close_unresumable(journal.run, f"broke off, followed by run {run_id}")
+                resources.journal.close_unresumable(journal.run, f"interrupted, followed by run {run_id}")
                 session.progress = run.carry_out()
         return session.result()
 

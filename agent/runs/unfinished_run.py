@@ -1,4 +1,4 @@
-"""The last run, if it was interrupted, and whether it can be resumed: read from the journal, nothing is changed."""
+"""Interrupted last run of the journal, and the reason if it cannot be resumed; nothing is changed."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from agent.execution.states import FINAL, RunState
 RESUMABLE_FAULTS = frozenset(
     {"LinkError", "LinkLost", "LinkTimeout", "ProtocolError", "PermissionMissing", "JournalFailed", "Interrupted"}
 )
-"""Errors from outside the measurement: results measured before them stay valid. After any other fault something about
-machine, artefact or procedure is not as assumed."""
+"""Errors from outside the measurement: results measured before them stay valid. After any other fault an assumption
+about machine, artefact or procedure does not hold."""
 
 
 @dataclass(frozen=True)

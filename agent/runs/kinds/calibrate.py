@@ -1,4 +1,4 @@
-"""`calibrate`: the whole position set, a new table, and its proof."""
+"""Kind `calibrate`: the whole position set, a new table, and its proof."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """Check measurement, common to verification and night: the active table must be the one last accepted, and the ball
-centres are compared with what was known before."""
+centres are compared with their prediction."""
 
 from __future__ import annotations
 
@@ -46,5 +46,5 @@ def judge_measurement(
     judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction
 ) -> Judgement:
     """Judge all balls `measured`, held-out ones included, against the last accepted night."""
-    held = job.balls_of(measured, held_out=True)
-    return judge.judge_balls(plan.station, [*held, *job.balls_of(measured, held_out=False)], held, correction)
+    held_out = job.balls_of(measured, held_out=True)
+    return judge.judge_balls(plan.station, [*held_out, *job.balls_of(measured, held_out=False)], held_out, correction)

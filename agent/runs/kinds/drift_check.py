@@ -75,17 +75,17 @@ class Judge:
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, written).aligned_um
 
     def judge_balls(
-        self, station: int, balls: Sequence[MeasuredBall], held: Sequence[MeasuredBall], correction: Correction
+        self, station: int, balls: Sequence[MeasuredBall], held_out: Sequence[MeasuredBall], correction: Correction
     ) -> Judgement:
-        """Judge `balls`, all measured with the active table; `held`: the held-out ones of them; `correction`: what the
-        table adds.
+        """Judge `balls`, all measured with the active table; `held_out`: the held-out ones of them; `correction`: of
+        the table.
 
         Raises MeasurementFault if too few balls were found for a judgement.
         """
         with translated(MeasurementFault):
             observations = observations_of(balls, self.job.tool_offset_mm, correction)
             found = innovation(self.family, observations, self.job.artefact, self.prior)
-            found_um, predicted_um = self._held_out(held, correction)
+            found_um, predicted_um = self._held_out(held_out, correction)
         limits = self.job.settings.nightly
         jumped = found.find_jumps(limits.step_evidence)
         now_um = self.residual_with_table.of(
@@ -109,10 +109,10 @@ class Judge:
         )
         return Judgement(report, found)
 
-    def _held_out(self, held: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
+    def _held_out(self, held_out: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
         """Return the rms of a held-out ball as the controller displays it and its expected value, in µm."""
         offset, artefact, prior = self.job.tool_offset_mm, self.job.artefact, self.prior
-        displayed, bare = (observations_of(held, offset, shift) for shift in (no_correction, correction))
+        displayed, bare = (observations_of(held_out, offset, shift) for shift in (no_correction, correction))
         result = held_out_residuals(displayed, displayed.axis_positions + offset, artefact)
         left = uncompensated(prior.unknowns, prior.mean, self.reference.table.written)
         covariance = residual_covariance(

@@ -36,7 +36,7 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class PendingCalibration:
-    """Night that follows the finding `pending`: a full calibration of the job `here` is due."""
+    """Night on which a full calibration of the job `here` is due, since `pending` was decided."""
 
     kind: Kind
     here: Job

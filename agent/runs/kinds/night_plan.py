@@ -1,6 +1,7 @@
 """Plan of a night, decided and proved by a preflight before anything moves.
 
-The choice needs only the covariance of what is known of the machine, so nothing has to be decided during the night."""
+The choice needs only the covariance of the prior, so that nothing has to be decided during the night.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +23,15 @@ VERIFICATION, FURTHER = "look", "further"
 MIN_FUSED_POSITIONS = 2
 """Fewer positions cannot separate machine errors from artefact errors."""
 
-_AHEAD = 1.3  # time to choose for, relative to the time left: together positions cost less than one by one
+_AHEAD = 1.3  # time to choose for, relative to the time left: positions together cost less than one by one
 _MOST_TRIES = 6
 _MOST = 100
 
 
 @dataclass(frozen=True, eq=False)
 class NightPlan:
-    """Positions of a night at `station`: `held_out` and `looked_at` first (the verification), then `further`, then
-    `held_out` again."""
+    """Positions of a night at `station`: `held_out` and `check_positions` first (the verification), then `further`,
+    then `held_out` again."""
 
     station: int
     held_out: tuple[Position, ...]
@@ -56,7 +57,7 @@ class NightPlan:
 
 
 def job_at_station(job: Job, station: int) -> Job:
-    """Return the job with the artefact at `station`, without the axes' reversal: a slot is too short for it."""
+    """Return the job with the artefact at `station`, without the reversal of the axes: a slot is too short for it."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
     preparation = replace(job.preparation, reversal=None)
     return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
@@ -69,7 +70,7 @@ def station_of(job: Job, named: int | None) -> int:
         raise ConfigurationError(
             "the artefact's station is not set, and at night it stays where it stands",
             key="stations.standing_at",
-            hint="set it, or pass --standing-at",
+            hint="set it or pass --standing-at",
         )
     if station not in job.layout.locations_mm:
         raise ConfigurationError(f"there is no station {station}", key="stations.places_mm")
@@ -79,9 +80,9 @@ def station_of(job: Job, named: int | None) -> int:
 def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
     """Return the plan of a verification alone."""
     chosen = chooser.job.settings.nightly
-    held = _held_out(chooser, chosen.held_out_positions)
-    checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held)
-    return NightPlan(chooser.station, held, checked)
+    held_out = _held_out(chooser, chosen.held_out_positions)
+    checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
+    return NightPlan(chooser.station, held_out, checked)
 
 
 def night_plan(
@@ -92,12 +93,12 @@ def night_plan(
     Raises PlanRefused if the slot is too short.
     """
     chosen = chooser.job.settings.nightly
-    held = _held_out(chooser, chosen.held_out_positions)
+    held_out = _held_out(chooser, chosen.held_out_positions)
     room = slot_minutes - chosen.reserve_minutes
-    budget = max(room - 2.0 * chooser.minutes(held), 0.0)
-    checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held)
+    budget = max(room - 2.0 * chooser.minutes(held_out), 0.0)
+    checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
     ahead = _AHEAD * max(budget - chooser.minutes(checked), 0.0)
-    best = chooser.by_gain(judge.prior, most=_MOST, minutes=ahead, measured=checked, left_out=(*held, *checked))
+    best = chooser.by_gain(judge.prior, most=_MOST, minutes=ahead, measured=checked, left_out=(*held_out, *checked))
     offered = (*checked, *best)
     count, tried = _fitting(chooser, offered, budget), dict[int, tuple[NightPlan, PreflightResult]]()
     for _ in range(_MOST_TRIES):
@@ -105,7 +106,7 @@ def night_plan(
         if count in tried or count > len(offered):
             break
         plan = NightPlan(
-            chooser.station, held, offered[: chosen.check_positions], offered[chosen.check_positions : count]
+            chooser.station, held_out, offered[: chosen.check_positions], offered[chosen.check_positions : count]
         )
         own = plan.job(chooser.job)
         tried[count] = plan, run_preflight(own, start_mm, whole_night(plan), watch)
@@ -163,14 +164,14 @@ def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:
 
 
 def _held_out(chooser: PositionChooser, count: int) -> tuple[Position, ...]:
-    held = chooser.held_out(count)
-    if not held:
+    held_out = chooser.held_out(count)
+    if not held_out:
         raise ConfigurationError(
             f"none of the held-out orientations can be measured at station {chooser.station}",
             key="verification.positions_deg",
             hint="choose orientations with three balls within reach there",
         )
-    return held
+    return held_out
 
 
 def _fitting(chooser: PositionChooser, offered: Sequence[Position], budget: float) -> int:

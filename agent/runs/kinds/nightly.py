@@ -1,4 +1,4 @@
-"""`nightly`: verify, measure what is least known in the rest of the slot, and fuse it with the earlier nights."""
+"""Kind `nightly`: verify, use the rest of the slot to measure what is least known, and fuse it with earlier nights."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Night:
 
 
 class NightlyRun(CalibrationRun):
-    """Verification, the rest of the slot, fusion, proof."""
+    """Verification, further positions in the rest of the slot, fusion, and proof."""
 
     def __init__(
         self,
@@ -148,8 +148,8 @@ class NightlyRun(CalibrationRun):
         return tuple(further)
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """The slot goes on while a run is interrupted. Measurements of an unfinished verification are of use only if
-        the rest of it can be measured too."""
+        """Return why too little of the slot is left: it also passes while a run is interrupted. Measurements of an
+        unfinished verification are useful only if the rest of it can be measured too."""
         at_s = self._preflight_result.timeline.get(following.key)
         needed = 0.0 if at_s is None else (self._preflight_result.machine_seconds - at_s) / S_PER_MIN
         needed -= self._planned_minutes_after(VERIFICATION)
@@ -162,7 +162,7 @@ class NightlyRun(CalibrationRun):
         return None
 
     def _planned_minutes_after(self, prefix: str) -> float:
-        """Minutes from the end of a part of the night to the end of the whole, according to the preflight."""
+        """Return the minutes from the end of a part of the night to its whole end, according to the preflight."""
         done = [seconds for key, seconds in self._preflight_result.timeline.items() if key.startswith(f"{prefix}/")]
         return (self._preflight_result.machine_seconds - max(done, default=0.0)) / S_PER_MIN
 
@@ -221,7 +221,7 @@ class NightlyRun(CalibrationRun):
         return again.report if not again.within else replace(again.report, reason=report.reason)
 
     def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
-        """Machine minutes of a procedure by a preflight; an abort interrupts it."""
+        """Return the machine minutes of a procedure by a preflight; an abort interrupts it."""
         return run_preflight(job, procedure=procedure, watch=self._supervisor.check_stop_request).machine_minutes
 
     # ------------------------------------------------------------------ fusion
@@ -247,9 +247,9 @@ class NightlyRun(CalibrationRun):
         now_um = judge.expected_ve_um(estimation.estimate, written)
         after_um = judge.expected_ve_um(estimation.estimate, estimation.estimate.parameters)
         report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
-        worth = 1.0 - after_um / now_um >= chosen.nightly.min_gain
+        worthwhile = 1.0 - after_um / now_um >= chosen.nightly.min_gain
         last_part = FURTHER if self._plan.further else VERIFICATION
-        if not worth or self._planned_minutes_after(last_part) > self._left_minutes:
+        if not worthwhile or self._planned_minutes_after(last_part) > self._left_minutes:
             record_accepted(self._journal, judge.reference.table)
             self._end(replace(report, decision=Decision.FUSED))
             return

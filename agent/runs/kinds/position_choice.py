@@ -1,4 +1,4 @@
-"""Which positions a night measures: those that lower the predicted uncertainty most, given what is known already."""
+"""Choice of a night's positions: those that lower the predicted uncertainty most, given the prior."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from twin.monitoring.step_detection import SuspectedJump
 
 @dataclass(frozen=True, eq=False)
 class PositionChooser:
-    """Chooses at one `station`, where the artefact stands and nobody carries it."""
+    """Chooser of positions at one `station`, where the artefact stays."""
 
     job: Job
     station: int
@@ -39,12 +39,12 @@ class PositionChooser:
         return sum(self.vetting.minutes(position) for position in positions)
 
     def held_out(self, count: int) -> tuple[Position, ...]:
-        """The first orientations of the verification that can be measured here."""
-        found = [
+        """Return the first orientations of the verification that can be measured here, at most `count`."""
+        candidates = [
             Position(self.station, azimuth, elevation)
             for azimuth, elevation in self.job.settings.verification.positions_deg
         ]
-        return tuple(position for position in found if self._usable(position))[:count]
+        return tuple(position for position in candidates if self._usable(position))[:count]
 
     def by_gain(
         self,
@@ -55,8 +55,11 @@ class PositionChooser:
         measured: Sequence[Position] = (),
         left_out: Sequence[Position] = (),
     ) -> Iterator[Position]:
-        """One after the other, by gain per minute, until there are `most` or no more fits into the `minutes`; given
-        what is `known` and what will have been `measured`; none of those `left_out`."""
+        """Yield positions one by one, by gain per minute, until there are `most` or no other fits into `minutes`.
+
+        The gain is relative to `prior` and to the positions that will have been `measured`; those `left_out` are never
+        chosen.
+        """
         offered = [position for position in self._offered() if position not in left_out]
         search, places = self._search(prior, [*measured, *offered])
         first = Selection.of(search.candidates, places[: len(measured)])
@@ -72,9 +75,9 @@ class PositionChooser:
     def detecting_jumps(
         self, prior: CarriedOverPrior, count: int, measured: Sequence[Position]
     ) -> tuple[Position, ...]:
-        """The `count` that show most surely whether any error has jumped, beside those `measured` anyway."""
-        telling = self._ranked(prior, JumpQuestions.any_jump(prior.unknowns), measured)
-        return tuple(islice(telling, count))
+        """Return the `count` positions that best detect a jump of any error, in addition to those `measured` anyway."""
+        ranked = self._ranked(prior, JumpQuestions.any_jump(prior.unknowns), measured)
+        return tuple(islice(ranked, count))
 
     def discriminating(
         self,
@@ -84,18 +87,19 @@ class PositionChooser:
         minutes: float,
         measured: Sequence[Position],
     ) -> tuple[Position, ...]:
-        """Those that show which of the `suspects` it is, as many as fit into the `minutes`; none that is `measured`."""
+        """Return positions that discriminate between the `suspects`, as many as fit into `minutes`; none of those
+        already `measured`."""
         names, scale = prior.unknowns.model.names, prior.unknowns.scale
         jumps = np.zeros((len(suspects), prior.unknowns.blocks.size))
         for row, suspect in zip(jumps, suspects, strict=True):
             for name, value in suspect.coefficients.items():
                 row[names.index(name)] = value / scale[names.index(name)]
-        found: list[Position] = []
+        chosen: list[Position] = []
         for position in self._ranked(prior, JumpQuestions.which_jump(jumps), measured):
-            if self.minutes([*found, position]) > minutes:
+            if self.minutes([*chosen, position]) > minutes:
                 break
-            found.append(position)
-        return tuple(found)
+            chosen.append(position)
+        return tuple(chosen)
 
     def _ranked(
         self, prior: CarriedOverPrior, questions: JumpQuestions, measured: Sequence[Position]
@@ -109,21 +113,21 @@ class PositionChooser:
                 yield candidates.positions[index]
 
     def _search(self, prior: CarriedOverPrior, positions: Sequence[Position]) -> tuple[ExchangeSearch, list[int]]:
-        """With the place of each of the `positions` among the candidates."""
+        """Return the search over the candidates, and the index of each of the `positions` among them."""
         job = self.job
         machine = job.machine.with_model(prior.unknowns.model)
         options = Options(carried_over=prior, estimate_scales=False, outliers="none")
         grid = evaluation_grid(machine.model.ranges_mm)
         with translated(ConfigurationError, key="stations.places_mm"):
             candidates = build_candidates(job.procedure, positions, machine.family, options, grid, job.tool_offset_mm)
-        place = {position: index for index, position in enumerate(candidates.positions)}
-        prices = MeasuringCosts(
+        index_of = {position: index for index, position in enumerate(candidates.positions)}
+        costs = MeasuringCosts(
             minutes=np.array([self.vetting.minutes(position) for position in candidates.positions]),
             stations=np.array([position.station for position in candidates.positions]),
             standing_at=self.station,
         )
-        clear = ExchangeSearch(candidates, prices, lambda index: not self.vetting.hit(candidates.positions[index]))
-        return clear, [place[position] for position in positions if position in place]
+        search = ExchangeSearch(candidates, costs, lambda index: not self.vetting.hit(candidates.positions[index]))
+        return search, [index_of[position] for position in positions if position in index_of]
 
     def _offered(self) -> list[Position]:
         grid = orientation_grid(self.job.settings.nightly.grid_deg)

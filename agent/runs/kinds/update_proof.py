@@ -1,8 +1,8 @@
-"""Whether a table that goes on from the last one acts as it should: by held-out positions, a night's worth of them.
+"""Proof of a table that updates the last one, by the held-out positions of one night.
 
-A full calibration takes most of the error away, and the proof asks for that. From one night to the next a table
-changes by less than the touches scatter, so here the held-out balls must not have become worse than their noise can
-make them, and they must be as predicted.
+A full calibration removes most of the error, and its proof requires that. From one night to the next a table changes by
+less than the repeatability of the touches; here the held-out balls must therefore not have become worse than their
+noise explains, and they must be as predicted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _COVERAGE = 3.0
 def prove_update(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
-    """Held-out balls `before` and `after` the new table was made active. MeasurementFault where there are too few."""
+    """Return the proof from held-out balls `before` and `after` the activation of the new table. Raise MeasurementFault
+    if there are none."""
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:
             raise MeasurementFault(f"no ball of a held-out position was measured {when}")
@@ -42,16 +43,16 @@ def prove_update(
         )
         covariance = residual_covariance(estimation.estimate, observed.axis_positions, job.tool_offset_mm)
         expected = held_out_test(observed, result, job.artefact, covariance)
-    doubts = [_doubt(one, observed, estimation.estimate.scales.noise) for one in (former, result)]
-    worse = result.rms_mm**2 - former.rms_mm**2 > _COVERAGE * math.hypot(*doubts)
+    deviations = [_deviation(one, observed, estimation.estimate.scales.noise) for one in (former, result)]
+    worse = result.rms_mm**2 - former.rms_mm**2 > _COVERAGE * math.hypot(*deviations)
     limit = job.settings.verification.max_chi2
     reason = ""
     if worse:
         before_um, after_um = UM_PER_MM * former.rms_mm, UM_PER_MM * result.rms_mm
         reason = f"held-out positions became worse, {before_um:.2f} to {after_um:.2f} µm, by more than their noise"
     elif expected.chi2_normalised > limit:
-        found = expected.chi2_normalised
-        reason = f"held-out positions are not as predicted: normalised χ² {found:.2f}, allowed {limit:.2f}"
+        chi2 = expected.chi2_normalised
+        reason = f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {limit:.2f}"
     return Proof(
         accepted=not reason,
         before_um=UM_PER_MM * former.rms_mm,
@@ -62,11 +63,13 @@ def prove_update(
     )
 
 
-def _doubt(result: HeldOutResiduals, observed: Observations, scale: float) -> float:
-    """Standard deviation (mm²) of the mean square of a ball, from touch noise σ alone: |s + n|² varies by
-    4 |s|² σ² + 2 f σ⁴ about its mean for f independent components."""
+def _deviation(result: HeldOutResiduals, observed: Observations, scale: float) -> float:
+    """Return the standard deviation (mm²) of the mean square of a ball's residual, from touch noise σ alone.
+
+    |s + n|² has the variance 4 |s|² σ² + 2 f σ⁴ about its mean for f independent components of the noise n.
+    """
     variance = scale**2 * float(np.einsum("nii->n", observed.covariance).mean()) / 3.0
     freedom = result.freedom
     square = result.rms_mm**2 * freedom / 3.0
-    still = max(square - freedom * variance, 0.0)
-    return 3.0 / freedom * math.sqrt(4.0 * still * variance + 2.0 * freedom * variance**2)
+    systematic = max(square - freedom * variance, 0.0)  # |s|²: the mean of |s + n|² is |s|² + f σ²
+    return 3.0 / freedom * math.sqrt(4.0 * systematic * variance + 2.0 * freedom * variance**2)

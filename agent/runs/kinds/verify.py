@@ -1,4 +1,4 @@
-"""`verify`: compare a few positions, compensation active, with the last accepted night; nothing is written."""
+"""Kind `verify`: compare a few positions, compensation active, with the last accepted night; nothing is written."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Verification:
 
 
 class VerifyRun(GuardedRun):
-    """Measures, judges, and leaves everything as it was."""
+    """Run that measures and judges, and leaves everything as it was."""
 
     def __init__(self, job: Job, context: RunContext, judge: Judge, plan: NightPlan) -> None:
         super().__init__(job, context)

@@ -1,4 +1,4 @@
-"""Abandon an unfinished run: the former table is reactivated, and the journal records it."""
+"""Abandonment of an unfinished run: the former table is reactivated, and the journal records it."""
 
 from __future__ import annotations
 

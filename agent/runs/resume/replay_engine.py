@@ -1,4 +1,4 @@
-"""Engine of a resumed run: recorded steps are answered from the journal, the remaining ones are done."""
+"""Engine of a resumed run: recorded steps are answered from the journal, the remaining ones are carried out."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivers.roles import TableImage
 
 
 class Return(Protocol):
-    """Return of the machine to the state in which the first step without a record can be done."""
+    """Return of the machine to the state in which the first step without a record can be carried out."""
 
     @property
     def complete(self) -> bool:
@@ -77,7 +77,7 @@ class ReplayingEngine(Engine):
         self._return: Return | None = None
 
     def set_return(self, return_: Return) -> None:
-        """Set how the machine returns once the replay is over; without it, it is taken to be where it was."""
+        """Set how the machine returns once the replay is over; without a return it is assumed to be where it was."""
         self._return = return_
 
     def _do_durably(self, step: Step) -> Any:
@@ -93,7 +93,7 @@ class ReplayingEngine(Engine):
         if not self._replay.over:
             return self._recorded(step)
         if self._has_taken_effect(step):
-            # A step that writes is never done twice.
+            # A step that writes is never carried out twice.
             self._writer.begin(step)
             self._writer.finish(step, None, begun=True)
             return None

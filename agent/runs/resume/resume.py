@@ -1,4 +1,4 @@
-"""Resume the interrupted run: beside `agent.runs.session.carry_out`, and with the same results."""
+"""Resume of the interrupted run: counterpart of `agent.runs.session.carry_out`, with the same results."""
 
 from __future__ import annotations
 
@@ -118,6 +118,6 @@ def _note_compensation(rig: Rig, origin: Origin, note: Callable[[str], None]) ->
     try:
         found = reconcile(rig, origin.settings.state_directory, of_run=origin.start.run)
     except VolcalError as error:
-        note(f"could not see what the controller's compensation is: {error}")
+        note(f"could not read the controller's compensation: {error}")
         return
     note(f"compensation: {found.text}")

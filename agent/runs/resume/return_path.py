@@ -1,7 +1,7 @@
-"""From wherever a run broke off to where its next step can be done as if nothing had happened.
+"""Return path of an interrupted run, from any position to the one at which its next step can be carried out.
 
-Out along the stylus first; then the mount is turned back, the last ball is touched again, and every axis comes to its
-place from the side from which it had come: so the play of the axes is what it was.
+The probe is first withdrawn along the stylus; then the mount is turned back, the last ball is measured again, and every
+axis approaches its position from the side from which it had come, so that the play of the axes is the same as before.
 """
 
 from __future__ import annotations
@@ -73,11 +73,9 @@ class ReturnPath:
         moved_um = UM_PER_MM * (found.centre_mm - expected)
         yield Record(f"{key}/found", "event", {"of": self.trace.datum_key, "moved_um": moved_um})
         yield MoveTo(f"{key}/leave", point(retreat.at_retreat_plane(retreat.withdrawn_from(found.centre_mm, probing))))
-        way_um = float(np.linalg.norm(moved_um))
-        if way_um > UM_PER_MM * self.tolerance_mm:
-            raise self._artefact_moved(
-                f"is {way_um:.1f} µm from where it was, allowed {UM_PER_MM * self.tolerance_mm:.1f} µm"
-            )
+        shift_um, allowed_um = float(np.linalg.norm(moved_um)), UM_PER_MM * self.tolerance_mm
+        if shift_um > allowed_um:
+            raise self._artefact_moved(f"is {shift_um:.1f} µm from where it was, allowed {allowed_um:.1f} µm")
 
     def _artefact_moved(self, how: str) -> MeasurementFault:
         return MeasurementFault(

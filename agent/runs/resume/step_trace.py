@@ -111,12 +111,12 @@ class StepTrace:
         self.last_motion.begin(step.target_mm, touch=True)
         self.last_motion.end(result.position_mm)
         start = np.array(self.at_mm)
-        way = np.array(result.position_mm) - start
-        length = float(np.linalg.norm(way))
+        motion = np.array(result.position_mm) - start
+        length = float(np.linalg.norm(motion))
         share = min(0.5, CLEAR_MM / length) if length > 0.0 else 0.0
-        # An axis that the touch does not move keeps its very coordinate.
+        # An axis that the touch does not move keeps its exact coordinate.
         still = np.array(step.target_mm) == start
-        x, y, z = np.where(still, start, start + share * way).tolist()
+        x, y, z = np.where(still, start, start + share * motion).tolist()
         self._add_motion(step.key, (x, y, z))
 
     def _add_record(self, step: Record) -> None:
