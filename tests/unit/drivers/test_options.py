@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import ClassVar
@@ -10,9 +9,11 @@ from typing import ClassVar
 import pytest
 from pydantic import BaseModel, Field
 
-from agent.settings.load import current_settings_document
-from agent.settings.schema import Settings
+from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
+from agent.runs.origin import read_origin
 from drivers.canopen_mount.settings import CanopenMountSettings
+from drivers.clock import VirtualClock
 from drivers.console_operator.plugin import ConsoleOperatorSettings
 from drivers.errors import ConfigurationError
 from drivers.linuxcnc.settings import LinuxCncSettings
@@ -96,7 +97,7 @@ def test_options_of_a_driver_that_is_not_installed_are_left_as_stored() -> None:
     assert current_options("no-such-driver", {"watch_s": 1.0}) == {"watch_s": 1.0}
 
 
-def test_settings_stored_by_an_earlier_version_load_with_their_driver_options() -> None:
+def test_a_run_stored_by_an_earlier_version_is_read_with_its_driver_options(tmp_path: Path) -> None:
     role = dict.fromkeys(("machine", "probe", "store", "thermometer", "mount", "operator"), "cnc")
     stored = {
         "machine": "machine.toml",
@@ -109,7 +110,14 @@ def test_settings_stored_by_an_earlier_version_load_with_their_driver_options() 
             "operator": {"driver": "console-operator"},
         },
     }
-    settings = Settings.model_validate(current_settings_document(json.loads(json.dumps(stored))))
+    journal = Journal(tmp_path)
+    run = journal.start_run("run-1", "verify", stored, "1.0", VirtualClock())
+    start = {"at": "2026-01-01T00:00:00+00:00", "start_mm": [0.0, 0.0, 0.0]}
+    run.origin({"kind": "verify", "options": {}, "base": str(tmp_path), "files": {}, **start})
+    run.begun()
+    journal.close()
+    with open_journal(tmp_path) as reader:
+        settings = read_origin(reader, 1).settings
     assert settings.gates.max_chi2 == 3.0
     assert settings.devices["cnc"].options == {"watchdog_timeout_s": 1.0, "compensation": {"method": "comp-files"}}
     assert settings.devices["operator"].options == {}
