@@ -55,7 +55,7 @@ def is_intact(state: Path) -> bool:
 
 
 def make_version_1(state: Path) -> None:
-    """Take away what version 2 added: the column `aside`, and how a run started."""
+    """Remove everything that version 2 added: the column `aside`, and the origins of runs."""
     operate(state, "DROP VIEW touches")
     for table in ("steps", "events", "decisions", "tables"):
         operate(state, f"ALTER TABLE {table} DROP COLUMN aside")

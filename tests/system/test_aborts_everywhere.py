@@ -1,4 +1,4 @@
-"""One whole run broken off at every so many steps, and at all around its tables, in every way."""
+"""Whole run interrupted in every way at every n-th step, and at every step around its tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.timeout(240)
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_the_former_table_acts_after_every_way_out() -> None:
+def test_the_former_table_is_active_after_every_exit() -> None:
     command = [sys.executable, "-m", "campaigns.aborts", "--every", "200"]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
     assert ended.stdout, ended.stderr

@@ -35,6 +35,6 @@ def test_every_incident_leaves_the_history_and_the_table_that_it_should(tmp_path
     assert found["collisions"] == 0
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert [row["incident"] for row in rows][-2:] == ["abort", "damage"]
-    # what broke off has changed nothing: the table from before is as good as it was
+    # an interrupted run has changed nothing: the former table is as good as it was
     for row in (rows[1], rows[3]):
         assert row["true_after"] == row["true_before"]

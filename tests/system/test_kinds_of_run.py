@@ -1,4 +1,4 @@
-"""Verification and night on the machine of a short calibration: within limits, out of them, refused; and what lasts."""
+"""Verification and night on the machine of a short calibration: within limits, out of limits, refused, carried over."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_a_collision_is_out_of_limits_and_leads_to_a_full_calibration(machine: C
     assert last.run_id == done.outcome.run_id
 
 
-def test_where_it_is_permitted_and_fits_the_full_calibration_comes_the_same_night(machine: Calibrated) -> None:
+def test_the_full_calibration_follows_the_same_night_if_permitted_and_long_enough(machine: Calibrated) -> None:
     machine.night.changed(**COLLISION)
     ended = machine.run(nightly.Night(slot_minutes=60.0, full_allowed=True, nights=1.0))
     assert ended.error is None
@@ -193,7 +193,7 @@ def test_another_machine_is_refused_by_name(machine: Calibrated, tmp_path: Path)
 
 
 class Commands:
-    """`volcal verify` and `volcal nightly` as somebody types them, on the machine of the fixture."""
+    """Commands `volcal verify` and `volcal nightly` on the machine of the fixture."""
 
     def __init__(self, machine: Calibrated, monkeypatch: pytest.MonkeyPatch) -> None:
         self._machine = machine
@@ -206,7 +206,9 @@ class Commands:
         return CliRunner().invoke(main, [*arguments, "--nights", "1", "--config", "volcal.toml"])
 
 
-def test_commands_tell_within_limits_by_their_exit_code(machine: Calibrated, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_exit_code_of_the_commands_states_whether_the_machine_is_within_limits(
+    machine: Calibrated, monkeypatch: pytest.MonkeyPatch
+) -> None:
     commands = Commands(machine, monkeypatch)
     verified = commands.run("verify", "--json")
     assert verified.exit_code == 0, verified.output

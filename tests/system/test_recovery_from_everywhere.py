@@ -1,4 +1,4 @@
-"""A whole procedure on the simulated machine, stopped in the middle of its steps: everywhere the way out is free."""
+"""Whole procedure on the simulated machine, stopped in the middle of its steps: every exit path is free."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Interrupted:
 
 
 def begin(rig: Rig, device: SimulatedMachineDevice, step: Any) -> None:
-    """As the rig does, without waiting for the end."""
+    """Begin the motion as the rig does, without waiting for its end."""
     device._catch_up()
     if isinstance(step, s.OrientTo):
         for mount in device.world.mounts.values():
@@ -99,7 +99,7 @@ def begin(rig: Rig, device: SimulatedMachineDevice, step: Any) -> None:
 
 
 @pytest.mark.parametrize("paths", ["shortest", "plain"])
-def test_from_every_step_the_way_out_is_free(state: Path, paths: str) -> None:
+def test_from_every_step_the_exit_path_is_free(state: Path, paths: str) -> None:
     listed = state.parent / "positions.csv"
     listed.write_text(POSITIONS)
     chosen = {"position_set": str(listed), "stations": [1], "paths": paths}
@@ -121,7 +121,7 @@ def test_from_every_step_the_way_out_is_free(state: Path, paths: str) -> None:
 
 
 def test_a_trip_on_the_way_is_left_the_way_the_tip_came(state: Path) -> None:
-    """A guarded move into something that nobody knew of: the first motion goes back."""
+    """A guarded move hits an unknown obstacle: the first motion of the withdrawal goes back."""
     job = prepare_job(Settings.model_validate(document(state)), Path.cwd())
     rig = assemble(job.settings, VirtualClock(), Path.cwd())
     rig.open()

@@ -1,4 +1,4 @@
-"""A run that lost its link, gone on with or given up: what is measured stays, and either table acts, complete."""
+"""Run that lost its link, resumed or abandoned: measurements are retained, and one of both tables is active."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 from journal_surgery import change_start_of_measuring, rename_steps
 from nights import Night, memory_directory, short_document
 from stored_run import stored_run
-from test_whole_run_broken_off import FORMER, Cut, with_device
+from test_whole_run_interrupted import FORMER, Cut, with_device
 
 from agent.errors import MeasurementFault, PlanDiverged, PlanRefused
 from agent.execution.device_assembly import assemble
@@ -47,12 +47,12 @@ STATE = Path("state")
 
 @dataclass
 class Broken:
-    """A run that lost its link, and the machine as it was left."""
+    """Run that lost its link, and the machine as it was left."""
 
     night: Night
 
     def copied(self, monkeypatch: pytest.MonkeyPatch, directory: Path) -> Broken:
-        """The same for one test alone, which is then the working directory."""
+        """Copy of it for one test alone, with its directory as working directory."""
         shutil.copytree(Path.cwd(), directory / "copy")
         monkeypatch.chdir(directory / "copy")
         night = Night()
@@ -126,7 +126,7 @@ def proving(lost_proving, monkeypatch, tmp_path: Path) -> Broken:
     return lost_proving[1].copied(monkeypatch, tmp_path)
 
 
-def test_what_is_measured_is_not_measured_again(measuring: Broken) -> None:
+def test_measured_balls_are_not_measured_again(measuring: Broken) -> None:
     unfinished = unfinished_run(STATE)
     assert unfinished is not None
     assert unfinished.resumable
@@ -160,7 +160,7 @@ def test_a_file_that_has_changed_is_refused_by_name(lost_measuring, measuring: B
 
 
 def test_a_plan_that_diverges_names_both_keys_and_moves_nothing(measuring: Broken) -> None:
-    """As another version might: one recorded step has another key."""
+    """One recorded step has another key, as another version might have written it."""
     rename_steps(STATE, "measure/%/orient", "measure/elsewhere")
     ended = measuring.resume()
     assert isinstance(ended.error, PlanDiverged)
@@ -177,12 +177,12 @@ def test_an_artefact_that_was_moved_is_noticed_before_anything_is_mixed(measurin
     world.place_artefact(1)
     ended = measuring.resume()
     assert isinstance(ended.error, MeasurementFault)
-    assert "since the run broke off" in str(ended.error)
+    assert "since the interruption" in str(ended.error)
     assert measuring.night.active == 1
     assert unfinished_run(STATE) is None
 
 
-def test_a_run_that_was_aborted_is_not_gone_on_with(measuring: Broken) -> None:
+def test_an_aborted_run_cannot_be_resumed(measuring: Broken) -> None:
     result = abandon(measuring.rig, STATE, "test")
     assert result.action is ReconcileAction.NOTHING
     run = stored_run(STATE).row
@@ -222,7 +222,7 @@ def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken
     assert unfinished_run(STATE) is None
 
 
-def test_a_door_that_is_open_keeps_the_compensation_as_it_is(proving: Broken) -> None:
+def test_with_an_open_door_the_compensation_is_left_as_it_is(proving: Broken) -> None:
     world = proving.night.world
     assert world is not None
     world.controller.granted[Permission.DOORS_CLOSED] = False
@@ -231,7 +231,7 @@ def test_a_door_that_is_open_keeps_the_compensation_as_it_is(proving: Broken) ->
     assert "doors closed" in result.instruction
 
 
-def test_a_table_that_somebody_else_made_act_is_told_and_left(proving: Broken) -> None:
+def test_a_table_activated_by_somebody_else_is_reported_and_left(proving: Broken) -> None:
     world = proving.night.world
     assert world is not None
     world.controller.activate(0)
@@ -240,7 +240,7 @@ def test_a_table_that_somebody_else_made_act_is_told_and_left(proving: Broken) -
 
 
 class Late:
-    """A store whose controller makes a bank act only when it is switched off and on."""
+    """Store whose controller activates a bank only after a power cycle."""
 
     def __init__(self, device: Any) -> None:
         self._device = device

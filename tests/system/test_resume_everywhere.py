@@ -1,4 +1,4 @@
-"""Breaking off at an instant of a step, going on, comparing every digit: a few breaks of `campaigns.resume`."""
+"""Interrupt at an instant of a step, resume, compare every digit: a few interruptions of `campaigns.resume`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole nights in one process: accepted, once more on the compensated machine, restored, refused."""
+"""Whole nights in one process: accepted, repeated on the compensated machine, restored, refused."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def nights() -> Iterator[TwoNights]:
         yield TwoNights(night, state, first, second, found, (before, after, last))
 
 
-def test_a_night_is_accepted_and_its_table_acts(nights: TwoNights) -> None:
+def test_a_night_is_accepted_and_its_table_is_active(nights: TwoNights) -> None:
     assert nights.first.error is None
     outcome = nights.first.outcome
     assert outcome.state is RunState.COMPLETE
@@ -76,7 +76,7 @@ def test_a_night_is_accepted_and_its_table_acts(nights: TwoNights) -> None:
     assert nights.night.world.collisions == []
 
 
-def test_bank_that_acts_holds_the_table_of_the_files(nights: TwoNights) -> None:
+def test_active_bank_holds_the_table_of_the_files(nights: TwoNights) -> None:
     _, banks = nights.after_first
     folder = nights.state / nights.first.outcome.run_id
     assert sorted(path.name for path in folder.iterdir()) == [
@@ -93,7 +93,7 @@ def test_bank_that_acts_holds_the_table_of_the_files(nights: TwoNights) -> None:
     assert [result["crc32"] for result in staged] == [table_digest(banks[1])]
 
 
-def test_every_acting_step_has_begun_before_it_ended_and_no_key_comes_twice(nights: TwoNights) -> None:
+def test_every_step_with_an_effect_began_before_it_ended_and_no_key_occurs_twice(nights: TwoNights) -> None:
     steps = nights.stored(nights.first).steps
     assert repeated(step.key for step in steps) == []
     assert {step.kind for step in steps} >= {"MoveTo", "TouchTowards", "OrientTo", "StageTable", "ActivateBank"}
@@ -117,7 +117,7 @@ def test_a_table_is_written_read_activated_and_asked_for_in_this_order(nights: T
     ]
 
 
-def test_journal_keeps_balls_backup_and_states(nights: TwoNights) -> None:
+def test_journal_stores_balls_backup_and_states(nights: TwoNights) -> None:
     run = nights.stored(nights.first)
     assert len({ball.key for ball in run.balls}) == len(run.balls) >= nights.first.outcome.balls
     backup, staged, *_ = run.tables
@@ -137,7 +137,7 @@ def test_second_night_sees_the_bare_machine_through_the_first_table(nights: TwoN
     assert np.linalg.norm(two.parameters) > 0.9 * np.linalg.norm(one.parameters)
 
 
-def test_second_night_does_not_help_and_the_first_table_acts_again(nights: TwoNights) -> None:
+def test_second_night_does_not_improve_and_the_first_table_is_reactivated(nights: TwoNights) -> None:
     ended = nights.second
     assert ended.outcome.proof is not None
     assert not ended.outcome.proof.accepted

@@ -1,4 +1,4 @@
-"""The engine's order of events, the journal's durability, and what both do when something goes wrong."""
+"""Order of events in the engine, durability of the journal, and the behaviour of both on errors."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_balls_temperatures_and_decisions_have_their_tables(tmp_path: Path, run_
         assert [one.kind for one in reader.events(1)] == ["event"]
 
 
-def test_a_staged_table_is_kept_whole(tmp_path: Path, run_journal: RunJournal) -> None:
+def test_a_staged_table_is_stored_completely(tmp_path: Path, run_journal: RunJournal) -> None:
     counts = np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3) - 7
     image = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, counts)
 
@@ -128,7 +128,7 @@ def test_a_staged_table_is_kept_whole(tmp_path: Path, run_journal: RunJournal) -
     assert np.array_equal(stored.counts, counts)
 
 
-def test_a_run_keeps_its_balls_when_nobody_closes_it(journal: Journal, tmp_path: Path) -> None:
+def test_the_balls_of_a_run_that_was_never_closed_are_stored(journal: Journal, tmp_path: Path) -> None:
     run = journal.start_run("run-2", "calibrate", {}, "0.1.0", VirtualClock())
     run.finish(Record("b/centre", "ball", {"ball": 3}), None, begun=False)
     with open_journal(tmp_path) as reader:
@@ -140,13 +140,13 @@ def test_two_runs_cannot_share_an_identity(journal: Journal, run_journal: RunJou
         journal.start_run("run-1", "calibrate", {}, "0.1.0", VirtualClock())
 
 
-def test_a_journal_that_cannot_be_opened_says_where(tmp_path: Path) -> None:
+def test_the_error_for_a_journal_that_cannot_be_opened_names_the_file(tmp_path: Path) -> None:
     (tmp_path / FILE_NAME).write_text("this is no database, " * 100)
     with pytest.raises(ConfigurationError, match="journal cannot be opened"):
         Journal(tmp_path)
 
 
-def test_every_state_has_a_packml_name_and_a_way_out() -> None:
+def test_every_state_has_a_packml_name_and_a_successor_unless_final() -> None:
     assert set(PACKML) == set(RunState)
     for state in set(RunState) - FINAL:
         assert FORWARD[state]

@@ -1,4 +1,4 @@
-"""Reading with clear words, writing completely or not at all."""
+"""Reading with clear errors, writing completely or not at all."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class TestReading:
         assert caught.value.where == {"file": str(tmp_path / "balls.csv")}
         assert caught.value.exit_code == 2
 
-    def test_a_directory_is_no_file(self, tmp_path: Path) -> None:
+    def test_a_directory_is_refused_as_a_file(self, tmp_path: Path) -> None:
         with pytest.raises(ConfigurationError, match="directory"):
             read_text(tmp_path, error=ConfigurationError)
 
@@ -31,21 +31,21 @@ class TestReading:
         with pytest.raises(InputError, match="cannot be read: not a directory"):
             read_text(tmp_path / "file" / "balls.csv")
 
-    def test_the_line_of_the_first_byte_that_is_no_utf8_is_named(self, tmp_path: Path) -> None:
+    def test_the_line_of_the_first_byte_that_is_not_utf8_is_named(self, tmp_path: Path) -> None:
         path = tmp_path / "old.csv"
         path.write_bytes(b"first\nsecond \xb5m\n")
         with pytest.raises(InputError, match="UTF-8") as caught:
             read_text(path)
         assert caught.value.where["line"] == "2"
 
-    def test_the_mark_that_spreadsheets_put_first_is_dropped(self, tmp_path: Path) -> None:
+    def test_a_byte_order_mark_is_dropped(self, tmp_path: Path) -> None:
         path = tmp_path / "balls.csv"
         path.write_bytes(b"\xef\xbb\xbfposition,station\n")
         assert read_text(path) == "position,station\n"
 
 
 class TestTranslation:
-    def test_message_places_and_hint_survive(self) -> None:
+    def test_message_locations_and_hint_survive(self) -> None:
         with pytest.raises(InputError) as caught, translated(InputError, file="known-above", run=7):
             raise FormatError("no number", hint="write a number", file="balls.csv", row=3)
         assert caught.value.message == "no number"

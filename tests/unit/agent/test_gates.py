@@ -1,4 +1,4 @@
-"""Every gate at its limit: what passes just below does not just above."""
+"""Every gate at its limit: a value just below passes, a value just above does not."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_refusal_names_every_gate_that_did_not_pass() -> None:
     require_passed([gates[1]])
 
 
-def test_table_with_something_that_is_no_number_cannot_even_be_made() -> None:
+def test_a_table_with_a_value_that_is_not_a_number_is_refused() -> None:
     corrections = np.zeros((2, 2, 2, 3))
     corrections[0, 0, 0, 0] = math.nan
     with pytest.raises(DataError, match="finite"):

@@ -1,4 +1,4 @@
-"""Ways out of a run: whatever ends it, the machine is stopped and withdrawn, and the bank found is active again."""
+"""Exit paths of a run: whatever ends it, the machine is stopped and withdrawn, and the bank found is active again."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class FakeMachine:
 
 
 class FakeJournal:
-    """Remembers states, decisions and tables. `full`: the disk takes nothing more."""
+    """Journal that stores states, decisions and tables. `full`: the disk is full."""
 
     def __init__(self) -> None:
         self.full = False
@@ -138,7 +138,7 @@ class FakeJournal:
 
 
 class Run(GuardedRun):
-    """Reads what is active, then does what the test says."""
+    """Run that reads the active compensation, then calls the function of the test."""
 
     def __init__(self, machine: FakeMachine, journal: FakeJournal, work: Callable[[Run], None]) -> None:
         clock = VirtualClock()
@@ -154,7 +154,7 @@ class Run(GuardedRun):
         self._then(self)
 
     def write(self) -> None:
-        """As after staging and activation of a new table."""
+        """Return a function with the effect of staging and activating a new table."""
         for state in (RunState.IDENTIFYING, RunState.STAGING, RunState.ACTIVATING):
             self._tracker.enter(state)
         self._rig.active = self.progress.active_bank = NEW
@@ -187,7 +187,7 @@ def test_a_run_that_ends_well_is_left_alone() -> None:
     assert journal.tables == [("backup", FOUND)]
 
 
-def test_a_refusal_of_a_gate_is_an_end_and_no_fault() -> None:
+def test_a_refusal_of_a_gate_is_not_a_fault() -> None:
     refusal = GateRefused("no table was written: gate fit")
     run, machine, journal = ended(raising(refusal))
     assert run.progress.error is refusal
@@ -237,7 +237,7 @@ def test_nothing_moves_without_a_link_or_with_a_plan_that_diverged(error: Volcal
     assert journal.states[-1][0] is RunState.FAULTED
 
 
-def test_the_way_out_is_not_interrupted_by_another_abort() -> None:
+def test_the_exit_path_is_not_interrupted_by_another_abort() -> None:
     def work(run: Run) -> None:
         run.write()
         run.supervisor.request_abort("panel")
@@ -250,7 +250,7 @@ def test_the_way_out_is_not_interrupted_by_another_abort() -> None:
     assert journal.states[-1][0] is RunState.ABORTED
 
 
-def test_a_probe_that_cannot_be_withdrawn_does_not_keep_the_bank_from_being_restored() -> None:
+def test_the_bank_is_restored_although_the_probe_cannot_be_withdrawn() -> None:
     machine = FakeMachine()
     machine.failing[CheckPermissions] = PermissionMissing("doors open")
     machine.complaints = ["axis drive: no answer"]
@@ -270,7 +270,7 @@ def test_axes_that_do_not_stand_still_are_reported() -> None:
     assert machine.active == FOUND
 
 
-def test_an_abort_whose_table_stays_active_is_a_fault_that_says_so() -> None:
+def test_an_abort_that_leaves_the_table_active_is_a_fault_that_names_the_bank() -> None:
     machine = FakeMachine()
     machine.failing[ActivateBank] = DeviceError("bank 1 is locked")
     run, _, journal = ended(raising(Aborted("aborted: panel"), written=True), machine)
@@ -288,14 +288,16 @@ def test_an_abort_whose_table_stays_active_is_a_fault_that_says_so() -> None:
         (Activation.POWER_CYCLE, ["restore/takes-effect"]),
     ],
 )
-def test_a_restored_bank_is_awaited_as_the_controller_takes_it_over(activation: Activation, between: list[str]) -> None:
+def test_a_restored_bank_is_awaited_until_the_controller_activates_it(
+    activation: Activation, between: list[str]
+) -> None:
     _, machine, _ = ended(raising(MotionFault("limit"), written=True), FakeMachine(activation))
     first = machine.steps.index("restore/activate")
     expected = ["restore/activate", *between, "restore/active-bank", "restore/activated"]
     assert machine.steps[first:] == expected
 
 
-def test_a_full_disk_keeps_neither_the_probe_nor_the_bank() -> None:
+def test_with_a_full_disk_the_probe_is_withdrawn_and_the_bank_restored() -> None:
     journal = FakeJournal()
 
     def work(run: Run) -> None:
@@ -310,7 +312,7 @@ def test_a_full_disk_keeps_neither_the_probe_nor_the_bank() -> None:
     assert journal.tables == [("backup", FOUND)]
 
 
-def test_a_disk_that_fills_on_the_way_out_does_not_keep_the_bank() -> None:
+def test_the_bank_is_restored_although_the_disk_fills_on_the_exit_path() -> None:
     journal = FakeJournal()
     machine = FakeMachine()
     does = machine.stop
@@ -324,7 +326,7 @@ def test_a_disk_that_fills_on_the_way_out_does_not_keep_the_bank() -> None:
     assert machine.active == run.progress.active_bank == FOUND
 
 
-def test_a_defect_is_seen_as_one_after_the_machine_is_as_it_was_found() -> None:
+def test_a_defect_is_raised_after_the_machine_is_as_it_was_found() -> None:
     machine, journal = FakeMachine(), FakeJournal()
     run = Run(machine, journal, raising(ZeroDivisionError("division by zero"), written=True))
     with pytest.raises(ZeroDivisionError):

@@ -1,4 +1,4 @@
-"""The reader of the journal: rows of runs, whole or interrupted, of this version and an older one."""
+"""Reader of the journal: rows of runs, whole or interrupted, of this version and an older one."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_a_journal_of_version_1_is_read_as_it_is(state: Path) -> None:
     assert (state / FILE_NAME).read_bytes() == before
 
 
-def test_reading_creates_nothing_and_fails_as_the_caller_wants(tmp_path: Path) -> None:
+def test_reading_creates_nothing_and_raises_the_error_of_the_caller(tmp_path: Path) -> None:
     assert not has_journal(tmp_path)
     for failure in (InputError, JournalFailed):
         with pytest.raises(failure, match="cannot be read"), open_journal(tmp_path, failure) as reader:
@@ -139,7 +139,7 @@ def test_reading_creates_nothing_and_fails_as_the_caller_wants(tmp_path: Path) -
         reader.run_ids()
 
 
-def test_any_connection_will_do(state: Path) -> None:
+def test_any_connection_can_be_read(state: Path) -> None:
     journal = Journal(state)
     assert JournalReader(journal._connection).run_ids() == (FIRST, SECOND)
     journal.close()

@@ -1,4 +1,4 @@
-"""Verdict on a machine at night, and what a night does with its slot: minutes counted here by hand."""
+"""Verdict on a machine at night, and the use that a night makes of its slot; minutes are counted by hand."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def report(reason: str = "") -> NightReport:
 
 
 class Night(NightlyRun):
-    """Night whose measurements take the minutes given, with the verdicts given, and which notes what it does."""
+    """Night whose measurements take the given minutes and have the given verdicts, and which records its actions."""
 
     def __init__(
         self,

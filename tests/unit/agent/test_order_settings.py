@@ -1,4 +1,4 @@
-"""Which orders the settings take, and what an identification does with them."""
+"""Orders that the settings accept, and their effect on an identification."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def machine() -> MachineDescription:
 
 @pytest.fixture(scope="module")
 def seen() -> Observations:
-    """A perfect machine, touch noise alone."""
+    """Observations of a perfect machine with touch noise alone."""
     rng, rows = np.random.default_rng(1), []
     places = station_locations(2, (0.0, 4000.0), 560.0, 900.0, 750.0)
     for number, position in enumerate(parse_position_set("S3", 2)):
@@ -52,21 +52,21 @@ def seen() -> Observations:
 
 
 @pytest.mark.parametrize("order", ["evidence", "file", 1, 15])
-def test_orders_that_can_be_asked_for(order: object) -> None:
+def test_orders_that_are_accepted(order: object) -> None:
     assert IdentificationSettings.model_validate({"order": order}).order == order
 
 
 @pytest.mark.parametrize("order", ["best", 0, 16, 4.5, None])
-def test_orders_that_cannot(order: object) -> None:
+def test_orders_that_are_refused(order: object) -> None:
     with pytest.raises(ValidationError):
         IdentificationSettings.model_validate({"order": order})
 
 
-def test_the_evidence_is_the_default() -> None:
+def test_evidence_is_the_default() -> None:
     assert IdentificationSettings().order == "evidence"
 
 
-def test_what_each_of_them_means(machine: MachineDescription, seen: Observations) -> None:
+def test_each_order_selects_its_model(machine: MachineDescription, seen: Observations) -> None:
     def sizes(order: object, options: Options) -> int:
         return estimate_machine(machine, BAR, seen, options, order).model.size
 
@@ -77,7 +77,7 @@ def test_what_each_of_them_means(machine: MachineDescription, seen: Observations
     assert sizes("evidence", Options(carried_over=known)) == 54
 
 
-def test_people_are_told_what_was_compared(machine: MachineDescription, seen: Observations) -> None:
+def test_the_order_text_names_the_compared_orders(machine: MachineDescription, seen: Observations) -> None:
     chosen = estimate_machine(machine, BAR, seen, Options(misfit_mm=0.0), "evidence")
     text = order_text(chosen)
     assert text.startswith(f"{chosen.model.highest_order[0]}, by evidence (ln, against the likeliest: 3: ")

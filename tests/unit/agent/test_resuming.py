@@ -1,4 +1,4 @@
-"""The parts of going on: what is taken from the journal, what is compared, how the machine comes back."""
+"""Parts of a resume: records read from the journal, their comparison with the plan, and the return of the machine."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ def begun(journal: Journal) -> RunJournal:
         (MoveTo, None),
     ],
 )
-def test_every_result_comes_back_with_all_its_bits(kind: type, result: object) -> None:
+def test_every_result_is_read_back_with_all_its_bits(kind: type, result: object) -> None:
     assert decode_result(kind.__name__, encode_result(result)) == result
 
 
-def test_a_table_is_known_by_its_digest_and_kept_whole(journal: Journal) -> None:
+def test_a_table_is_found_by_its_digest_and_stored_completely(journal: Journal) -> None:
     run = begun(journal)
     run.table("backup", 1, TABLE)
     assert decode_result(ReadTable.__name__, encode_result(TABLE)) == {"shape": [2, 2, 2], "crc32": table_digest(TABLE)}
@@ -75,7 +75,7 @@ def test_a_table_is_known_by_its_digest_and_kept_whole(journal: Journal) -> None
     assert run.stored_table(1) is None
 
 
-def test_what_is_written_is_not_written_twice_and_not_otherwise(journal: Journal, tmp_path: Path) -> None:
+def test_entries_are_neither_written_twice_nor_changed(journal: Journal, tmp_path: Path) -> None:
     run = begun(journal)
     run.decision("gate", {"value": THIRD})
     run.aside().decision("restore/activated", {"bank": 1})
@@ -122,7 +122,7 @@ def broken_at_c(journal: Journal) -> None:
     run.begin(steps.send(None))
 
 
-def test_only_the_step_that_did_not_end_is_done(journal: Journal, tmp_path: Path) -> None:
+def test_only_the_interrupted_step_is_carried_out(journal: Journal, tmp_path: Path) -> None:
     broken_at_c(journal)
     done: list[str] = []
     assert replaying(journal, done).run(plan()) == Touch((THIRD, 0.0, 0.0))
@@ -131,7 +131,7 @@ def test_only_the_step_that_did_not_end_is_done(journal: Journal, tmp_path: Path
         assert [ball.record for ball in reader.balls(1)] == [{"centre_mm": [THIRD, 0.0, 0.0]}]
 
 
-def test_another_key_names_both_and_does_nothing(journal: Journal) -> None:
+def test_a_different_key_names_both_and_does_nothing(journal: Journal) -> None:
     broken_at_c(journal)
     done: list[str] = []
     with pytest.raises(PlanDiverged) as error:
@@ -150,7 +150,7 @@ def test_other_figures_under_the_same_key_diverge_too(journal: Journal) -> None:
         replaying(journal, []).run(nearly())
 
 
-def test_clock_shows_what_was_and_then_goes_on() -> None:
+def test_clock_gives_recorded_time_and_then_runs() -> None:
     inner = VirtualClock()
     inner.sleep(5.0)
     clock = ResumedClock(inner, 100.0)
@@ -165,7 +165,7 @@ def test_clock_shows_what_was_and_then_goes_on() -> None:
     assert clock.now() == 162.0
 
 
-def test_trace_knows_how_each_axis_came_and_where_the_touch_was_short_of_the_surface() -> None:
+def test_trace_has_the_approach_of_each_axis_and_a_point_short_of_the_touched_surface() -> None:
     trace = StepTrace()
     trace.add(ReadPosition("here"), (0.0, 0.0, 0.0))
     trace.add(MoveTo("far", (10.0, 0.0, 10.0)), None)
@@ -180,7 +180,7 @@ def test_trace_knows_how_each_axis_came_and_where_the_touch_was_short_of_the_sur
     assert [move.key for move in trace.axes[0]] == ["touch"]
 
 
-def test_states_that_have_been_are_no_news(journal: Journal) -> None:
+def test_replayed_states_are_not_announced(journal: Journal) -> None:
     run = begun(journal)
     first = RunStateTracker(run, lambda _: None)
     for state in (RunState.PREFLIGHT, RunState.MEASURING, RunState.HELD, RunState.MEASURING, RunState.IDENTIFYING):
@@ -198,7 +198,7 @@ def test_states_that_have_been_are_no_news(journal: Journal) -> None:
 
 
 @pytest.mark.parametrize(("error", "resumable"), [(LinkLost("gone"), True), (MotionFault("hit"), False)])
-def test_only_faults_from_outside_are_gone_on_with(journal: Journal, tmp_path: Path, error, resumable) -> None:
+def test_only_faults_from_outside_can_be_resumed(journal: Journal, tmp_path: Path, error, resumable) -> None:
     run = begun(journal)
     step = MoveTo("a", (1.0, 0.0, 0.0))
     run.begin(step)
@@ -207,7 +207,7 @@ def test_only_faults_from_outside_are_gone_on_with(journal: Journal, tmp_path: P
     assert (unfinished_run(tmp_path) is not None) is resumable
 
 
-def test_a_run_refused_before_it_began_hides_none_that_broke_off(journal: Journal, tmp_path: Path) -> None:
+def test_a_run_refused_before_it_began_does_not_hide_an_interrupted_one(journal: Journal, tmp_path: Path) -> None:
     assert unfinished_run(tmp_path) is None
     run = begun(journal)
     run.begin(MoveTo("a", (1.0, 0.0, 0.0)))
@@ -223,8 +223,8 @@ def test_a_run_refused_before_it_began_hides_none_that_broke_off(journal: Journa
     assert not found.resumable
 
 
-def test_a_tag_tells_runs_and_steps_apart() -> None:
-    """The CRC-32 of the register map, bit by bit."""
+def test_a_tag_differs_between_runs_and_steps() -> None:
+    """The tag is the CRC-32 of the register map, here computed bit by bit."""
 
     def crc32(data: bytes) -> int:
         value = 0xFFFFFFFF
@@ -239,5 +239,5 @@ def test_a_tag_tells_runs_and_steps_apart() -> None:
     assert step_tag(1, "2/a") != step_tag(12, "a")
 
 
-def test_nothing_recorded_takes_nothing() -> None:
+def test_an_empty_log_consumes_nothing() -> None:
     assert not ReplayLog().consume("decisions", "gate", "{}")

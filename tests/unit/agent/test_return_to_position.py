@@ -47,7 +47,7 @@ MOVE = MoveTo("station-1/next", (5.0, 6.0, 7.0))
 
 
 class Store:
-    """Banks of a controller; every step it is asked for is remembered by its key."""
+    """Banks of a controller; the key of every requested step is recorded."""
 
     def __init__(self, active: int, banks: Mapping[int, TableImage | None], *, garbles: bool = False) -> None:
         self.active, self.banks, self.garbles = active, dict(banks), garbles
@@ -232,7 +232,7 @@ RULES = SimpleNamespace(
 
 
 class Return:
-    """A return with everything that it uses. The run had moved to (10, 40, 20) and then to (110, 40, 20)."""
+    """Return with everything that it uses. The run had moved to (10, 40, 20) and then to (110, 40, 20)."""
 
     def __init__(self, store: Store | None = None, refusal: PlanRefused | None = None) -> None:
         self.machine, self.tracker = Machine((90.0, 40.0, 20.0)), Tracker()

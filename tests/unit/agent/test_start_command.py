@@ -22,7 +22,9 @@ class Answering:
 
 
 @pytest.mark.parametrize("kind", [Busy, GateRefused, PermissionMissing])
-def test_not_now_is_an_exit_code_of_its_own(kind: type[VolcalError], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_start_refused_for_now_has_an_exit_code_of_its_own(
+    kind: type[VolcalError], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as ended:
         begun(Answering(kind("not now", hint="later")), {})  # type: ignore[arg-type]
     assert ended.value.code == 6
@@ -30,6 +32,6 @@ def test_not_now_is_an_exit_code_of_its_own(kind: type[VolcalError], capsys: pyt
 
 
 @pytest.mark.parametrize("kind", [LinkLost, CommandRejected])
-def test_everything_else_stays_the_error_that_it_is(kind: type[VolcalError]) -> None:
+def test_every_other_error_keeps_its_exit_code(kind: type[VolcalError]) -> None:
     with pytest.raises(kind):
         begun(Answering(kind("gone")), {})  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Hold and abort are noticed in sleeps, within a slice, and held time does not eat deadlines."""
+"""Hold and abort are noticed in waits, within one slice, and held time does not count against deadlines."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_an_abort_ends_a_hold() -> None:
         InterruptibleClock(inner, supervisor.check).sleep(1.0)
 
 
-def test_the_program_that_must_end_is_no_person_who_wants_the_end() -> None:
+def test_an_interruption_is_not_an_abort() -> None:
     supervisor = Supervisor(VirtualClock())
     supervisor.request_interruption("a reboot")
     supervisor.request_abort("button")
@@ -69,7 +69,7 @@ def test_the_program_that_must_end_is_no_person_who_wants_the_end() -> None:
         supervisor.check_stop_request()
 
 
-def test_while_nothing_moves_an_abort_is_noticed_and_a_hold_waits() -> None:
+def test_while_nothing_moves_an_abort_raises_and_a_hold_does_not_block() -> None:
     supervisor = Supervisor(VirtualClock())
     supervisor.request_hold()
     supervisor.check_stop_request()
@@ -78,7 +78,7 @@ def test_while_nothing_moves_an_abort_is_noticed_and_a_hold_waits() -> None:
         supervisor.check_stop_request()
 
 
-def test_the_way_out_is_not_interrupted_again() -> None:
+def test_the_exit_path_is_not_interrupted_again() -> None:
     inner = VirtualClock()
     supervisor = Supervisor(inner)
     supervisor.request_abort("button")

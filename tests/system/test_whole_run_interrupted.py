@@ -1,4 +1,4 @@
-"""A run that is aborted, or whose device fails, at many places: always a stated end, and the table as it was."""
+"""Runs that are aborted, or whose device fails, at many points: always a stated end, and the table as it was."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Tripwire:
 
 
 class Cut(Tripwire):
-    """A device whose link is gone from there on."""
+    """Device whose link fails from that call on."""
 
     def __getattr__(self, name: str) -> Any:
         if self.tripped and name != "close":
