@@ -23,7 +23,7 @@ from agent.reports.page import (
     ReportData,
     RunFacts,
     TemperatureTrace,
-    Verification,
+    VerificationFacts,
     VerifiedPosition,
     name_of_positions,
 )
@@ -168,7 +168,7 @@ def _checksum(crc32: int | None) -> str:
     return "no compensation" if crc32 is None else f"CRC-32 of its counts {crc32:08x}"
 
 
-def _verification(record: RunRecord) -> Verification | None:
+def _verification(record: RunRecord) -> VerificationFacts | None:
     proof, rows = record.decision("proof"), record.decision(HELD_OUT)
     if proof is None:
         return None
@@ -177,7 +177,7 @@ def _verification(record: RunRecord) -> Verification | None:
     )
     verdict = f"{proof['reason']}; normalised χ² {proof['chi2_normalised']:.2f}"
     before, after = (Quantity(proof[name]) for name in ("before_um", "after_um"))
-    return Verification(proof["accepted"], verdict, before, after, proof["predicted_um"], positions)
+    return VerificationFacts(proof["accepted"], verdict, before, after, proof["predicted_um"], positions)
 
 
 def _verified_position(row: Mapping[str, Any], predicted_um: float) -> VerifiedPosition:

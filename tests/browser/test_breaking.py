@@ -27,7 +27,7 @@ def test_a_lost_link_is_an_alarm_with_what_to_do_and_a_dead_service_is_unmistaka
             expect(page.locator("#state .word")).to_have_text("Störung")
             alarm = page.locator(".card.alarm")
             expect(alarm).to_contain_text(re.compile(r"Alarm 31\d: "))
-            expect(alarm.locator(".hint")).to_contain_text("Zu tun: ")
+            expect(alarm.locator(".hint")).to_contain_text("Abhilfe: ")
             expect(alarm.locator(".where")).to_contain_text(re.compile(r"Schritt: (measure|probe)/"))
             expect(page.locator("#stale")).to_be_hidden()
             running.process.send_signal(signal.SIGSTOP)  # hung, not gone

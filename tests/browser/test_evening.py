@@ -38,13 +38,13 @@ def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house:
     begin(page, "calibrate")
     page.fill("input[name=token]", "a wrong one")
     page.click("dialog button[type=submit]")
-    expect(page.locator("dialog p")).to_contain_text("does not take this token")
+    expect(page.locator("dialog p")).to_contain_text("rejected this token")
     page.fill("input[name=token]", house.token)
     page.click("dialog button[type=submit]")
     state_is(page, "preflight", "measuring")
     state_is(page, "measuring")
     expect(page.locator("#doing")).to_contain_text(re.compile(r"Measuring: station 1, azimuth -?\d+°.*ball \d+"))
-    expect(page.locator("#minutes-left")).to_have_text(re.compile(r"\d+ min left"))
+    expect(page.locator("#minutes-left")).to_have_text(re.compile(r"\d+ min remaining"))
     expect(page.locator(".residuals rect").nth(5)).to_be_attached()
     expect(page.locator("#start")).to_be_disabled()
     state_is(page, "complete")
@@ -70,7 +70,7 @@ def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house:
     wanted = row.locator("td").nth(3).inner_text() if row.count() else None
     row = row if wanted else rows.filter(has_text="no compensation").first
     row.locator("button.restore").click()
-    expect(page.locator("dialog")).to_contain_text("Nothing moves")
+    expect(page.locator("dialog")).to_contain_text("No motion")
     page.click("dialog button[type=button]")  # thought better of it
     assert house.status()["run_id"] == night["run_id"]
     row.locator("button.restore").click()
@@ -106,8 +106,8 @@ def test_hold_resume_and_abort_that_asks_nothing(page: Page, house: Service) -> 
     expect(page.locator("dialog")).to_be_hidden()
     state_is(page, "aborted")
     alarm = page.locator(".card.alarm")
-    expect(alarm).to_contain_text("Alarm 470: Somebody aborted the run")
-    expect(alarm).to_contain_text("What to do: Reset when the machine is clear.")
+    expect(alarm).to_contain_text("Alarm 470: The run was aborted")
+    expect(alarm).to_contain_text("Remedy: Reset when the machine is clear.")
     expect(page.locator("#start")).to_be_disabled()
     with_token(page, house)
     page.click("#reset")
@@ -120,7 +120,7 @@ def test_no_dialog_stands_before_the_abort(page: Page) -> None:
         page.click(opener)
         expect(page.locator("dialog")).to_be_visible()
         page.click("#abort")
-        expect(page.locator("#said")).to_contain_text("Abort was asked for.")
+        expect(page.locator("#said")).to_contain_text("Abort requested.")
         page.keyboard.press("Escape")
         expect(page.locator("dialog")).to_be_hidden()
 
@@ -132,7 +132,7 @@ def test_a_question_is_answered_with_one_of_two_large_buttons(page: Page, house:
     asking = {**house.status(), "question": question, "may": ["answer", "abort"], "event": 10**6}
     page.route("**/api/status", lambda route: route.fulfill(json=asking))
     card = page.locator(".card.question")
-    expect(card).to_contain_text("Bring the artefact to station 2")
+    expect(card).to_contain_text("Move the artefact to station 2")
     for button, yes in (("#answer-yes", True), ("#answer-no", False)):
         box = page.locator(button).bounding_box()
         assert box is not None

@@ -112,10 +112,10 @@ def test_no_word_stands_anywhere_but_in_the_catalogue(page: Page) -> None:
 def test_the_other_language_at_one_press_with_its_numbers(page: Page) -> None:
     page.click("#tab-engineer")
     page.click("#section-design")
-    expect(page.locator("#content h2")).to_have_text("Positions and what they are worth")
+    expect(page.locator("#content h2")).to_have_text("Position set and its expected benefit")
     expect(page.locator("#content")).to_contain_text("45.0°")
     page.click("#language")
-    expect(page.locator("#content h2")).to_have_text("Positionen und ihr Wert")
+    expect(page.locator("#content h2")).to_have_text("Positionssatz und erwarteter Nutzen")
     expect(page.locator("#content")).to_contain_text("45,0°")
     expect(page.locator("#abort")).to_contain_text("ABBRUCH")
     page.reload()

@@ -55,7 +55,7 @@ class FakeControl:
         if self._status.state in (RunState.FAULTED, RunState.ABORTED):
             raise PermissionMissing("reset first")
         if self._status.state not in AT_REST:
-            raise Busy(f"run {self._status.run_id} is under way")
+            raise Busy(f"run {self._status.run_id} is in progress")
         if request.position_set == "S99":
             raise UserError("there is no set S99")
         if request.position_set == "DEFECT":

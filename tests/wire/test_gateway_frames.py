@@ -12,7 +12,7 @@ from agent.service.gateway.frames import FramingError, answer_frame, answer_requ
 from agent.service.gateway.gateway import Gateway
 from agent.service.gateway.heartbeat import Heartbeats
 from agent.service.gateway.sequence_ledger import SequenceLedger
-from agent.service.gateway.session import Session
+from agent.service.gateway.session import PanelSession
 
 SILENCE = 3
 
@@ -33,7 +33,7 @@ def gateway(control, tmp_path) -> Gateway:
 
 @pytest.fixture
 def ask(gateway):
-    session = Session(gateway)
+    session = PanelSession(gateway)
     return lambda request: answer_request(bytes.fromhex(request), session).hex(" ")
 
 

@@ -23,7 +23,7 @@ from agent.service.gateway.heartbeat import Heartbeats
 from agent.service.gateway.register_codec import number_words, plain_text, text_words, whole_number
 from agent.service.gateway.registers import BLOCKS, COMMAND, PACKML_NUMBERS, STATE_NUMBERS, STATUS, Form
 from agent.service.gateway.sequence_ledger import SequenceLedger, next_sequence
-from agent.service.gateway.session import Session
+from agent.service.gateway.session import PanelSession
 from agent.service.gateway.status_registers import GatewayFacts, status_image
 
 CODE = 77
@@ -39,7 +39,7 @@ def gateway_over(control: FakeControl, directory: Path) -> Gateway:
 def test_random_requests_are_answered_and_move_nothing_without_the_code(requests):
     with tempfile.TemporaryDirectory() as directory:
         control = FakeControl()
-        session = Session(gateway_over(control, Path(directory)))
+        session = PanelSession(gateway_over(control, Path(directory)))
         for request in requests:
             answer = answer_request(request, session)
             assert answer[0] & 0x7F == request[0] & 0x7F
@@ -66,13 +66,13 @@ class Panels(RuleBasedStateMachine):
     @rule()
     def restart(self) -> None:
         self.gateway = gateway_over(self.control, Path(self.directory.name))
-        self.sessions = [Session(self.gateway), Session(self.gateway)]
+        self.sessions = [PanelSession(self.gateway), PanelSession(self.gateway)]
         self.drafts = [[0] * SIZE, [0] * SIZE]
         self.last: list[int] | None = None
 
     @rule(who=st.integers(0, 1))
     def reconnect(self, who: int) -> None:
-        self.sessions[who] = Session(self.gateway)
+        self.sessions[who] = PanelSession(self.gateway)
         self.drafts[who] = [0] * SIZE
 
     @rule(who=st.integers(0, 1), offset=st.integers(0, SIZE - 2), data=st.data())

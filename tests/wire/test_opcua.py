@@ -203,7 +203,7 @@ def test_refusals_are_bad_status_codes_with_their_words_beside(world):
             with refused("BadInvalidState"):
                 await call(client, "Start", *START)
             assert await read(client, "Notification/LastRefusalCode") == 460
-            assert "under way" in await read(client, "Notification/LastRefusalText")
+            assert "in progress" in await read(client, "Notification/LastRefusalText")
             with refused("BadInvalidArgument"):
                 await call(client, "Start", "polish", *START[1:])
             assert await read(client, "Notification/LastRefusalCode") == 202

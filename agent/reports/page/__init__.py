@@ -11,7 +11,7 @@ from agent.reports.page.data import (
     ReportedEstimate,
     RunFacts,
     TemperatureTrace,
-    Verification,
+    VerificationFacts,
     VerifiedPosition,
 )
 from agent.reports.page.position_naming import name_of_positions
@@ -27,7 +27,7 @@ __all__ = [
     "ReportedEstimate",
     "RunFacts",
     "TemperatureTrace",
-    "Verification",
+    "VerificationFacts",
     "VerifiedPosition",
     "name_of_positions",
 ]

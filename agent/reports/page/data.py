@@ -67,7 +67,7 @@ class VerifiedPosition:
 
 
 @dataclass(frozen=True)
-class Verification:
+class VerificationFacts:
     """Fresh measurements with the new table active."""
 
     accepted: bool
@@ -136,7 +136,7 @@ class RunFacts:
     reason: str = ""
     times: tuple[tuple[str, str], ...] = ()
     banks: tuple[tuple[str, str], ...] = ()
-    verification: Verification | None = None
+    verification: VerificationFacts | None = None
     night: NightFacts | None = None
     asked: tuple[QuestionFacts, ...] = ()
     provenance: Provenance | None = None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from agent.reports.page.data import NightFacts, Provenance, ReportData, Verification
+from agent.reports.page.data import NightFacts, Provenance, ReportData, VerificationFacts
 from agent.reports.page.number_format import Table, fixed, micrometres, number
 from agent.reports.page.run_figures import draw_verification
 from agent.reports.page.texts import Texts
@@ -15,7 +15,7 @@ from agent.results.facts import ArtefactFacts
 from twin.arrays import Array
 
 
-def verification(proof: Verification | None, t: Texts) -> dict[str, Any] | None:
+def verification(proof: VerificationFacts | None, t: Texts) -> dict[str, Any] | None:
     if proof is None:
         return None
     rows = (

@@ -1,7 +1,7 @@
-"""The access code of panels: a number shared by all of them.
+"""Access code of panels: a number shared by all of them.
 
-It keeps a wrong or misconfigured device from moving the machine. It is no protection against somebody who listens or
-means harm: Modbus carries it in clear, and it has 32 bits.
+It prevents a wrong or misconfigured device from moving the machine. It does not protect against eavesdropping or
+attacks: Modbus transmits it unencrypted, and it has 32 bits.
 """
 
 from __future__ import annotations
@@ -19,32 +19,33 @@ from drivers.errors import ConfigurationError
 
 CREDENTIAL: Final = "panel-code"
 LOCKED_TICKS: Final = 5
-"""Seconds for which no code is looked at after a wrong one: 2³² guesses would take six centuries."""
+"""Seconds for which no code is checked after a wrong one: 2³² guesses would take about 680 years."""
 
 
 def access_code_path(settings: GatewaySettings, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """The file that systemd hands over (LoadCredential=panel-code:…), the one that the settings name, or none."""
+    """Return the file passed by systemd (LoadCredential=panel-code:…) or else the one named in the settings, if any."""
     return handed_over(CREDENTIAL, environment) or settings.access_code_file
 
 
 def read_access_code(path: Path) -> int:
-    """ConfigurationError for anything but one number from 1 to 4294967295 in a file that is its owner's only."""
+    """Return the code. Raise ConfigurationError unless the file holds one number from 1 to 4294967295 and only its
+    owner can read it."""
     text = read_text(path, error=ConfigurationError).strip()
     if (mode := open_mode(path)) is not None:
         raise ConfigurationError(
-            f"the file of the access code is open to others (mode {mode:04o})", hint=f"chmod 600 {path}", file=str(path)
+            f"the access code file can be read by others (mode {mode:04o})", hint=f"chmod 600 {path}", file=str(path)
         )
     if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= 0xFFFFFFFF):
         raise ConfigurationError(
-            "the access code is no whole number from 1 to 4294967295",
-            hint="write one line with a number that is hard to guess, nothing else",
+            "the access code is not an integer from 1 to 4294967295",
+            hint="write a single line with a number that is hard to guess",
             file=str(path),
         )
     return int(text)
 
 
 class AccessCode:
-    """Compares; after a wrong code none is looked at for a while. `tick` once a second."""
+    """Check of the access code; after a wrong one no code is checked for a while. Call `tick` once per second."""
 
     def __init__(self, code: int | None) -> None:
         self._code = None if code is None else code.to_bytes(4)

@@ -1,4 +1,4 @@
-"""Command registers of a panel, read into a request; values that cannot be are refused before anything is done."""
+"""Command registers of a panel, read into a request; invalid values are refused before any action."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from drivers.errors import InputError
 T = TypeVar("T")
 FIRST: Final = COMMAND[0].address
 SIZE: Final = COMMAND[-1].end - FIRST
-_SET_NAMES = re.compile(r"[A-Za-z0-9_.+-]*")  # the text of a panel has no blanks
+_SET_NAMES = re.compile(r"[A-Za-z0-9_.+-]*")  # text of a panel contains no blanks
 _COMMANDS = {command.value: command for command in Command}
 _FULL_ALLOWED = {0: None, 1: False, 2: True}
 
 
 class ValueNotAllowed(Exception):
-    """A command register holds a value that it may not hold; the message names the register."""
+    """A command register holds a value that is not allowed; the message names the register."""
 
 
 @dataclass(frozen=True)
 class CommandRequest:
-    """One command as it was written. `text` None where the characters were none."""
+    """One command as written by a panel. `text`: None if its characters are invalid."""
 
     numbers: Mapping[str, int]
     text: str | None
@@ -41,16 +41,17 @@ class CommandRequest:
 
     @property
     def content(self) -> tuple[int | str | None, ...]:
-        """All that was written except the access code, to be told from another command with the same number."""
+        """All values except the access code; they distinguish a repetition from another command with the same
+        number."""
         return (*(value for name, value in self.numbers.items() if name != "access_code"), self.text)
 
     def command(self) -> Command | None:
         return _COMMANDS.get(self.numbers["command"])
 
     def run_request(self) -> RunRequest:
-        """Return the request for a run. Raises ValueNotAllowed."""
+        """Return the request for a run. Raise ValueNotAllowed."""
         if self.text is None or not _SET_NAMES.fullmatch(self.text):
-            raise ValueNotAllowed("position_set: names of sets joined by +, in ASCII")
+            raise ValueNotAllowed("position_set: ASCII names of sets joined by +")
         fields = {
             "kind": _one_of("kind", self.numbers["kind"], dict(enumerate(KINDS, start=1))),
             "source": "panel",
@@ -66,12 +67,12 @@ class CommandRequest:
             raise ValueNotAllowed(str(error)) from error
 
     def answer(self) -> tuple[int, bool]:
-        """Number of the question, and whether it is answered with yes. Raises ValueNotAllowed."""
+        """Return the number of the question and True for yes. Raise ValueNotAllowed."""
         return self.numbers["question_number"], _one_of("answer", self.numbers["answer"], {1: True, 2: False})
 
 
 def read_command(words: Sequence[int]) -> CommandRequest:
-    """From the words of the whole command block."""
+    """Return the command in the words of the whole command block."""
     numbers: dict[str, int] = {}
     for register in COMMAND:
         if register.form is not Form.TEXT:
@@ -86,7 +87,7 @@ def _words_of(words: Sequence[int], name: str) -> Sequence[int]:
 
 def _one_of(name: str, value: int, known: Mapping[int, T]) -> T:
     if value not in known:
-        raise ValueNotAllowed(f"{name}: {value}, known are {', '.join(map(str, known))}")
+        raise ValueNotAllowed(f"{name}: {value} is not one of {', '.join(map(str, known))}")
     return known[value]
 
 

@@ -1,4 +1,4 @@
-"""Where commands are handed in: each number once, with its access code, and its result kept for everybody to read."""
+"""Execution of panel commands: each number once, with access code; the result can be read by all panels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ log = structlog.get_logger()
 
 
 class CommandHandler:
-    """Shared by all connections; any thread may hand in, one request is looked at at a time. Abort waits for nobody."""
+    """Handler shared by all connections. Any thread may submit; requests are handled one at a time, abort
+    immediately."""
 
     def __init__(self, control: Control, ledger: SequenceLedger, access: AccessCode) -> None:
         self._control = control
@@ -32,11 +33,11 @@ class CommandHandler:
 
     @property
     def latest_start(self) -> str | None:
-        """Identity of the run that a panel began or resumed last."""
+        """Identity of the run last started or resumed by a panel."""
         return self._latest_start
 
     def state(self) -> tuple[int, int]:
-        """Accepted number and result of one and the same command, the last that is through."""
+        """Return accepted number and result of the same command, the last one completed."""
         return self._state
 
     def abort(self) -> None:
@@ -44,10 +45,10 @@ class CommandHandler:
         self._control.abort(ABORT_REASON)
 
     def submit(self, request: CommandRequest) -> None:
-        """Look at an request whose number is the next one, and keep its result.
+        """Execute a request whose number is the next one, and retain its result.
 
-        The same request again does nothing: its answer was lost. Raises RegisterError for any other number, and where
-        the number could not be recorded; nothing has been done then.
+        A repetition of the last request has no effect: its response was lost. Raise RegisterError for any other number,
+        or if the number could not be recorded; nothing has been done then.
         """
         with self._lock:
             if request.sequence == self._ledger.accepted and request.content == self._ledger.content:

@@ -1,4 +1,4 @@
-"""The gateway as a door of the service: opened on a control, closed with the service."""
+"""Endpoint of the service for panels: opened on a control, closed with the service."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from agent.service.gateway.gateway import Gateway
 from agent.service.gateway.heartbeat import Heartbeats
 from agent.service.gateway.sequence_ledger import SequenceLedger
 from agent.service.gateway.server import JOIN_S, ModbusServer
-from agent.service.gateway.session import Session
+from agent.service.gateway.session import PanelSession
 from agent.settings.panel_gateway import GatewaySettings
 
 TICK_S: Final = 1.0
@@ -24,7 +24,7 @@ log = structlog.get_logger()
 
 
 class GatewayEndpoint:
-    """Panels and PLCs over Modbus TCP."""
+    """Endpoint for panels and PLCs over Modbus TCP."""
 
     def __init__(self, settings: GatewaySettings, state_directory: Path) -> None:
         self._settings = settings
@@ -39,19 +39,20 @@ class GatewayEndpoint:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port actually listened on; only while it is open."""
+        """Host and port actually in use; only available while open."""
         if self._server is None:
             raise RuntimeError("the gateway is not open")
         return self._server.address
 
     def start(self, control: Control) -> None:
-        """Raises ConfigurationError: address, access code file or the recorded sequence number."""
+        """Open the endpoint. Raise ConfigurationError if address, access code file or recorded sequence number is
+        invalid."""
         gateway = self._gateway(control)
         settings = self._settings
         self._server = ModbusServer(
             (settings.host, settings.port),
             [ipaddress.ip_network(client) for client in settings.clients],
-            lambda: Session(gateway),
+            lambda: PanelSession(gateway),
             max_clients=settings.max_clients,
             idle_timeout_s=settings.idle_timeout_s,
         )
@@ -62,7 +63,7 @@ class GatewayEndpoint:
         log.info("panel gateway open", address="{}:{}".format(*self.address), commands=gateway.access.is_set)
 
     def stop(self) -> None:
-        """Idempotent."""
+        """Close the endpoint; idempotent."""
         self._stopped.set()
         if self._server is not None:
             self._server.stop()

@@ -1,4 +1,4 @@
-"""Modbus TCP on the wire: one request in, one answer out, on a set of registers and coils.
+"""Modbus TCP frames: one response per request, on a set of registers and coils.
 
 Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application Protocol
 V1.1b3, 6.1, 6.3 to 6.6, 6.11 and 6.12, exception codes in 7.
@@ -39,7 +39,7 @@ class ExceptionCode(IntEnum):
 
 
 class RegisterError(Exception):
-    """The request cannot be done: becomes an exception answer."""
+    """The request cannot be executed; becomes an exception response."""
 
     def __init__(self, code: ExceptionCode) -> None:
         super().__init__(code.name)
@@ -47,11 +47,11 @@ class RegisterError(Exception):
 
 
 class FramingError(Exception):
-    """What came is no Modbus TCP; the connection cannot be followed any further."""
+    """The received bytes are not Modbus TCP; the connection must be closed."""
 
 
-class Table(Protocol):
-    """What a request acts on. Each may raise RegisterError, and has changed nothing then."""
+class RegisterTable(Protocol):
+    """Registers and coils that a request acts on. Each method may raise RegisterError and then has changed nothing."""
 
     def read(self, address: int, count: int) -> Sequence[int]: ...
 
@@ -63,7 +63,7 @@ class Table(Protocol):
 
 
 def body_length(header: bytes) -> int:
-    """Bytes that follow the seven of the header. Raises FramingError where it is no header of Modbus TCP."""
+    """Return the number of bytes after the seven of the header. Raise FramingError if it is not a Modbus TCP header."""
     _, protocol, length, _ = HEADER.unpack(header)
     if protocol != 0 or not 2 <= length <= MAX_PDU_BYTES + 1:
         raise FramingError(f"MBAP header {header.hex(' ')}")
@@ -71,13 +71,13 @@ def body_length(header: bytes) -> int:
 
 
 def answer_frame(header: bytes, answer: bytes) -> bytes:
-    """The answer under the transaction and unit of its request."""
+    """Return the response frame with transaction and unit of its request."""
     transaction, _, _, unit = HEADER.unpack(header)
     return HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
 
 
-def answer_request(request: bytes, table: Table) -> bytes:
-    """The answer to one request (function code and what follows it), an exception answer included."""
+def answer_request(request: bytes, table: RegisterTable) -> bytes:
+    """Return the response to one request PDU (function code and data), which may be an exception response."""
     function = request[0]
     try:
         if function not in _ANSWERS:
@@ -87,27 +87,27 @@ def answer_request(request: bytes, table: Table) -> bytes:
         return bytes((function | 0x80, refusal.code))
 
 
-def _read_registers(request: bytes, table: Table) -> bytes:
+def _read_registers(request: bytes, table: RegisterTable) -> bytes:
     address, count = _range(request, MAX_REGISTERS_READ, exact=True)
     words = table.read(address, count)
     return bytes((2 * count,)) + struct.pack(f">{count}H", *words)
 
 
-def _read_coils(request: bytes, table: Table) -> bytes:
+def _read_coils(request: bytes, table: RegisterTable) -> bytes:
     address, count = _range(request, MAX_COILS_READ, exact=True)
     bits = sum(1 << place for place, on in enumerate(table.read_coils(address, count)) if on)
     size = (count + 7) // 8
     return bytes((size,)) + bits.to_bytes(size, "little")
 
 
-def _write_register(request: bytes, table: Table) -> bytes:
+def _write_register(request: bytes, table: RegisterTable) -> bytes:
     _require(len(request) == 5)
     address, word = _PAIR.unpack_from(request, 1)
     table.write(address, (word,))
     return request[1:]
 
 
-def _write_coil(request: bytes, table: Table) -> bytes:
+def _write_coil(request: bytes, table: RegisterTable) -> bytes:
     _require(len(request) == 5)
     address, value = _PAIR.unpack_from(request, 1)
     _require(value in (_COIL_ON, _COIL_OFF))
@@ -115,14 +115,14 @@ def _write_coil(request: bytes, table: Table) -> bytes:
     return request[1:]
 
 
-def _write_registers(request: bytes, table: Table) -> bytes:
+def _write_registers(request: bytes, table: RegisterTable) -> bytes:
     address, count = _range(request, MAX_REGISTERS_WRITTEN)
     _require(request[5] == 2 * count == len(request) - 6)
     table.write(address, struct.unpack_from(f">{count}H", request, 6))
     return request[1:5]
 
 
-def _write_coils(request: bytes, table: Table) -> bytes:
+def _write_coils(request: bytes, table: RegisterTable) -> bytes:
     address, count = _range(request, MAX_COILS_WRITTEN)
     _require(request[5] == (count + 7) // 8 == len(request) - 6)
     bits = int.from_bytes(request[6:], "little")
@@ -130,7 +130,7 @@ def _write_coils(request: bytes, table: Table) -> bytes:
     return request[1:5]
 
 
-_ANSWERS: Final[dict[int, Callable[[bytes, Table], bytes]]] = {
+_ANSWERS: Final[dict[int, Callable[[bytes, RegisterTable], bytes]]] = {
     Function.READ_COILS: _read_coils,
     Function.READ_HOLDING: _read_registers,
     Function.READ_INPUT: _read_registers,
@@ -142,7 +142,7 @@ _ANSWERS: Final[dict[int, Callable[[bytes, Table], bytes]]] = {
 
 
 def _range(request: bytes, most: int, *, exact: bool = False) -> tuple[int, int]:
-    """Address and count; with data to follow there must be a byte count at least."""
+    """Return address and count; unless `exact`, at least a byte count must follow."""
     _require(len(request) == 5 if exact else len(request) > 6)
     address, count = _PAIR.unpack_from(request, 1)
     _require(1 <= count <= most)

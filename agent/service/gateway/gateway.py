@@ -1,4 +1,4 @@
-"""What all connections share: the owner of the machine, the handler for commands and the heartbeats."""
+"""State shared by all connections: the control, the command handler and the heartbeats."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class Gateway:
-    """`on_panel_timeout`: what becomes of a run that a panel began, when the panel's beat stops."""
+    """Shared state. `on_panel_timeout`: reaction to a lost panel heartbeat during a run that a panel has started."""
 
     control: Control
     handler: CommandHandler
@@ -31,8 +31,11 @@ class Gateway:
         return self.control.status()
 
     def image(self) -> tuple[int, ...]:
-        """Status registers of one instant. What was accepted is read before the status: a panel that sees its number
-        accepted sees the state that came of it, never one from before."""
+        """Return the status registers at one instant.
+
+        The accepted number is read before the status: a panel that sees its number accepted also sees the resulting
+        state, never an earlier one.
+        """
         accepted, result = self.handler.state()
         facts = GatewayFacts(
             heartbeat=self.heartbeats.service_beat,
@@ -44,11 +47,11 @@ class Gateway:
         return status_image(self.status(), facts)
 
     def tick(self) -> None:
-        """Once a second."""
+        """Update heartbeats and locks; called once per second."""
         self.access.tick()
         status = self._status_or_none()
         if self.heartbeats.tick(service_alive=status is not None):
-            log.warning("panel fell silent", then=self.on_panel_timeout)
+            log.warning("panel heartbeat lost", reaction=self.on_panel_timeout)
             ours = status is not None and status.run_id is not None and status.run_id == self.handler.latest_start
             if ours and self.on_panel_timeout == "hold":
                 self._hold()
@@ -57,11 +60,11 @@ class Gateway:
         try:
             self.control.hold()
         except VolcalError as error:
-            log.info("no hold for a silent panel", reason=str(error))
+            log.info("run not held after loss of the panel heartbeat", reason=str(error))
 
     def _status_or_none(self) -> Status | None:
         try:
             return self.status()
         except Exception:
-            log.exception("the status cannot be had")
+            log.exception("status not available")
             return None

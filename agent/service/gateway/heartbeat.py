@@ -1,4 +1,4 @@
-"""Heartbeats both ways, counted in ticks of one second."""
+"""Heartbeats of service and panel, counted in ticks of 1 s."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import threading
 
 
 class Heartbeats:
-    """Our beat goes up while the owner of the machine answers; the panel's beat must change to count as alive.
+    """The service's beat counts up while the owner of the machine responds; the panel's beat must keep changing.
 
-    A panel that never wrote its beat is not watched.
+    A panel that has never written its beat is not monitored.
     """
 
     def __init__(self, timeout_ticks: int) -> None:
@@ -32,13 +32,13 @@ class Heartbeats:
             return self._panel_beat is not None and self._silent_ticks < self._timeout_ticks
 
     def beat(self, value: int) -> None:
-        """The panel wrote its beat; the same value again is none."""
+        """Take over a beat written by the panel; the same value again does not count."""
         with self._lock:
             if value != self._panel_beat:
                 self._panel_beat, self._silent_ticks = value, 0
 
     def tick(self, *, service_alive: bool) -> bool:
-        """A second has gone by. True where the panel has fallen silent in it."""
+        """Count one second. Return True if the panel has timed out in it."""
         with self._lock:
             if service_alive:
                 self._beat = (self._beat + 1) & 0xFFFF

@@ -1,4 +1,4 @@
-"""Values into registers and back, as the map lays them out."""
+"""Conversion of values to registers and back, according to the register map."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LIMITS = {Form.U16: (0, 0xFFFF), Form.U32: (0, 0xFFFFFFFF), Form.I32: (-0x80000
 
 
 def number_words(register: Register, value: float | None) -> tuple[int, ...]:
-    """The value rounded and held within its form; None, or what is no number, as the form's unknown."""
+    """Return the value rounded and clipped to the range of its form; None and NaN become the form's unknown value."""
     if value is None or math.isnan(value):
         whole = UNKNOWN[register.form]
     else:
@@ -25,7 +25,7 @@ def number_words(register: Register, value: float | None) -> tuple[int, ...]:
 
 
 def text_words(register: Register, text: str) -> tuple[int, ...]:
-    """ASCII as near as can be, cut at the end, padded with zeros."""
+    """Return the text transliterated to ASCII, truncated and padded with zeros."""
     plain = unicodedata.normalize("NFKD", text.translate(_ASCII_FOR))
     kept = "".join(c for c in plain if not unicodedata.combining(c))
     data = kept.encode("ascii", "replace")[: 2 * register.words].ljust(2 * register.words, b"\0")
@@ -33,7 +33,7 @@ def text_words(register: Register, text: str) -> tuple[int, ...]:
 
 
 def whole_number(words: Sequence[int]) -> int:
-    """Unsigned, the high word first."""
+    """Return the unsigned value, high word first."""
     number = 0
     for word in words:
         number = number << 16 | word
@@ -41,7 +41,8 @@ def whole_number(words: Sequence[int]) -> int:
 
 
 def plain_text(words: Sequence[int]) -> str | None:
-    """Text without its padding of zeros or blanks; None where it is no printable ASCII or goes on after a zero."""
+    """Return text without its padding of zeros or blanks; None if it is not printable ASCII or continues after a
+    zero."""
     text, *after = b"".join(word.to_bytes(2) for word in words).rstrip(b"\0 ").split(b"\0")
     if after or not all(0x20 <= byte < 0x7F for byte in text):
         return None

@@ -1,7 +1,7 @@
-"""The register map of the panel gateway as data; docs/reference/panel-gateway.md shows the same tables.
+"""Register map of the panel gateway as data; docs/reference/panel-gateway.md shows the same tables.
 
-Addresses are those of the protocol (from 0). A 32-bit value takes two registers, the high word first; text takes two
-ASCII characters a register, the first one in the high byte, padded with zeros.
+Addresses are protocol addresses (from 0). A 32-bit value takes two registers, high word first; text takes one register
+per two ASCII characters, the first one in the high byte, padded with zeros.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ class Form(Enum):
 
 
 UNKNOWN: Final = {Form.U16: 0xFFFF, Form.U32: 0xFFFFFFFF, Form.I32: -0x80000000}
-"""Stands for a value that there is not (yet)."""
+"""Values that stand for an unknown value."""
 
 
 @dataclass(frozen=True)
 class Register:
-    """A value of the map: `address` of its first register, `words` how many it takes."""
+    """A value of the map: `address` of its first register and number of registers (`words`)."""
 
     name: str
     address: int
@@ -46,7 +46,8 @@ _WORDS = {Form.U16: 1, Form.U32: 2, Form.I32: 2}
 
 
 def _block(start: int, *rows: tuple[str, Form, int, str]) -> tuple[Register, ...]:
-    """Registers without gaps from `start` on; a row gives name, form, characters of a text (else 0) and meaning."""
+    """Return consecutive registers from `start`; a row gives name, form, characters of a text (otherwise 0) and
+    meaning."""
     registers = []
     for name, form, characters, meaning in rows:
         registers.append(Register(name, start, form, _WORDS.get(form, characters // 2), meaning))
@@ -56,33 +57,33 @@ def _block(start: int, *rows: tuple[str, Form, int, str]) -> tuple[Register, ...
 
 STATUS: Final = _block(
     0,
-    ("map_version", Form.U16, 0, "version of this table: 1"),
-    ("heartbeat", Form.U16, 0, "counts up every second while the service is well"),
+    ("map_version", Form.U16, 0, "version of this map: 1"),
+    ("heartbeat", Form.U16, 0, "counts up every second while the service is operational"),
     ("flags", Form.U16, 0, "bits, see below"),
     ("state", Form.U16, 0, "see below"),
     ("packml_state", Form.U16, 0, "StateCurrent of ISA-TR88.00.02"),
     ("kind", Form.U16, 0, "1 calibrate, 2 verify, 3 nightly, 0 none"),
-    ("may", Form.U16, 0, "requests possible now, bits see below"),
+    ("may", Form.U16, 0, "requests allowed now, bits see below"),
     ("progress", Form.U16, 0, "0.01 %"),
     ("minutes_left", Form.U32, 0, "0.01 min of machine time"),
     ("ve_before", Form.I32, 0, "nm, VE of the last accepted estimate without table"),
-    ("ve_now", Form.I32, 0, "nm, the same with the table"),
-    ("balls", Form.U32, 0, "measured in this run"),
-    ("touches", Form.U32, 0, "in this run"),
+    ("ve_now", Form.I32, 0, "nm, VE of the same estimate with its table"),
+    ("balls", Form.U32, 0, "balls measured in this run"),
+    ("touches", Form.U32, 0, "touches in this run"),
     ("active_bank", Form.U16, 0, "active bank of the compensation table"),
-    ("bank_waiting", Form.U16, 0, "written, not active: waits for a restart of the controller"),
+    ("bank_waiting", Form.U16, 0, "bank written but not active: restart of the controller required"),
     ("alarm_count", Form.U16, 0, "open alarms"),
     ("alarm_1", Form.U16, 0, "code of the first alarm, 0 none; see Alarm codes"),
-    ("alarm_2", Form.U16, 0, "second"),
-    ("alarm_3", Form.U16, 0, "third"),
-    ("alarm_4", Form.U16, 0, "fourth"),
+    ("alarm_2", Form.U16, 0, "code of the second alarm"),
+    ("alarm_3", Form.U16, 0, "code of the third alarm"),
+    ("alarm_4", Form.U16, 0, "code of the fourth alarm"),
     ("question_number", Form.U32, 0, "open question, 0 none"),
-    ("question_station", Form.U16, 0, "station to which the question refers"),
-    ("accepted_sequence", Form.U16, 0, "sequence number of the last command processed"),
+    ("question_station", Form.U16, 0, "station that the question refers to"),
+    ("accepted_sequence", Form.U16, 0, "number of the last command handled"),
     ("result", Form.U16, 0, "result of that command, see below"),
-    ("position_set", Form.TEXT, 32, "of the run"),
+    ("position_set", Form.TEXT, 32, "position set of the run"),
     ("run", Form.TEXT, 32, "identity of the run"),
-    ("doing", Form.TEXT, 48, "current activity, as text"),
+    ("doing", Form.TEXT, 48, "current action in plain text"),
     ("alarm_text", Form.TEXT, 60, "text of the first alarm"),
     ("question_text", Form.TEXT, 80, "text of the open question"),
 )
@@ -90,17 +91,17 @@ COMMAND: Final = _block(
     200,
     ("command", Form.U16, 0, "see below"),
     ("kind", Form.U16, 0, "start: 1 calibrate, 2 verify, 3 nightly"),
-    ("consent", Form.U16, 0, "start: 1 a person at the machine confirms that it may move, 0 no confirmation"),
+    ("consent", Form.U16, 0, "start: 1 a person at the machine confirms that it may move, 0 no consent"),
     ("full_allowed", Form.U16, 0, "start: 0 as in the settings, 1 no, 2 a night may become a full calibration"),
     ("slot", Form.U16, 0, "start: 0.1 min of machine time, 0 as in the settings"),
     ("stations", Form.U16, 0, "start: bit 0 is station 1 …, 0 as in the settings"),
     ("question_number", Form.U32, 0, "answer: number of the question"),
     ("answer", Form.U16, 0, "answer: 1 yes, 2 no"),
     ("position_set", Form.TEXT, 32, "start: empty as in the settings"),
-    ("access_code", Form.U32, 0, "the shared number; reads as 0"),
+    ("access_code", Form.U32, 0, "access code shared by all panels; reads as 0"),
     ("sequence", Form.U16, 0, "accepted_sequence + 1; writing it executes the command"),
 )
-PANEL: Final = _block(260, ("panel_heartbeat", Form.U16, 0, "the panel writes another value at least every second"))
+PANEL: Final = _block(260, ("panel_heartbeat", Form.U16, 0, "the panel writes a different value at least every second"))
 BLOCKS: Final = (STATUS, COMMAND, PANEL)
 ABORT_COIL: Final = 0
 
@@ -150,7 +151,7 @@ MAY: Final = ("start", "hold", "resume", "abort", "reset", "answer", "resume_run
 
 
 class Command(IntEnum):
-    """What `command` may hold. Abort is here too, for panels without coils."""
+    """Values of `command`. Abort is included for panels without coils."""
 
     START = 1
     HOLD = 2
@@ -162,11 +163,11 @@ class Command(IntEnum):
 
 
 FREE_COMMANDS: Final = frozenset({Command.HOLD, Command.ABORT})
-"""These only ever stop motion, and ask for no access code."""
+"""Commands that can only stop motion and need no access code."""
 
 
 class Result(IntEnum):
-    """What `result` may hold below 100; from 100 on it is an alarm code."""
+    """Values of `result` below 100; from 100 on it is an alarm code."""
 
     NONE = 0
     DONE = 1
@@ -178,11 +179,11 @@ class Result(IntEnum):
 
 
 RESULT_TEXTS: Final = {
-    Result.NONE: "no command since the service started",
-    Result.DONE: "done; for a start: the run has begun",
+    Result.NONE: "no command since the start of the service",
+    Result.DONE: "done; for a start: the run has started",
     Result.WRONG_CODE: "the access code is wrong",
-    Result.NO_CODE_SET: "no access code is configured: only hold and abort",
-    Result.LOCKED: "too soon after a wrong access code; wait five seconds",
+    Result.NO_CODE_SET: "no access code in the settings: only hold and abort are possible",
+    Result.LOCKED: "locked after a wrong access code; wait five seconds",
     Result.UNKNOWN_COMMAND: "unknown command",
-    Result.VALUE_NOT_ALLOWED: "a register of the command holds a value that is not allowed",
+    Result.VALUE_NOT_ALLOWED: "a command register holds a value that is not allowed",
 }

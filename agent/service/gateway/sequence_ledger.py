@@ -1,8 +1,8 @@
-"""The number of the last command that was looked at, kept on the disk.
+"""Number of the last accepted panel command, stored on disk.
 
-A panel that reconnects, or a PLC that writes its command block again and again, must not start a run a second time,
-and neither must the restart of this service make an old number new. So the number is durable before its command is
-given to anybody: after a power cut a command may be lost, it can never be given twice.
+A panel that reconnects, or a PLC that repeats its command block, must not start a run a second time, and a restart of
+the service must not make an old number valid again. The number is therefore stored durably before its command is
+executed: after a power failure a command may be lost, but it is never executed twice.
 """
 
 from __future__ import annotations
@@ -25,24 +25,25 @@ Content = tuple[int | str | None, ...]
 
 
 def next_sequence(number: int) -> int:
-    """The number after this one; 0 is never used, because cleared registers hold it."""
+    """Return the next number; 0 is never used, because cleared registers hold it."""
     return number % MAX_SEQUENCE + 1
 
 
 class SequenceLedger:
-    """Which number was accepted last, and with what content. One writer (the handler) at a time."""
+    """Last accepted number and its content. Only one thread (the handler) may write at a time."""
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / FILE_NAME
         self.accepted, self.content = self._load()
 
     def record(self, number: int, content: Content) -> None:
-        """Durable when this returns. Raises InputError where it cannot be written; nothing has changed then."""
+        """Store number and content durably. Raise InputError if that fails; nothing has changed then."""
         write_atomically(self._path, json.dumps({"accepted": number, "content": list(content)}) + "\n")
         self.accepted, self.content = number, content
 
     def _load(self) -> tuple[int, Content | None]:
-        """Where nothing is recorded the count begins anywhere, so that no register left over from before fits."""
+        """Return the stored state. Without one the count starts at a random number, so that no old register value
+        matches."""
         if not self._path.exists():
             return _random_start(), None
         try:
@@ -52,8 +53,8 @@ class SequenceLedger:
                 raise ValueError(f"accepted is {accepted!r}")
         except (InputError, ValueError, KeyError, TypeError) as error:
             raise ConfigurationError(
-                f"what the gateway recorded cannot be read: {error}",
-                hint="look at the file; remove it and every panel has to read accepted_sequence anew",
+                f"the recorded sequence number of the gateway cannot be read: {error}",
+                hint="check the file, or remove it: every panel must then read accepted_sequence again",
                 file=str(self._path),
             ) from error
         return accepted, content

@@ -1,4 +1,4 @@
-"""The sockets of the gateway: a thread for each panel, none of which can keep another one waiting."""
+"""Sockets of the gateway: one thread per panel, so that no panel delays another."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from agent.service.gateway.frames import (
     HEADER,
     ExceptionCode,
     FramingError,
-    Table,
+    RegisterTable,
     answer_frame,
     answer_request,
     body_length,
@@ -30,40 +30,39 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 class _Client:
-    """A connection, and when it last asked for something (in requests of all, not in seconds)."""
+    """A connection and the time of its last request, counted in requests of all connections instead of seconds."""
 
     def __init__(self, connection: socket.socket, peer: str) -> None:
         self.connection = connection
         self.peer = peer
         self.last_request = 0
 
-    def hang_up(self) -> None:
+    def disconnect(self) -> None:
         with contextlib.suppress(OSError):
             self.connection.shutdown(socket.SHUT_RDWR)
 
 
 class ModbusServer:
-    """Listens at once; answers from `start` to `stop`.
+    """Server that listens from its construction and responds from `start` to `stop`.
 
-    Peers outside of `allowed` are hung up on. With `max_clients` connected the one that has been quiet longest makes
-    room for a new one, as the Modbus implementation guide has it (4.2.2). Who sends nothing for `idle_timeout_s`, takes
-    that
-    long to read its answer, or sends what is no Modbus is hung up on.
-    Raises ConfigurationError where the address cannot be had.
+    Connections from peers outside of `allowed` are closed. With `max_clients` connected, the one idle for longest is
+    closed in favour of a new one, as in the Modbus implementation guide (4.2.2). A connection is closed if its peer
+    sends nothing for `idle_timeout_s`, takes that long to read its response, or sends anything but Modbus.
+    Raise ConfigurationError if the address cannot be bound.
     """
 
     def __init__(
         self,
         address: tuple[str, int],
         allowed: Sequence[Network],
-        session: Callable[[], Table],
+        session: Callable[[], RegisterTable],
         *,
         max_clients: int = 8,
         idle_timeout_s: float = 60.0,
     ) -> None:
         self._allowed = allowed
         self._session = session
-        self._most_clients = max_clients
+        self._max_clients = max_clients
         self._idle_s = idle_timeout_s
         self._guard = threading.Lock()
         self._clients: set[_Client] = set()
@@ -74,7 +73,7 @@ class ModbusServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port actually listened on."""
+        """Host and port actually in use."""
         host, port = self._listener.getsockname()[:2]
         return str(host), int(port)
 
@@ -82,13 +81,13 @@ class ModbusServer:
         self._thread.start()
 
     def stop(self) -> None:
-        """Hang up on everybody; once this returns no further request is begun."""
+        """Close all connections; no further request is started once this returns."""
         with self._guard:
             self._stopped = True
             with contextlib.suppress(OSError):
                 self._listener.shutdown(socket.SHUT_RDWR)
             for client in self._clients:
-                client.hang_up()
+                client.disconnect()
         if self._thread.ident is not None:
             self._thread.join(JOIN_S)
         self._listener.close()
@@ -100,43 +99,43 @@ class ModbusServer:
             except OSError:
                 return  # the listener was shut down
             client = _Client(connection, str(peer[0]))
-            if self._admitted(client):
-                threading.Thread(target=self._attend, args=(client,), name="gateway panel", daemon=True).start()
+            if self._admit(client):
+                threading.Thread(target=self._handle_client, args=(client,), name="gateway panel", daemon=True).start()
             else:
                 connection.close()
 
-    def _admitted(self, client: _Client) -> bool:
+    def _admit(self, client: _Client) -> bool:
         if not self._is_allowed(client.peer):
-            log.warning("connection refused", peer=client.peer, reason="not among the gateway's clients")
+            log.warning("connection refused", peer=client.peer, reason="not in gateway.clients")
             return False
         with self._guard:
             if self._stopped:
                 return False
-            if len(self._clients) >= self._most_clients:
+            if len(self._clients) >= self._max_clients:
                 self._make_room()
             client.last_request = next(self._requests)
             self._clients.add(client)
         return True
 
     def _make_room(self) -> None:
-        quietest = min(self._clients, key=lambda client: client.last_request)
-        log.warning("panel hung up on", peer=quietest.peer, reason="too many connections, quiet longest")
-        self._clients.discard(quietest)
-        quietest.hang_up()
+        idlest = min(self._clients, key=lambda client: client.last_request)
+        log.warning("panel disconnected", peer=idlest.peer, reason="too many connections, idle for longest")
+        self._clients.discard(idlest)
+        idlest.disconnect()
 
     def _is_allowed(self, peer: str) -> bool:
         address = ipaddress.ip_address(peer.partition("%")[0])
         mapped = getattr(address, "ipv4_mapped", None)
         return any((mapped or address) in network for network in self._allowed)
 
-    def _attend(self, client: _Client) -> None:
+    def _handle_client(self, client: _Client) -> None:
         with client.connection, structlog.contextvars.bound_contextvars(panel=client.peer):
             try:
                 client.connection.settimeout(self._idle_s)
                 client.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._serve(client)
             except (OSError, FramingError) as error:
-                log.info("panel gone", reason=str(error))
+                log.info("connection to panel ended", reason=str(error))
             finally:
                 with self._guard:
                     self._clients.discard(client)
@@ -151,8 +150,8 @@ class ModbusServer:
             client.connection.sendall(answer_frame(header, _answer(request, table)))
 
 
-def _answer(request: bytes, table: Table) -> bytes:
-    """Whatever goes wrong behind the registers, the panel gets an answer and the connection stays."""
+def _answer(request: bytes, table: RegisterTable) -> bytes:
+    """Return the response; an unexpected error becomes an exception response, so that the connection stays open."""
     try:
         return answer_request(request, table)
     except Exception:
@@ -161,7 +160,7 @@ def _answer(request: bytes, table: Table) -> bytes:
 
 
 def _receive(connection: socket.socket, size: int) -> bytes | None:
-    """Exactly so many bytes; None where the peer hung up before."""
+    """Return exactly `size` bytes; None if the peer closed the connection before."""
     data = b""
     while len(data) < size:
         if not (chunk := connection.recv(size - len(data))):
@@ -177,6 +176,6 @@ def _listen(address: tuple[str, int]) -> socket.socket:
     except (OSError, OverflowError) as error:
         raise ConfigurationError(
             f"cannot listen for panels on {address[0]}:{address[1]}: {error}",
-            hint="choose a free port (below 1024 only with the right to it) and an address of this computer",
+            hint="choose a free port (below 1024 needs the privilege) and an address of this computer",
             key="gateway.host, gateway.port",
         ) from error

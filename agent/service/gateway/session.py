@@ -1,7 +1,7 @@
-"""The registers and the coil as one connection sees them.
+"""Registers and coil of one connection.
 
-The status is everybody's. What a panel writes into the command registers stays a draft of its own connection until
-it writes the sequence number: another panel's half-written command cannot mix with it, and it goes with the link.
+The status is shared. Values that a panel writes into the command registers are a draft of its own connection until it
+writes the sequence number: commands of two panels cannot mix, and a draft is discarded with its connection.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ _CODE = slice(IN_COMMAND["access_code"].address - FIRST, IN_COMMAND["access_code
 _BEAT = PANEL[0].address
 
 
-class Session:
-    """A `Table` for one connection; used by one thread."""
+class PanelSession:
+    """`RegisterTable` of one connection; used by one thread."""
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
@@ -52,7 +52,7 @@ class Session:
             self._draft = draft
 
     def _commit(self, draft: Sequence[int]) -> None:
-        """Whatever comes of it, the next command is written anew: no consent or code is left from this one."""
+        """Submit the draft and clear it in any case, so that no consent or code remains for the next command."""
         self._draft = [0] * SIZE
         self._gateway.handler.submit(read_command(draft))
 

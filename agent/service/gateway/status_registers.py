@@ -1,4 +1,4 @@
-"""What the status registers hold: one status, turned into words at one instant."""
+"""Content of the status registers, from the status at one instant."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UNKNOWN_WORD = UNKNOWN[Form.U16]
 
 @dataclass(frozen=True)
 class GatewayFacts:
-    """What the gateway itself knows beside the status."""
+    """Values of the gateway itself besides the status."""
 
     heartbeat: int = 0
     panel_alive: bool = False
@@ -36,7 +36,7 @@ class GatewayFacts:
 
 
 def status_image(status: Status, facts: GatewayFacts) -> tuple[int, ...]:
-    """The words of the whole status block, from its first address on."""
+    """Return the words of the whole status block."""
     values = {**_run_values(status), **_waiting_values(status), **_gateway_values(status, facts)}
     words: list[int] = []
     for register in STATUS:
@@ -64,7 +64,7 @@ def _run_values(status: Status) -> dict[str, float | str | None]:
 
 
 def _waiting_values(status: Status) -> dict[str, float | str | None]:
-    """Everything that waits for somebody: alarms, a question, a bank."""
+    """Return the values that require action: alarms, open question, waiting bank."""
     question = status.question
     codes = [alarm.code for alarm in status.alarms[:4]] + [0] * 4
     return {

@@ -11,7 +11,7 @@ from agent.runs.run_request import RunRequest
 from agent.service.control import Status
 
 
-class Body(BaseModel):
+class RequestBody(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
@@ -22,22 +22,22 @@ class StartBody(RunRequest):
     source: Literal["page", "command line", "timer"] = "page"
 
 
-class ResumeRunBody(Body):
+class ResumeRunBody(RequestBody):
     source: Literal["page", "command line"] = "page"
 
 
-class AbortBody(Body):
+class AbortBody(RequestBody):
     reason: str = Field(default="abort pressed", min_length=1, max_length=200)
 
 
-class AnswerBody(Body):
+class AnswerBody(RequestBody):
     """Answer to the question with this `number`."""
 
     number: PositiveInt
     yes: bool
 
 
-class RestoreBody(Body):
+class RestoreBody(RequestBody):
     """Stored table, as listed by `/api/tables`."""
 
     run_id: str = Field(max_length=40)
@@ -45,7 +45,7 @@ class RestoreBody(Body):
     source: Literal["page", "command line"] = "page"
 
 
-class SettingsBody(Body):
+class SettingsBody(RequestBody):
     """Text of a settings file to be validated; it is not stored."""
 
     toml: str = Field(max_length=60_000)

@@ -1,1 +1,1 @@
-"""OPC UA server; docs/reference/opc-ua.md says what it offers and what it does not claim."""
+"""OPC UA server; docs/reference/opc-ua.md states its scope and limits."""

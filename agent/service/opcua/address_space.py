@@ -1,4 +1,4 @@
-"""The address space: the model's nodes, kept as the status has them, and its events."""
+"""OPC UA address space: the nodes of the model, updated from the status, and its events."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class AddressSpace:
         await self._add_events(root)
 
     async def show(self, status: Status) -> None:
-        """Write what has changed since it was last shown."""
+        """Write the values that have changed since the last call."""
         for variable in VARIABLES:
             await self._write(variable.path, variable.of(status))
         refusal = self._calls.last_refusal
@@ -119,7 +119,10 @@ class AddressSpace:
         self._guarded.free_methods = free
 
     def _callback(self, name: str) -> Callable[..., Awaitable[Any]]:
-        """The method in a thread, the loop goes on; who gets its answer finds the nodes to be as it left them."""
+        """Return the callback of a method, which runs in a thread so that the loop is not blocked.
+
+        The nodes are updated before the client receives the result.
+        """
 
         async def called(_: ua.NodeId, *arguments: ua.Variant) -> Any:
             result = await asyncio.to_thread(self._calls.call, name, arguments)
@@ -139,7 +142,7 @@ class AddressSpace:
             self._events[kind.name] = generator
 
     def _id(self, path: str) -> ua.NodeId:
-        """Names as identifiers: they stay the same from one start to the next."""
+        """Return the path as identifier, which does not change between starts of the service."""
         return ua.NodeId(ua.String(path), ua.Int16(self._index))
 
     def _name(self, name: str) -> ua.QualifiedName:

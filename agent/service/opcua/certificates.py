@@ -1,4 +1,4 @@
-"""Whose certificate is whose: the server's own, made at its first start, and those of the clients that it trusts."""
+"""OPC UA certificates: the server's own, generated at its first start, and those of the trusted clients."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from drivers.errors import ConfigurationError
 
 VALIDITY: Final = timedelta(days=3650)
 CLOCK_TOLERANCE: Final = timedelta(days=1)
-"""A client whose clock is behind must not find the certificate to be of tomorrow."""
+"""The certificate is backdated by this, so that a client whose clock is slow accepts it."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class OwnCertificate:
 
 
 def own_certificate(directory: Path, application_uri: str, host_name: str, address: str) -> OwnCertificate:
-    """The server's certificate and key under `directory`, made where there are none (key: mode 0600).
+    """Return the server's certificate and key under `directory`, generated if missing (key with mode 0600).
 
-    Raises ConfigurationError where they cannot be read or written, or the certificate has run out.
+    Raise ConfigurationError if they cannot be read or written, or if the certificate has expired.
     """
     own = OwnCertificate(directory / "own" / "certificate.der", directory / "own" / "key.pem")
     if own.certificate.exists() and own.key.exists():
@@ -51,15 +51,17 @@ def own_certificate(directory: Path, application_uri: str, host_name: str, addre
 
 
 def is_trusted(certificate: bytes | None, directory: Path) -> bool:
-    """Whether exactly this certificate (DER) lies in `directory` and is valid today. The directory is read anew, so
-    that a client is let in or shut out without a restart."""
+    """Return True if exactly this certificate (DER) is in `directory` and currently valid.
+
+    The directory is read each time, so that a client can be admitted or excluded without a restart.
+    """
     if certificate is None:
         return False
     return any(_der(known) == certificate and _valid_today(known) for known in _certificates_in(directory))
 
 
 def _certificates_in(directory: Path) -> Iterable[x509.Certificate]:
-    """Every file that is one; others (a README, a half-copied one) count for nothing."""
+    """Yield the certificates among the files; other files (a README, an incomplete copy) are ignored."""
     for path in sorted(directory.glob("*")) if directory.is_dir() else ():
         if path.is_file():
             try:
@@ -89,19 +91,19 @@ def _refuse_expired(path: Path) -> None:
     except (OSError, ValueError) as error:
         raise ConfigurationError(
             f"the server's OPC UA certificate cannot be read: {error}",
-            hint="remove it together with its key; a new one is made, which the clients then have to trust",
+            hint="remove it together with its key; a new one is generated, which the clients must then trust",
             file=str(path),
         ) from error
     if not _valid_today(certificate):
         raise ConfigurationError(
             f"the server's OPC UA certificate is valid until {certificate.not_valid_after_utc:%Y-%m-%d}",
-            hint="set the clock, or remove it together with its key; the clients then have to trust the new one",
+            hint="set the clock, or remove it together with its key; the clients must then trust the new one",
             file=str(path),
         )
 
 
 def _self_signed(key: rsa.RSAPrivateKey, uri: str, host_name: str, address: str) -> x509.Certificate:
-    """By OPC 10000-6, 6.2.2: URI of the application, names of the host, usages of an application instance."""
+    """Return a certificate by OPC 10000-6, 6.2.2: application URI, host names, usages of an application instance."""
     name = x509.Name(
         [x509.NameAttribute(NameOID.COMMON_NAME, "volcal"), x509.NameAttribute(NameOID.ORGANIZATION_NAME, host_name)]
     )
@@ -139,7 +141,7 @@ def _pem(key: rsa.RSAPrivateKey) -> bytes:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """With its mode from the first byte on: a key must not be readable for an instant."""
+    """Write the file with its mode from the first byte on, so that a key is never readable by others."""
     path.unlink(missing_ok=True)
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
         file.write(data)

@@ -1,4 +1,4 @@
-"""OPC UA as a door of the service. asyncua is an optional extra: it is imported when the door opens, not before."""
+"""OPC UA endpoint of the service. asyncua is an optional dependency, imported when the endpoint is opened."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ log = structlog.get_logger()
 
 
 class OpcUaEndpoint:
-    """The server's loop in one thread. `token`: the service's, which clients send as their password."""
+    """Endpoint that runs the server's loop in one thread. `token`: that of the service, sent by clients as password."""
 
     def __init__(self, settings: OpcUaSettings, state_directory: Path, token: str) -> None:
         self._settings = settings
@@ -47,7 +47,8 @@ class OpcUaEndpoint:
         return self._settings.trusted_clients or self._directory / "trusted"
 
     def start(self, control: Control) -> None:
-        """Raises ConfigurationError: the extra is missing, certificate, address."""
+        """Open the endpoint. Raise ConfigurationError if asyncua is missing, or for an invalid certificate or
+        address."""
         opened: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(control, opened), name="opc ua", daemon=True)
         self._thread.start()
@@ -59,7 +60,7 @@ class OpcUaEndpoint:
         log.info("OPC UA open", address="{}:{}".format(*self.address), trusted_clients=str(self.trusted_clients))
 
     def stop(self) -> None:
-        """Idempotent."""
+        """Close the endpoint; idempotent."""
         if self._loop is not None and self._stop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._stop.set)
         if self._thread is not None:

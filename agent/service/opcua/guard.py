@@ -1,8 +1,8 @@
-"""Who may do what over OPC UA. What asyncua leaves open is closed here, at the session.
+"""Access control over OPC UA, enforced at the session where asyncua does not.
 
-asyncua gives a method no user, so the session itself looks at each call. It binds a session to any channel that names
-its authentication token, a small number, before it looks at who activates it, and leaves it bound where that fails;
-here a session stays with the channel that made it.
+asyncua does not pass the user to a method, so the session checks each call. It binds a session to any channel that
+names its authentication token, a small number, before checking who activates it, and leaves it bound if that fails;
+here a session stays with the channel that created it.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ log = structlog.get_logger()
 
 
 def refusal_result(code: int) -> ua.CallMethodResult:
-    """The result of a method that was not carried out."""
+    """Return the result of a method that was not executed."""
     return ua.CallMethodResult(StatusCode=ua.StatusCode(ua.UInt32(code)))
 
 
 class ClientAuthentication(UserManager):
-    """The channel's certificate must be trusted, whoever asks; then token or, if allowed, nothing."""
+    """Authentication: the certificate of the channel must be trusted; in addition the token or, if allowed, none."""
 
     def __init__(self, token: str, trusted_clients: Path, *, anonymous_reading: bool) -> None:
         self._token = token.encode()
@@ -48,9 +48,10 @@ class ClientAuthentication(UserManager):
         password: str | None = None,
         certificate: bytes | None = None,
     ) -> User | None:
-        """`certificate` is that of the secure channel: whoever sends it has proved to have its key."""
+        """Return the user, or None if refused. `certificate`: that of the secure channel, whose client has proved to
+        hold its key."""
         if not is_trusted(certificate, self._trusted_clients):
-            log.warning("OPC UA client refused", reason="its certificate is not trusted")
+            log.warning("OPC UA client refused", reason="certificate not trusted")
             return None
         if username is None:
             return User(UserRole.User, ANONYMOUS) if self._anonymous_reading else None
@@ -61,16 +62,16 @@ class ClientAuthentication(UserManager):
 
 
 class GuardedSession(InternalSession):
-    """A client's session: methods that move or write only for who has the token, nodes are written by nobody."""
+    """Session of a client: methods that move or write require the token, nodes cannot be written."""
 
     iserver: GuardedServer
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """In the order of the requests; one that is not allowed is refused, the others are done."""
+        """Execute the requests in order; those not allowed are refused individually."""
         return [await self._call(request) for request in params]
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
-        """The standard's own address space has nodes that say they may be written; not even those."""
+        """Refuse every write, including to nodes of the standard address space that are marked as writable."""
         return [ua.StatusCode(ua.UInt32(StatusCodes.BadUserAccessDenied)) for _ in params.NodesToWrite]
 
     async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
@@ -83,7 +84,7 @@ class GuardedSession(InternalSession):
 
 
 class GuardedServer(InternalServer):
-    """`free_methods`: by a method's id, whether anybody with a session may call it; all others need the token."""
+    """Server whose sessions are guarded. `free_methods`: methods, by id, that need no token."""
 
     def __init__(self, users: ClientAuthentication) -> None:
         super().__init__(user_manager=users)
@@ -96,5 +97,5 @@ class GuardedServer(InternalServer):
         return kind(self, self.aspace, self.subscription_service, name, user=user or nobody, external=external)
 
     def lookup_external_session(self, auth_token: Any) -> InternalSession | None:
-        """None: a client whose connection broke makes a new session."""
+        """Return None: after a lost connection a client must create a new session."""
         return None

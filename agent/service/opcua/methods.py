@@ -1,4 +1,4 @@
-"""What a method of OPC UA asks of the control, and how a refusal comes back."""
+"""Execution of OPC UA methods on the control, and conversion of refusals."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ log = structlog.get_logger()
 
 
 class MethodCalls:
-    """The methods by their names, for any thread but that of the server's loop.
+    """OPC UA methods by name; callable from any thread except that of the server's loop.
 
-    `last_refusal`: why the last one that was refused was; OPC UA itself has room for a number only.
+    `last_refusal`: reason of the last refusal, since OPC UA itself transmits only a number.
     """
 
     def __init__(self, control: Control) -> None:
@@ -47,7 +47,7 @@ class MethodCalls:
             return self._last_refusal
 
     def call(self, name: str, arguments: Sequence[ua.Variant]) -> Any:
-        """Perform the method; what asyncua sends back: output arguments, or a refusal."""
+        """Execute the method; return its output arguments, or a refusal, for asyncua to send."""
         try:
             result = self._methods[name](*_values(name, arguments))
         except VolcalError as error:
@@ -86,11 +86,13 @@ _KINDS: dict[str, type] = {"String": str, "Double": float, "Int32": int, "Boolea
 
 
 def _values(name: str, arguments: Sequence[ua.Variant]) -> list[Any]:
-    """The arguments as the method declares them, which asyncua leaves to the method. Null is an empty text or array.
-    Raises InputError."""
+    """Return the arguments, checked against their declaration, since asyncua does not check them.
+
+    Null stands for an empty text or array. Raise InputError if number or types do not match.
+    """
     declared = _INPUTS[name]
     if len(arguments) != len(declared):
-        raise InputError(f"{name} has {len(declared)} arguments, {len(arguments)} came")
+        raise InputError(f"{name} takes {len(declared)} arguments, {len(arguments)} were given")
     return [_value(argument, variant) for argument, variant in zip(declared, arguments, strict=True)]
 
 

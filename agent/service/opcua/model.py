@@ -1,7 +1,7 @@
-"""What clients of OPC UA can read, call and hear, as data; docs/reference/opc-ua.md shows the same tables.
+"""OPC UA nodes, methods and events as data; docs/reference/opc-ua.md shows the same tables.
 
 Names and their order follow OPC 40210 (GMSType, CorrectionType apart) and OPC 40501-1 (ProductionType, MonitoringType,
-NotificationType) where they have one. The nodes are of this program's own namespace and of base types: nothing here is
+NotificationType) where they define one. The nodes belong to this program's own namespace and have base types: none is
 an instance of a type of those specifications.
 """
 
@@ -39,12 +39,12 @@ PROGRAM_STATES: Final = {
     S.ABORTED: "Aborted",
     S.FAULTED: "Aborted",
 }
-"""The states of ProductionStateMachineType (OPC 40501-1, 8.4.8)."""
+"""States of ProductionStateMachineType (OPC 40501-1, 8.4.8)."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A node to read: `path` below the root, `form` the name of its built-in type (with [] for an array)."""
+    """Readable node: `path` below the root, `form` the name of its built-in type (with [] for an array)."""
 
     path: str
     form: str
@@ -61,7 +61,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Method:
-    """`free`: only ever stops motion, so it asks for no token."""
+    """Method. `free`: it can only stop motion and therefore needs no token."""
 
     name: str
     inputs: tuple[Argument, ...]
@@ -87,19 +87,22 @@ def _count(value: int | None) -> int:
 
 
 VARIABLES: Final = (
-    Variable("Identification/Name", "String", "the machine", lambda s: s.machine),
-    Variable("Monitoring/PackMLState", "String", "state by ISA-TR88.00.02", lambda s: s.packml),
-    Variable("Monitoring/RunState", "String", "state of the run as named by volcal", lambda s: s.state.value),
-    Variable("Monitoring/Doing", "String", "current activity, as text", lambda s: s.doing),
+    Variable("Identification/Name", "String", "name of the machine", lambda s: s.machine),
+    Variable("Monitoring/PackMLState", "String", "PackML state (ISA-TR88.00.02)", lambda s: s.packml),
+    Variable("Monitoring/RunState", "String", "run state", lambda s: s.state.value),
+    Variable("Monitoring/Doing", "String", "current action in plain text", lambda s: s.doing),
     Variable("Monitoring/Step", "String", "key of the step", lambda s: s.step),
-    Variable("Monitoring/May", "String[]", "methods possible now", lambda s: sorted(s.may)),
+    Variable("Monitoring/May", "String[]", "methods allowed now", lambda s: sorted(s.may)),
     Variable(
-        "Monitoring/ActiveBank", "Int32", "active bank of the compensation table", lambda s: _count(s.active_bank)
+        "Monitoring/ActiveBank",
+        "Int32",
+        "active bank of the compensation table, -1 unknown",
+        lambda s: _count(s.active_bank),
     ),
     Variable(
         "Monitoring/BankWaiting",
         "Int32",
-        "written, not active: waits for a restart of the controller",
+        "bank written but not active: restart of the controller required; -1 none",
         lambda s: _count(s.written_not_active),
     ),
     Variable("Production/ActiveProgram/Name", "String", "position set", lambda s: s.position_set or ""),
@@ -109,15 +112,15 @@ VARIABLES: Final = (
         "Initializing, Running, Interrupted, Ended or Aborted",
         lambda s: PROGRAM_STATES[s.state],
     ),
-    Variable("Production/Job/Identifier", "String", "identifier of the run", lambda s: s.run_id or ""),
+    Variable("Production/Job/Identifier", "String", "identity of the run", lambda s: s.run_id or ""),
     Variable("Production/Job/Kind", "String", "calibrate, verify or nightly", lambda s: s.kind or ""),
-    Variable("Production/Job/Started", "String", "time in ISO 8601", lambda s: s.started or ""),
+    Variable("Production/Job/Started", "String", "start time in ISO 8601", lambda s: s.started or ""),
     Variable("Production/Job/Progress", "Double", "0 to 1", lambda s: s.fraction),
     Variable("Production/Job/RemainingTime", "Double", "minutes of machine time", lambda s: _number(s.minutes_left)),
-    Variable("Production/Job/Balls", "Int32", "number of balls measured", lambda s: s.balls),
-    Variable("Production/Job/Touches", "Int32", "number of touches made", lambda s: s.touches),
+    Variable("Production/Job/Balls", "Int32", "balls measured", lambda s: s.balls),
+    Variable("Production/Job/Touches", "Int32", "touches", lambda s: s.touches),
     Variable(
-        "Production/Job/Unfinished", "String", "interrupted run that ResumeRun continues", lambda s: s.unfinished or ""
+        "Production/Job/Unfinished", "String", "interrupted run that ResumeRun resumes", lambda s: s.unfinished or ""
     ),
     Variable(
         "ResultManagement/Results/VEBefore",
@@ -125,18 +128,21 @@ VARIABLES: Final = (
         "µm, VE of the last accepted estimate without table, aligned",
         lambda s: _number(s.ve_before_um),
     ),
-    Variable("ResultManagement/Results/VENow", "Double", "µm, the same with the table", lambda s: _number(s.ve_now_um)),
+    Variable(
+        "ResultManagement/Results/VENow",
+        "Double",
+        "µm, VE of the same estimate with its table",
+        lambda s: _number(s.ve_now_um),
+    ),
     Variable(
         "Notification/AlarmCodes", "Int32[]", "open alarms, see Alarm codes", lambda s: [a.code for a in s.alarms]
     ),
     Variable("Notification/AlarmTexts", "String[]", "texts of the open alarms", lambda s: [a.text for a in s.alarms]),
-    Variable(
-        "Notification/AlarmHints", "String[]", "what to do about the open alarms", lambda s: [a.hint for a in s.alarms]
-    ),
+    Variable("Notification/AlarmHints", "String[]", "remedy", lambda s: [a.hint for a in s.alarms]),
     Variable(
         "Notification/QuestionNumber",
         "Int32",
-        "open question that Answer answers, -1 none",
+        "number of the open question for Answer, -1 none",
         lambda s: s.question.number if s.question else -1,
     ),
     Variable(
@@ -151,11 +157,11 @@ OUTCOME: Final = "ResultManagement/Results/Outcome"
 REFUSED_CODE: Final = "Notification/LastRefusalCode"
 REFUSED_TEXT: Final = "Notification/LastRefusalText"
 OWN_VARIABLES: Final = (
-    (OUTCOME, "String", "outcome of the last run since the service started, as JSON"),
-    (REFUSED_CODE, "Int32", "alarm code of the last refused method; 0 none"),
-    (REFUSED_TEXT, "String", "text of that alarm, with what to do"),
+    (OUTCOME, "String", "outcome of the last run since the start of the service, as JSON"),
+    (REFUSED_CODE, "Int32", "alarm code of the last refused method call; 0 none"),
+    (REFUSED_TEXT, "String", "text of the last refusal with its remedy"),
 )
-"""Path, form and meaning of what the server itself keeps."""
+"""Path, form and meaning of the variables maintained by the server itself."""
 
 METHODS: Final = (
     Method(
@@ -168,19 +174,19 @@ METHODS: Final = (
             Argument("FullAllowed", "Boolean", "a night may become a full calibration"),
             Argument("Consent", "Boolean", "a person at the machine confirms that it may move"),
         ),
-        (Argument("Identifier", "String", "identifier of the run"),),
-        "begin a run",
+        (Argument("Identifier", "String", "identity of the run started"),),
+        "start a run",
     ),
     Method(
         "ResumeRun",
         (),
-        (Argument("Identifier", "String", "identifier of the run"),),
+        (Argument("Identifier", "String", "identity of the run started"),),
         "resume the interrupted run",
     ),
     Method("Hold", (), (), "hold the run", free=True),
     Method("Resume", (), (), "continue after a hold"),
-    Method("Abort", (Argument("Reason", "String", "reason, recorded in the journal"),), (), "end the run", free=True),
-    Method("Reset", (), (), "acknowledge a fault; moves nothing"),
+    Method("Abort", (Argument("Reason", "String", "reason recorded in the journal"),), (), "abort the run", free=True),
+    Method("Reset", (), (), "acknowledge a fault; nothing moves"),
     Method(
         "Answer",
         (Argument("Number", "Int32", "number of the question"), Argument("Yes", "Boolean", "the answer")),
@@ -193,12 +199,12 @@ STATE_EVENT: Final = EventType(
     "StateChangeEventType",
     100,
     (Argument("PackMLState", "String", "new state"), Argument("RunState", "String", "new state")),
-    "the state has changed",
+    "change of state",
 )
 ALARM_EVENT: Final = EventType(
     "AlarmEventType",
     800,
-    (Argument("Code", "Int32", "see Alarm codes"), Argument("Hint", "String", "what to do")),
-    "an alarm has been raised; its text is the Message",
+    (Argument("Code", "Int32", "see Alarm codes"), Argument("Hint", "String", "remedy")),
+    "new alarm; its text is the Message",
 )
 EVENT_TYPES: Final = (STATE_EVENT, ALARM_EVENT)

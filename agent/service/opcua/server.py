@@ -1,4 +1,4 @@
-"""The OPC UA server in its loop: opened, fed with events, closed."""
+"""OPC UA server: start, update from status and events, stop."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
 REFRESH_S: Final = 0.5
-"""Longest time for which a node lags behind the status when no event tells of a change."""
+"""Longest delay of a node behind the status if no event reports a change."""
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True)
 class ServerFiles:
-    """Where the server keeps its certificates, and which token opens it."""
+    """Directories of the certificates, and the access token."""
 
     directory: Path
     trusted_clients: Path
@@ -36,7 +36,7 @@ class ServerFiles:
 
 
 class OpcUaServer:
-    """One run of the server. `serve` ends when `stop` is set; `opened` is called once it listens."""
+    """One run of the server: `serve` ends when `stop` is set; `opened` is called once it listens."""
 
     def __init__(self, settings: OpcUaSettings, files: ServerFiles, control: Control) -> None:
         self._settings = settings
@@ -44,7 +44,7 @@ class OpcUaServer:
         self._control = control
 
     async def serve(self, stop: asyncio.Event, opened: Callable[[], None]) -> None:
-        """Raises ConfigurationError before it listens."""
+        """Serve until `stop` is set. Raise ConfigurationError if the server cannot be opened."""
         server, space = await self._open()
         try:
             opened()
@@ -75,7 +75,7 @@ class OpcUaServer:
         return server, space
 
     async def _secure(self, server: Server) -> None:
-        """One endpoint, signed and encrypted; without it only the list of endpoints is told."""
+        """Configure the single endpoint, signed and encrypted; an unsecured channel only lists endpoints."""
         host = socket.gethostname()
         uri = f"urn:{host}:volcal"
         own = own_certificate(self._files.directory, uri, host, self._settings.host)
@@ -100,11 +100,11 @@ class OpcUaServer:
             known = await self._refresh(space, known)
 
     async def _refresh(self, space: AddressSpace, known: tuple[str, tuple[int, ...]]) -> tuple[str, tuple[int, ...]]:
-        """Nodes first, then the events about them: who hears of a change finds it when it looks."""
+        """Update the nodes before sending events about them, so that a client notified of a change also reads it."""
         try:
             status = self._control.status()
         except Exception:
-            log.exception("the status cannot be had")
+            log.exception("status not available")
             return known
         await space.show(status)
         now = status.state.value, tuple(alarm.code for alarm in status.alarms)
@@ -118,7 +118,7 @@ class OpcUaServer:
 
 
 def _waiting_events(events: Queue[Event]) -> list[Event]:
-    """All that wait; waits for the first one, but not long."""
+    """Return all waiting events; wait at most REFRESH_S for the first one."""
     found: list[Event] = []
     try:
         found.append(events.get(timeout=REFRESH_S))

@@ -16,7 +16,7 @@ from agent.reports.page import (
     ReportData,
     RunFacts,
     TemperatureTrace,
-    Verification,
+    VerificationFacts,
     VerifiedPosition,
 )
 from agent.reports.page.error_curves import cross_effect_curves, geometric_error_curves
@@ -215,7 +215,7 @@ class TestPage:
 
 class TestRunSections:
     def test_a_run_shows_what_it_decided_and_proved(self, offline: ReportData) -> None:
-        proof = Verification(
+        proof = VerificationFacts(
             False,
             "Not better: the old table is active again.",
             Quantity(9.0, 0.2),

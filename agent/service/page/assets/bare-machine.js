@@ -1,8 +1,8 @@
-/* The machine by itself, drawn at once while the path is still being computed: travel, table, stations, probe's reach. */
+/* The machine without a path, drawn at once while the path is being computed: travel, table, stations, reach of the probe. */
 /* globals paintWorkspace, disc, ring */
 const TABLE_BEYOND_MM = 200, TABLE_THICK_MM = 40;
 
-/* Of the answer to `/api/machine`: what `paintWorkspace` draws. */
+/* Converts the response of `/api/machine` for `paintWorkspace`. */
 export function machineOf({ limits_mm: limits, tool_offset_mm: offset, stations_mm: stations, standing_at: standing }) {
   const low = limits.map(([from], axis) => from + offset[axis]), high = limits.map(([, to], axis) => to + offset[axis]);
   const floor = Math.min(low[2], ...stations.map((place) => place[2])) - TABLE_BEYOND_MM;

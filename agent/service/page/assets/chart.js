@@ -1,11 +1,11 @@
-/* A small chart: axes, lines, bands, points with their doubt, limits. Colours are the theme's variables. */
+/* A small chart: axes, lines, bands, points with uncertainty, limits. Colours are variables of the theme. */
 import { draw } from "./dom.js";
 import { number } from "./language.js";
 
 const ROOM = { left: 52, right: 10, top: 24, bottom: 34 };
 const TICKS_X = 5, TICKS_Y = 4, FONT = 12, MOST_DIGITS = 6;
 
-/* `x`, `y`: ranges; `draws`: functions that are given the scales and return elements. */
+/* `x`, `y`: ranges; `draws`: functions that take the scales and return elements. */
 export function chart({ name, title, xLabel, yLabel = "", x, y, width = 520, height = 220, draws = [], room = ROOM, ticksX = TICKS_X }) {
   const inner = { width: width - room.left - room.right, height: height - room.top - room.bottom };
   const scales = {
@@ -38,7 +38,7 @@ export function rounded([low, high], count) {
   return values;
 }
 
-/* Numbers at the ends stay inside the picture. */
+/* Aligns the numbers at the ends so that they stay inside the chart. */
 function anchorAt(value, [low, high]) {
   const share = (value - low) / (high - low || 1);
   return share < 0.03 ? "start" : share > 0.97 ? "end" : "middle";

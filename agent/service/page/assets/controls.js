@@ -1,9 +1,9 @@
-/* The buttons below, and the keys that press them. */
+/* Buttons of the footer and their keyboard shortcuts. */
 import { askStart, askToken, showKeys } from "./dialogs.js";
 import { byId } from "./dom.js";
 import { say } from "./language.js";
 import { ask, dropReading, read, Refused, token } from "./requests.js";
-import { tellDone, tellProblem } from "./saying.js";
+import { showDone, showProblem } from "./notices.js";
 import { on, refresh } from "./store.js";
 
 const KEYS = [
@@ -35,14 +35,14 @@ function offer({ may }) {
   byId("resume-run").hidden = !can("resume_run");
 }
 
-/* One press, no question, no token; the answer is awaited by nobody. */
+/* Abort needs one press, no confirmation and no token; nothing else waits for its response. */
 async function abort() {
   dropReading();
   try {
     await ask("/api/abort", { reason: say("abort.reason") }, { withToken: false });
-    tellDone("done.abort");
+    showDone("done.abort");
   } catch (error) {
-    tellProblem(error);
+    showProblem(error);
   }
 }
 
@@ -51,20 +51,20 @@ async function begin() {
     const wanted = await askStart(await read("/api/machine"));
     if (wanted) await request("/api/start", wanted, "done.start");
   } catch (error) {
-    tellProblem(error);
+    showProblem(error);
   }
 }
 
-/* With the token, which is asked for where there is none or a wrong one. */
+/* Sends a command with the token, and asks for the token if it is missing or wrong. */
 export async function request(path, body, done) {
   if (!token() && !(await askToken())) return false;
   try {
     await ask(path, body);
-    tellDone(done);
+    showDone(done);
     await refresh();
     return true;
   } catch (error) {
-    tellProblem(error);
+    showProblem(error);
     if (error instanceof Refused && [401, 403].includes(error.problem.status)) {
       if (await askToken(say("token.wrong"))) return request(path, body, done);
     }
@@ -72,7 +72,7 @@ export async function request(path, body, done) {
   }
 }
 
-/* Nobody presses anything but the abort while a dialog is open, and nothing while typing. */
+/* Shortcuts are ignored while typing; while a dialog is open only abort is accepted. */
 function press(event) {
   const id = PRESSED[event.key.toLowerCase()];
   if (!id || event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;

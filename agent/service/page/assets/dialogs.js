@@ -1,9 +1,9 @@
-/* Questions of the page itself. Abort is none of them: it asks nothing. */
+/* Dialogs of the page. Abort has none: it is executed without confirmation. */
 import { byId, make } from "./dom.js";
 import { say } from "./language.js";
 import { keepToken, token } from "./requests.js";
 
-/* Everything but the dialog and the abort rests: no dialog ever stands before that button. */
+/* Everything except the dialog and the abort button is inert: no dialog ever covers that button. */
 const rests = () => document.querySelectorAll(".top, main, .requests");
 
 function open(dialog) {
@@ -21,7 +21,7 @@ addEventListener("keydown", (event) => {
   if (event.key === "Escape") byId("dialog").close();
 });
 
-/* Resolves with the form's data when it is confirmed, with null when it is not. */
+/* Resolves with the form data if confirmed, otherwise with null. */
 function asked(title, confirm, ...fields) {
   const dialog = byId("dialog");
   return new Promise((resolve) => {
@@ -52,7 +52,7 @@ export async function askConfirmation(title, text, confirm) {
 
 const KINDS = ["calibrate", "verify", "nightly"];
 
-/* What `POST /api/start` takes, or null. A person who confirms here stands at the machine. */
+/* Resolves with the body of `POST /api/start`, or null. The person who confirms is at the machine. */
 export async function askStart(machine) {
   const kinds = KINDS.map((kind, i) =>
     make("label", { className: "check" }, make("input", { type: "radio", name: "kind", value: kind, checked: i === 0 }),

@@ -1,4 +1,4 @@
-/* Elements without templates: text is always text, never markup. */
+/* Creation of elements without templates: text is always inserted as text, never as markup. */
 export function make(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) setAttribute(element, name, value);

@@ -1,4 +1,4 @@
-/* The engineer's view: one section at a time, of one run where it is about a run. */
+/* Engineer view: one section at a time; sections about a run show the chosen run. */
 import { byId, make } from "./dom.js";
 import { onLanguage, say } from "./language.js";
 import { runName } from "./parts.js";
@@ -62,14 +62,14 @@ function choose(section, run) {
   return show();
 }
 
-/* The runs that the section may be shown for: the one chosen, else the latest ones that may have what it needs. */
+/* Runs that the section can show: the chosen one, otherwise the latest ones that may have the data it needs. */
 function candidates({ needsEstimate }) {
   if (now.run !== null) return [now.run];
   const latest = needsEstimate ? now.runs.filter(({ state }) => state === "complete").slice(0, TRIED) : [];
   return (latest.length ? latest : now.runs.slice(0, 1)).map(({ run_id }) => run_id);
 }
 
-/* What the section shows, and of which run: of the first that has what it needs. */
+/* Content of the section for the first run that has the data it needs, and that run. */
 async function partsOf(section) {
   if (!section.ofRun) return { run: null, parts: await section.parts({ runs: now.runs, again: show }) };
   const runs = candidates(section);

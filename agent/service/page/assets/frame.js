@@ -1,4 +1,4 @@
-/* What stands around the views: name and state of the machine, which view, language, and whether anybody is there. */
+/* Frame around the views: name and state of the machine, choice of view and language, loss of connection. */
 import { byId } from "./dom.js";
 import { languageNow, languages, number, onLanguage, say, speak, translate } from "./language.js";
 import { on, seen } from "./store.js";
@@ -6,7 +6,7 @@ import { LOOKS, stateWord } from "./wording.js";
 
 const VIEWS = ["operator", "engineer"];
 
-/* `opened` is called with the view that is shown from now on. */
+/* `opened` is called with the name of the view that has been opened. */
 export function openFrame(opened) {
   for (const view of VIEWS) byId(`tab-${view}`).addEventListener("click", () => choose(view, opened));
   document.querySelector(".views").addEventListener("keydown", ({ key }) => {
@@ -49,7 +49,7 @@ function showState({ machine, state }) {
 }
 
 function showSilence(stale) {
-  const seconds = Math.round((Date.now() - seen.heard) / 1000);
+  const seconds = Math.round((Date.now() - seen.lastMessage) / 1000);
   document.body.classList.toggle("stale-data", stale);
   byId("stale").hidden = !stale;
   byId("stale").textContent = stale ? say("stale.text", { seconds: number(seconds, 0) }) : "";

@@ -1,4 +1,4 @@
-/* Turning and zooming a view: one finger or the mouse turns, two fingers pinch and shift, wheel and keys do the same. */
+/* Rotation and zoom of a view: one finger or the mouse rotates, two fingers zoom and pan; wheel and keys do the same. */
 const TURN_PER_PX = 0.008, TURN_PER_KEY = 0.1, ZOOM_PER_KEY = 1.2, WHEEL = 500;
 
 export function listenTo(canvas, camera, changed) {

@@ -1,4 +1,4 @@
-/* All words of the page come from one catalogue, messages.json, in both languages. */
+/* Language of the page. All texts come from one catalogue, messages.json, in both languages. */
 const KEPT_AS = "volcal.language";
 let catalogue = {};
 let language = "en";
@@ -23,13 +23,13 @@ export function speak(wished) {
 
 export const onLanguage = (listener) => listeners.add(listener);
 
-/* The message `key`; `{name}` in it is replaced. A key that is missing shows itself: a test finds it first. */
+/* Returns the message `key` with each `{name}` replaced. A missing key is shown as it is; a test finds it first. */
 export function say(key, values = {}) {
   const text = catalogue[key]?.[language] ?? key;
   return text.replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
 }
 
-/* The English message: what the service says is English, too. */
+/* Returns the English message, for comparison with texts of the service, which are English. */
 export const inEnglish = (key) => catalogue[key]?.en ?? "";
 export const known = (key) => key in catalogue;
 
@@ -45,7 +45,7 @@ export function instant(utc) {
 
 export const timeOfDay = (utc) => new Intl.DateTimeFormat(language, { timeStyle: "medium" }).format(new Date(utc));
 
-/* Elements of the document that name their message in `data-text` (content) or `data-label` (accessible name). */
+/* Translates the elements that name their message in `data-text` (content) or `data-label` (accessible name). */
 export function translate(root = document) {
   for (const element of root.querySelectorAll("[data-text]")) element.textContent = say(element.dataset.text);
   for (const element of root.querySelectorAll("[data-label]")) {

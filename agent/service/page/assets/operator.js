@@ -1,4 +1,4 @@
-/* What somebody at the machine wants to see: what it does, how long, what is wrong, what is asked. */
+/* Operator view: current action, remaining time, alarms and questions. */
 import { request } from "./controls.js";
 import { byId, make } from "./dom.js";
 import { inEnglish, known, number, onLanguage, say, timeOfDay } from "./language.js";
@@ -79,7 +79,7 @@ function alarmCard({ code, text, hint, where }) {
     at.length ? make("p", { className: "where" }, at.join(" · ")) : null);
 }
 
-/* The service's general hint says what the catalogue says; only what it knows better stands beside it. */
+/* The general hint of the service equals that of the catalogue; only a more specific hint is shown in addition. */
 const lettersOf = (text) => text.toLowerCase().replaceAll(/\W+/g, "");
 const sameWords = (one, other) => lettersOf(one) === lettersOf(other);
 

@@ -1,4 +1,4 @@
-/* Pieces that the engineer's sections share. */
+/* Elements shared by the sections of the engineer view. */
 import { make } from "./dom.js";
 import { instant, known, say } from "./language.js";
 
@@ -15,7 +15,7 @@ export function facts(pairs) {
   return make("dl", { className: "facts wide" }, ...pairs.map(([key, text]) => make("div", {}, make("dt", {}, say(key)), make("dd", {}, text))));
 }
 
-/* One of several; `chosen` is called with the value. */
+/* Choice of one option; `chosen` is called with its value. */
 export function choice(name, options, value, chosen) {
   return make("div", { className: "choice", role: "group", ariaLabel: say(name) }, ...options.map(([option, key]) =>
     make("button", { ariaPressed: String(option === value), onclick: () => chosen(option) }, say(key))));
@@ -23,7 +23,7 @@ export function choice(name, options, value, chosen) {
 
 export const wordOr = (prefix, value) => (known(`${prefix}.${value}`) ? say(`${prefix}.${value}`) : String(value));
 
-/* Words of a colour of their own: staged, active and accepted never look alike. */
+/* Status of a table as a coloured mark: staged, active and accepted are always distinguishable. */
 export const mark = (kind) => make("span", { className: `mark ${kind}` }, say(`table.${kind}`));
 
 export const runName = ({ kind, started, state }) => `${instant(started)} · ${wordOr("kind", kind)} · ${wordOr("state", state.replaceAll(/[ ,]+/g, "_"))}`;

@@ -1,4 +1,4 @@
-/* What the page asks of the service. What moves or writes carries the token; abort carries none and waits for none. */
+/* Requests to the service. Commands that move or write carry the token; abort carries none. */
 import { say } from "./language.js";
 
 const KEPT_AS = "volcal.token";
@@ -6,7 +6,7 @@ const KEPT_AS = "volcal.token";
 export const token = () => sessionStorage.getItem(KEPT_AS);
 export const keepToken = (value) => (value ? sessionStorage.setItem(KEPT_AS, value) : sessionStorage.removeItem(KEPT_AS));
 
-/* `problem`: what the service says of it (detail, hint, where, status). */
+/* Refusal by the service. `problem`: its problem document (detail, hint, where, status). */
 export class Refused extends Error {
   constructor(problem) {
     super(problem.detail ?? "");
@@ -26,7 +26,7 @@ export async function read(path) {
   }
 }
 
-/* Browsers open six connections to a host and no more: an abort must not stand in line behind what is being computed. */
+/* Browsers open at most six connections to a host: an abort must not wait for responses that are being computed. */
 export function dropReading() {
   for (const controller of reading) controller.abort();
 }
@@ -37,7 +37,7 @@ export async function ask(path, body, { withToken = true } = {}) {
   return (await answered(fetch(path, { method: "POST", headers, body: JSON.stringify(body ?? {}) }))).json();
 }
 
-/* A file that needs the token. */
+/* Fetches a file that requires the token. */
 export async function fetchFile(path) {
   return (await answered(fetch(path, { headers: { authorization: `Bearer ${token()}` } }))).blob();
 }

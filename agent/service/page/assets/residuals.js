@@ -1,4 +1,4 @@
-/* The form deviation of each ball as it comes: a ball that is dirty or loose stands out at once. */
+/* Form deviation of each ball as it is measured: a dirty or loose ball is noticed at once. */
 import { draw, make } from "./dom.js";
 import { number, onLanguage, say } from "./language.js";
 import { on, seen } from "./store.js";

@@ -1,4 +1,4 @@
-/* The live view: workspace, artefact where it stands, balls measured, next and lost. Drawn by the preview's scripts. */
+/* Live view: workspace, artefact at its station, balls measured, next and not found. Drawn by the scripts of the preview. */
 import { machineOf, paintMachine } from "./bare-machine.js";
 import { make } from "./dom.js";
 import { listenTo } from "./gestures.js";
@@ -24,7 +24,7 @@ export function openScene(stage) {
     canvas.setAttribute("aria-label", say("scene.name"));
     legend.replaceChildren(...["measured", "next", "lost"].map((kind) => make("span", { className: kind }, say(`scene.${kind}`))));
     turns.replaceChildren(...VIEWS.map((from) => make("button", { onclick: () => view.look(from) }, say(`scene.from_${from}`))));
-    view.tell();
+    view.showMessage();
   };
   name();
   onLanguage(name);
@@ -47,7 +47,7 @@ class View {
     listenTo(canvas, this.camera, () => this.show());
   }
 
-  /* The path of a run is known when its preflight has passed; between runs it is that of the next one. */
+  /* The path of a run is available once its preflight has passed; between runs the path of the next run is shown. */
   follow({ run_id: run, state, may, step }) {
     const wanted = `${may.includes("start") || PREPARING.includes(state) ? "next" : run} ${PREPARING.includes(state)}`;
     if (wanted !== this.wanted) {
@@ -58,22 +58,22 @@ class View {
     this.step = step;
   }
 
-  /* The latest question wins: an answer that comes late must not show a former plan. */
+  /* Only the response to the latest request is used: a late one must not show an outdated plan. */
   async load() {
     const mine = ++this.asked;
     try {
       if (!this.plan) await this.drawMachine();
-      this.tell("scene.computing");
+      this.showMessage("scene.computing");
       const plan = readPlan(JSON.stringify(await read("/api/plan")));
       if (mine !== this.asked) return;
       const first = this.plan === null;
       this.plan = plan;
-      this.tell("");
+      this.showMessage("");
       if (first) this.fit();
     } catch {
       if (mine !== this.asked) return;
       this.plan = null;
-      this.tell("scene.no_path");
+      this.showMessage("scene.no_path");
     }
     this.show();
   }
@@ -84,7 +84,7 @@ class View {
     this.show();
   }
 
-  tell(message = this.message) {
+  showMessage(message = this.message) {
     this.message = message;
     this.note.textContent = message ? say(message) : "";
   }
@@ -134,7 +134,7 @@ class View {
   }
 }
 
-/* The visit that the step belongs to; the first where nothing is measured. */
+/* Visit that the step belongs to; the first one if nothing is being measured. */
 function visitOf(plan, step) {
   const at = placeOf(step);
   if (!at) return 0;
@@ -150,7 +150,7 @@ function keyOfStep(step) {
   return at && at.ball !== null ? keyOf(at.station, at.azimuth, at.elevation, at.ball) : null;
 }
 
-/* A ball that was found later is not lost: what was measured stands above. */
+/* A ball that was found later is no longer shown as lost. */
 function mark(context, onScreen, colours) {
   const measured = new Set(seen.balls.map((ball) => keyOf(ball.station, ball.azimuth_deg, ball.elevation_deg, ball.ball)));
   const lost = new Set(seen.lost.map(keyOfStep));

@@ -1,4 +1,4 @@
-/* The 21 geometric errors of ISO 230-1: 18 functions with their ±2σ bands and three squarenesses. */
+/* Section with the 21 geometric errors of ISO 230-1: 18 functions with ±2σ bands and three squareness errors. */
 import { band, chart, line } from "./chart.js";
 import { make } from "./dom.js";
 import { number, say } from "./language.js";

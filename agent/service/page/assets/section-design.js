@@ -1,4 +1,4 @@
-/* The positions of the settings with what they are worth: expected error before and after, and without each of them. */
+/* Section with the position set of the settings: expected error before and after it, and its increase without each position. */
 import { make } from "./dom.js";
 import { number, say } from "./language.js";
 import { facts, heading, remark, table } from "./parts.js";
@@ -25,7 +25,7 @@ export async function parts() {
 
 const place = ({ station, azimuth_deg, elevation_deg }) => [number(station, 0), `${number(azimuth_deg, 1)}°`, `${number(elevation_deg, 1)}°`];
 
-/* A bar as long as what would be lost without the position. */
+/* Bar proportional to the increase of the error without the position. */
 function weight(lost, largest) {
   const bar = make("span", { className: "weight", ariaHidden: "true" });
   bar.style.width = `${Math.max(2, (120 * lost) / largest)}px`;

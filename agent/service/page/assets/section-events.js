@@ -1,4 +1,4 @@
-/* What happened in a run, as the journal has it; an alarm is something that needs an answer and stands elsewhere. */
+/* Section with the events of a run from the journal. Alarms need a reaction and are shown in the operator view. */
 import { make } from "./dom.js";
 import { instant, number, say } from "./language.js";
 import { choice, heading, remark, table, wordOr } from "./parts.js";

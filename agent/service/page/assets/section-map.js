@@ -1,4 +1,4 @@
-/* The error map: deviation of the bare machine on three planes, or how well it is known. */
+/* Section with the error map: deviation of the uncompensated machine on three planes, or its uncertainty. */
 import { make } from "./dom.js";
 import { number, say } from "./language.js";
 import { choice, facts, heading, remark } from "./parts.js";

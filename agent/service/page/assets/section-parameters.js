@@ -1,4 +1,4 @@
-/* Drift of the geometric errors: each by its largest value along the axis, and the parameters of the one chosen. */
+/* Section with the drift of the geometric errors: largest value of each along its axis, and the parameters of the chosen one. */
 import { make } from "./dom.js";
 import { known, number, say } from "./language.js";
 import { heading, remark, table } from "./parts.js";

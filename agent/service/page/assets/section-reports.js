@@ -1,10 +1,10 @@
-/* Reports of all runs as files, and everything that whoever is asked for help will want to know. */
+/* Section with the reports of all runs as files, and the diagnostics archive for support. */
 import { askToken } from "./dialogs.js";
 import { make } from "./dom.js";
 import { instant, number, say } from "./language.js";
 import { heading, remark, table, wordOr } from "./parts.js";
 import { fetchFile, Refused, token } from "./requests.js";
-import { tellProblem } from "./saying.js";
+import { showProblem } from "./notices.js";
 import { stateWord } from "./wording.js";
 
 export const ofRun = false;
@@ -20,7 +20,7 @@ function row({ run_id, kind, started, state, reason, balls, ended }) {
     make("span", { className: "acts" }, ...(ended ? [link("html"), link("pdf")] : [say("reports.going_on")]))];
 }
 
-/* It holds all that is known of the machine, so it needs the token and comes through a request, not a link. */
+/* The archive contains everything known about the machine, so it requires the token: a request instead of a link. */
 async function diagnostics() {
   if (!token() && !(await askToken())) return;
   try {
@@ -29,7 +29,7 @@ async function diagnostics() {
     link.click();
     URL.revokeObjectURL(address);
   } catch (error) {
-    tellProblem(error);
+    showProblem(error);
     if (error instanceof Refused && error.problem.status === 403 && (await askToken(say("token.wrong")))) await diagnostics();
   }
 }

@@ -1,4 +1,4 @@
-/* Compensation tables: which one acts, what was kept, how two differ, a backup as a file, and one to act again. */
+/* Section with the compensation tables: active bank, stored tables, difference of two, download, restoration. */
 import { request } from "./controls.js";
 import { askConfirmation } from "./dialogs.js";
 import { make } from "./dom.js";

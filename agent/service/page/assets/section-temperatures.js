@@ -1,4 +1,4 @@
-/* Temperatures of a run, and by how much the first ball of each position seemed to have moved at its end. */
+/* Section with the temperatures of a run, and the displacement of the first ball of each position at its end. */
 import { chart, level, line, points, reach } from "./chart.js";
 import { make } from "./dom.js";
 import { number, say } from "./language.js";

@@ -1,4 +1,4 @@
-/* Volumetric errors over the nights: bare machine, with the acting table, held-out balls. */
+/* Section with the volumetric errors over the nights: without table, with the active table, held-out balls. */
 import { make } from "./dom.js";
 import { say } from "./language.js";
 import { heading, remark } from "./parts.js";

@@ -1,4 +1,4 @@
-/* What the page knows: the status, what was measured in this run, what happened; and since when it has heard nothing. */
+/* State of the page: status, measurements and events of the current run, time of the last message. */
 import { read } from "./requests.js";
 
 const EVENTS_KEPT = 500;
@@ -8,7 +8,7 @@ const POLL_MS = 1000;
 const SOON_MS = 150;
 const SILENT_MS = 4000;
 
-export const seen = { status: null, balls: [], lost: [], temperatures: [], events: [], heard: Date.now(), stale: false };
+export const seen = { status: null, balls: [], lost: [], temperatures: [], events: [], lastMessage: Date.now(), stale: false };
 const listeners = new Map();
 let waiting = false, asking = false;
 
@@ -17,37 +17,37 @@ export function on(kind, listener) {
   listeners.set(kind, [...(listeners.get(kind) ?? []), listener]);
 }
 
-const tell = (kind, what) => (listeners.get(kind) ?? []).forEach((listener) => listener(what));
+const notify = (kind, what) => (listeners.get(kind) ?? []).forEach((listener) => listener(what));
 
 export async function follow() {
   await refresh();
   const stream = new EventSource("/api/events");
-  stream.addEventListener("status", (message) => take(JSON.parse(message.data)));
+  stream.addEventListener("status", (message) => takeStatus(JSON.parse(message.data)));
   for (const kind of KINDS) stream.addEventListener(kind, (message) => happened(kind, message));
   setInterval(watch, POLL_MS);
 }
 
-/* Events say that something has changed; the status says what it is now. */
+/* Events report that something has changed; the status is then fetched. */
 export async function refresh() {
   if (asking) return;
   asking = true;
   try {
-    await take(await read("/api/status"));
+    await takeStatus(await read("/api/status"));
   } catch {
-    look();
+    checkSilence();
   } finally {
     asking = false;
   }
 }
 
-async function take(status) {
+async function takeStatus(status) {
   const former = seen.status;
-  seen.heard = Date.now();
-  grow(false);
+  seen.lastMessage = Date.now();
+  setStale(false);
   if (former && status.event < former.event && status.run_id === former.run_id && status.state === former.state) return;
   seen.status = status;
   if (former?.run_id !== status.run_id) await beginRun(status.run_id);
-  tell("status", status);
+  notify("status", status);
 }
 
 async function beginRun(run) {
@@ -59,13 +59,13 @@ async function beginRun(run) {
     seen.events = events.filter(({ kind }) => kind === "state" || kind === "note").map(asEvent).reverse().slice(0, EVENTS_KEPT);
     seen.lost = events.map(({ record }) => record.step ?? "").filter((key) => key.endsWith("/lost"));
   }
-  tell("run", run);
-  tell("event", null);
+  notify("run", run);
+  notify("event", null);
 }
 
 const asEvent = ({ number, at, kind, record }) => ({ number, at, kind, text: record.text ?? "", data: record });
 
-/* A run that has only just begun is not in the journal yet. */
+/* A run that has just started is not in the journal yet. */
 async function known(path) {
   try {
     return await read(path);
@@ -77,20 +77,20 @@ async function known(path) {
 function happened(kind, message) {
   const { text, data } = JSON.parse(message.data);
   const event = { number: Number(message.lastEventId), kind, text, data, at: new Date().toISOString() };
-  seen.heard = Date.now();
+  seen.lastMessage = Date.now();
   if (kind === "ball" && !seen.balls.some((ball) => ball.key === data.key)) {
     seen.balls.push(data);
-    tell("ball", data);
+    notify("ball", data);
   }
   if (kind === "lost") {
     seen.lost.push(text);
-    tell("ball", data);
+    notify("ball", data);
   }
   if (kind === "temperature") seen.temperatures.push({ key: text, ...data });
   if (!QUIET.has(kind)) {
     seen.events.unshift(event);
     seen.events.length = Math.min(seen.events.length, EVENTS_KEPT);
-    tell("event", event);
+    notify("event", event);
   }
   if (waiting) return;
   waiting = true;
@@ -100,16 +100,16 @@ function happened(kind, message) {
   }, SOON_MS);
 }
 
-/* A service that hangs answers nothing at all: silence counts, not errors. */
+/* A service that hangs does not respond at all: missing messages count, not errors. */
 function watch() {
-  look();
+  checkSilence();
   refresh();
 }
 
-const look = () => grow(Date.now() - seen.heard > SILENT_MS);
+const checkSilence = () => setStale(Date.now() - seen.lastMessage > SILENT_MS);
 
-function grow(stale) {
+function setStale(stale) {
   const changed = seen.stale !== stale;
   seen.stale = stale;
-  if (changed || stale) tell("stale", stale);
+  if (changed || stale) notify("stale", stale);
 }

@@ -1,4 +1,4 @@
-/* Light or dark: as the system says until somebody chooses. */
+/* Light or dark theme: as set in the system until the user chooses. */
 import { byId } from "./dom.js";
 
 const KEPT_AS = "volcal.theme";

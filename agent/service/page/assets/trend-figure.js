@@ -1,11 +1,11 @@
-/* One series over the nights: values with their doubt, the line with its band, steps, control limits, tolerance. */
+/* Chart of one series over the nights: values with uncertainty, fit with band, steps, control limits, tolerance. */
 import { band, chart, fall, level, line, points, reach } from "./chart.js";
 import { make } from "./dom.js";
 import { number, say } from "./language.js";
 
 const COVERAGE = 2, SHORTEST_NIGHTS = 1;
 
-/* A rate for a night out of less than a night says nothing. */
+/* A rate per night from less than one night is meaningless. */
 const longEnough = ({ nights }) => nights.at(-1) - nights[0] >= SHORTEST_NIGHTS;
 
 export function trendFigure(trend, title) {
@@ -27,7 +27,7 @@ export function trendFigure(trend, title) {
 
 const lastStep = ({ steps }) => Math.max(-Infinity, ...steps.map(({ night }) => night));
 
-/* No slanting stroke stands for a step; the band belongs to the line since the last one. */
+/* The fit is drawn section by section, so that a step is no slanted line; the band belongs to the section since the last step. */
 function levelByLevel({ nights, fitted, fitted_half_width: half, steps }) {
   const edges = [-Infinity, ...steps.map(({ night }) => night), Infinity];
   const pieces = edges.slice(1).map((end, i) => nights.map((_, at) => at).filter((at) => nights[at] >= edges[i] && nights[at] < end)).filter((piece) => piece.length);
@@ -45,7 +45,7 @@ export function drifting(trend) {
   return `${now} · ${rate}${significant ? ` · ${say("trend.significant")}` : ""}${left}`;
 }
 
-/* The drift a night by itself. */
+/* Drift per night, with its uncertainty and unit. */
 export function rateOf(trend) {
   const { drift_a_night: drift, drift_standard_uncertainty: sigma } = trend;
   return drift === null || !longEnough(trend) ? "–" : say("parameters.rate", { drift: number(drift, 3), doubt: number(COVERAGE * sigma, 3) });

@@ -1,4 +1,4 @@
-/* What the machine is doing, in words, from the state and the key of the step. */
+/* Plain-text status of the machine from its state and the key of the step. */
 import { number, say } from "./language.js";
 
 const MOVING = new Set(["measuring", "verifying", "held"]);
@@ -26,7 +26,7 @@ export function placeOf(step) {
   return { phase, station: Number(station), azimuth, elevation, ball: ball === undefined ? null : Number(ball) };
 }
 
-/* What happened in the page's own words where it has some, else as the service says it. */
+/* Text of an event from the catalogue if it has one, otherwise the text of the service. */
 export function eventText({ kind, text, data }) {
   if (kind === "state") return stateWord(data.state);
   if (kind === "lost") return say("event.lost", { place: stepWords(text) });
@@ -35,7 +35,7 @@ export function eventText({ kind, text, data }) {
   return text;
 }
 
-/* The place of a step in words; empty where it has none. */
+/* Station, orientation and ball of a step in words; empty if it has none. */
 export function stepWords(step) {
   const at = placeOf(step);
   if (!at) return "";

@@ -1,4 +1,4 @@
-/* What the service has answered to a request, shown for a while; problems until something else is said. */
+/* Notices: confirmation of a request, shown for 5 s; problems stay until the next notice. */
 import { byId, make } from "./dom.js";
 import { known, say } from "./language.js";
 import { Refused } from "./requests.js";
@@ -6,12 +6,12 @@ import { Refused } from "./requests.js";
 const SHOWN_MS = 5000;
 let timer = null;
 
-export function tellDone(key) {
+export function showDone(key) {
   show("done", say(key), "");
   timer = setTimeout(hide, SHOWN_MS);
 }
 
-export function tellProblem(error) {
+export function showProblem(error) {
   if (!(error instanceof Refused)) throw error;
   const { status, detail, hint } = error.problem;
   const own = `problem.${status}`;
