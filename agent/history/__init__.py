@@ -1,1 +1,2 @@
-"""Every run of every machine, its trends and what they warn of. Journals are the truth; history is fed from them."""
+"""History of the runs of all machines, with trends and alarms. It is derived from the journals, which are
+authoritative."""

@@ -1,4 +1,4 @@
-"""Which database history is in, out of the settings; its password comes from a file and goes nowhere else."""
+"""Address of the history database from the settings; its password is read from a file and never shown."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KEY = "history.url"
 
 @dataclass(frozen=True)
 class DatabaseAddress:
-    """`url` with the password in it: never printed as it stands. `machine`: the name of this one in history."""
+    """Address of the database. `url` contains the password and must not be printed; `machine`: name of this machine."""
 
     url: URL
     machine: str
@@ -29,7 +29,7 @@ class DatabaseAddress:
 
     @property
     def text(self) -> str:
-        """For people: no password."""
+        """URL without password, for messages."""
         return self.url.render_as_string(hide_password=True)
 
     @property
@@ -38,7 +38,8 @@ class DatabaseAddress:
 
 
 def database_address(settings: Settings) -> DatabaseAddress:
-    """Raises ConfigurationError for a URL of another kind, one with a password in it, or an unsafe credentials file."""
+    """Return the address. Raise ConfigurationError for an unsupported URL, one with a password, or an unsafe
+    credentials file."""
     chosen, machine = settings.history, machine_name(settings.model_dump(mode="json"))
     if chosen.url is None:
         url = URL.create("sqlite", database=str(settings.state_directory / FILE_NAME))
@@ -55,15 +56,15 @@ def _parse_url(text: str) -> URL:
         backend = url.get_backend_name()
     except ArgumentError:
         hint = "write it as postgresql://USER@HOST:5432/DATABASE"
-        raise ConfigurationError("this is no database URL", key=_KEY, hint=hint) from None
+        raise ConfigurationError("not a valid database URL", key=_KEY, hint=hint) from None
     if backend == "sqlite":
         return url
     if backend != POSTGRESQL:
-        hint = "a SQLite file or PostgreSQL: postgresql://USER@HOST:5432/DATABASE"
-        raise ConfigurationError(f"history cannot be kept in {backend}", key=_KEY, hint=hint)
+        hint = "use a SQLite file or PostgreSQL: postgresql://USER@HOST:5432/DATABASE"
+        raise ConfigurationError(f"database {backend} is not supported for the history", key=_KEY, hint=hint)
     if url.password is not None or "password" in url.query:
-        hint = "take it out of the settings and name a credentials file"
-        raise ConfigurationError("the database URL holds a password", key=_KEY, hint=hint)
+        hint = "remove it from the settings and name a credentials file"
+        raise ConfigurationError("the database URL contains a password", key=_KEY, hint=hint)
     return url.set(drivername=f"{POSTGRESQL}+psycopg")
 
 
@@ -71,9 +72,12 @@ def _password(path: Path) -> str:
     text = read_text(path, error=ConfigurationError).strip()
     if path.stat().st_mode & _OTHERS:
         raise ConfigurationError(
-            "others can read the credentials file", key="history.credentials_file", file=str(path), hint="chmod 600"
+            "the credentials file can be read by others",
+            key="history.credentials_file",
+            file=str(path),
+            hint="chmod 600",
         )
     if not text or "\n" in text:
-        hint = "put the password alone on one line"
-        raise ConfigurationError("the credentials file holds no password", file=str(path), hint=hint)
+        hint = "write the password on a single line"
+        raise ConfigurationError("the credentials file contains no password", file=str(path), hint=hint)
     return text

@@ -1,4 +1,4 @@
-"""History for other programs: runs as CSV or JSON, without what only this program's tables need."""
+"""Export of the history as CSV or JSON, without internal columns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ COLUMNS = tuple(column.key for column in StoredRun.__table__.columns if column.k
 
 
 def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
-    """One run; `whole`: with parameters, temperatures and decisions. Keys as in docs/reference/json.md."""
+    """Return one run; `whole`: with parameters, temperatures and decisions. Keys as in docs/reference/json.md."""
     document = {name: _plain(getattr(run, name)) for name in COLUMNS}
     if whole:
         document["parameters"] = [
@@ -30,7 +30,7 @@ def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
 
 
 def as_csv(runs: Sequence[StoredRun]) -> str:
-    """A line a run; parameters follow in columns of their own, value and standard uncertainty of each."""
+    """Return CSV with one line per run; value and standard uncertainty of each parameter follow in further columns."""
     names = list(dict.fromkeys(p.name for run in runs for p in run.parameters))
     units = {p.name: p.unit for run in runs for p in run.parameters}
     heads = [head for name in names for head in (f"{name}_{units[name]}", f"u_{name}_{units[name]}")]

@@ -18,13 +18,13 @@ log = structlog.get_logger()
 def update_history(settings: Settings, run_id: str) -> str:
     """Update the history after run `run_id`, with any run that is missing; return the error text, or "" on success.
 
-    A run is never disturbed by a database that fails.
+    A run is never affected by a failing database.
     """
     try:
         with closing(HistoryStore(database_address(settings))) as store:
             written = sync(settings.state_directory, store)
     except VolcalError as error:
-        log.warning("history not fed", run=run_id, reason=str(error))
-        return f"history was not fed: {error}"
-    log.info("history fed", run=run_id, runs=len(written))
+        log.warning("history not updated", run=run_id, reason=str(error))
+        return f"the history was not updated: {error}"
+    log.info("history updated", run=run_id, runs=len(written))
     return ""

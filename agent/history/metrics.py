@@ -1,4 +1,4 @@
-"""What Prometheus may scrape, in its text format: of one machine, out of its history and what the service knows now."""
+"""Metrics of one machine for Prometheus in its text format, from history and current status."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ ACCEPTED = "complete"
 def metrics_text(
     machine: str, runs: Sequence[StoredRun], trends: Sequence[Trend], live: Mapping[str, float] | None = None
 ) -> str:
-    """The whole page. `runs`: of the machine, the oldest first. `live`: further gauges by name (`link_errors` becomes
-    `volcal_link_errors`), as the service counts them. A registry of its own: nothing of the process leaks in."""
+    """Return the whole page. `runs`: of the machine, oldest first; `live`: further gauges of the service by name
+    (`link_errors` becomes `volcal_link_errors`). A separate registry excludes metrics of the process."""
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)
     _of_trends(registry, machine, trends)
@@ -57,9 +57,9 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: Sequence[StoredRun
 
 def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend]) -> None:
     value = _gauge(registry, "trend_value", "newest value of a series", "series", "unit")
-    drift = _gauge(registry, "trend_drift_per_night", "drift of a series a night", "series", "unit")
+    drift = _gauge(registry, "trend_drift_per_night", "drift of a series per night", "series", "unit")
     doubt = _gauge(registry, "trend_drift_uncertainty", "standard uncertainty of the drift", "series", "unit")
-    left = _gauge(registry, "trend_nights_left", "nights until the tolerance, as the trend goes", "series")
+    left = _gauge(registry, "trend_nights_left", "expected nights until the tolerance is reached", "series")
     for trend in trends:
         series = trend.series
         labels = (machine, series.name, series.unit)

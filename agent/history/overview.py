@@ -1,4 +1,4 @@
-"""The trends of one machine that are worth showing, and all alarms."""
+"""Selection of the trends of one machine to be shown, and all alarms."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ _MOST_SHOWN = 6
 
 
 def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
-    """Of every series of one machine's runs, the oldest run first."""
+    """Return the trend of every series of one machine's runs, given oldest first."""
     return tuple(trend_of(series, settings.warn_nights) for series in all_series(runs, settings))
 
 
 def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:
-    """Those of that name or error: `EXX` also its coefficients. InputError for a name that no run has."""
+    """Return the trends with these names; an error such as `EXX` includes its coefficients. Raise InputError if
+    unknown."""
     by_name = {trend.series.name: trend for trend in trends}
     found: dict[str, Trend] = {}
     for name in names:
         same = {known: trend for known, trend in by_name.items() if known == name or known.startswith(f"{name}[")}
         if not same:
             listed = ", ".join(list(by_name)[:24]) or "none yet"
-            raise InputError(f"no run has anything called {name!r}", hint=f"there are: {listed}")
+            raise InputError(f"no run has a series {name!r}", hint=f"known series: {listed}")
         found |= same
     return tuple(found.values())
 
 
 def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Trend, ...]:
-    """The volumetric errors first, then what has a tolerance or an alarm, then what drifts most surely."""
+    """Return volumetric errors first, then series with a tolerance or an alarm, then by significance of their drift."""
     volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]
     others.sort(key=lambda trend: (trend.series.tolerance is None, not trend.alarms, -_significance(trend)))
@@ -41,7 +42,8 @@ def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Tre
 
 
 def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
-    """Those of volumetric errors and of whatever has a tolerance; a hundred coefficients would cry wolf by chance."""
+    """Return alarms of volumetric errors and of series with a tolerance; among a hundred coefficients some exceed their
+    control limits by chance."""
     return tuple(
         alarm
         for trend in trends

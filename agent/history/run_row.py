@@ -1,4 +1,4 @@
-"""What history keeps of a run, out of its record in the journal. Pure."""
+"""Rows of the history database for a run, from its record in the journal; a pure function."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ STORED_DECISIONS = frozenset(
     {"gate", "proof", "night", "verify", "accepted", "refused", "full-calibration-needed", "activate/activated"}
     | {"restore/activated", "publish/staged"}
 )
-"""What is decided about the machine; the big records of a run stay in its journal."""
+"""Decisions stored in the history; the large records of a run stay in its journal."""
 _TOO_BIG = ("written",)
 
 
 @dataclass(frozen=True)
 class RunRows:
-    """`run`: columns of `StoredRun` but for its digest; the rest rows of the other tables."""
+    """Rows of one run. `run`: columns of `StoredRun` except its digest; the others: rows of the other tables."""
 
     run: Mapping[str, Any]
     parameters: tuple[Mapping[str, Any], ...]
@@ -37,7 +37,7 @@ class RunRows:
 
 
 def machine_name(settings: Mapping[str, Any]) -> str:
-    """As the settings name it for history, else its machine file without the ending."""
+    """Return the machine's name in the history settings, otherwise the name of its file without suffix."""
     named = settings.get("history", {}).get("machine")
     return str(named or Path(settings["machine"]).stem)
 

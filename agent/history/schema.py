@@ -1,4 +1,4 @@
-"""The tables of history, of all machines together; `machine` and `run_id` name a run."""
+"""Tables of the history of all machines; `machine` and `run_id` identify a run."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ NAME, RUN_ID, WORD = String(100), String(40), String(40)
 
 
 class Base(DeclarativeBase):
-    """Floats are double precision everywhere: PostgreSQL's `Float` would do, SQLite has nothing else."""
+    """Base class of the tables; floats have double precision in all databases."""
 
     type_annotation_map = {float: Double, datetime: DateTime(timezone=True), int: Integer, str: Text}  # noqa: RUF012
 
 
 class SchemaVersion(Base):
-    """One row: which version of these tables the database holds."""
+    """Single row with the version of these tables in the database."""
 
     __tablename__ = "volcal_schema"
     version: Mapped[int] = mapped_column(primary_key=True)
 
 
 class StoredRun(Base):
-    """One run. µm, VE and VCE rigidly aligned; None where the run did not come so far or is none of that kind.
+    """One run. Lengths in µm, VE and VCE rigidly aligned; None if the run did not reach that point or is of another
+    kind.
 
-    `since`, `nights`: run of the last accepted night, and how many nights ago. `ve_before_um`: bare machine as
-    estimated; `ve_after_um`: predicted with its table; `ve_now_um`: of a night, with the acting table, expected;
-    `acting_um`: with the table that acts at the end. `digest`: of all that was fed, so that what has not changed is not
-    written again.
+    `since`, `nights`: run of the last accepted night, and nights since then. `ve_before_um`: estimated without table;
+    `ve_after_um`: predicted with its table; `ve_now_um`: expected by a night run with the active table; `acting_um`:
+    with the table active at the end. `digest`: hash of all stored values, so that unchanged runs are not written again.
     """
 
     __tablename__ = "volcal_runs"
@@ -114,7 +114,7 @@ class StoredTemperature(Base):
 
 
 class StoredDecision(Base):
-    """Gates, proof, acceptance …, `place` counting them in their order; `record` is JSON."""
+    """Gates, verification, acceptance …; `place`: index in their order; `record`: JSON."""
 
     __tablename__ = "volcal_decisions"
     __table_args__ = (_of_run(),)

@@ -1,4 +1,4 @@
-"""Series over nights out of the runs of one machine: volumetric errors, the 21 geometric errors, single parameters."""
+"""Series over the nights from the runs of one machine: volumetric errors, 21 geometric errors, single parameters."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from twin.units import S_PER_DAY
 
 BARE, ACTIVE, HELD_OUT = "ve_bare", "ve_acting", "held_out"
 TITLES = {
-    BARE: "VE of the bare machine",
-    ACTIVE: "VE with the acting table",
+    BARE: "VE without table",
+    ACTIVE: "VE with the active table",
     HELD_OUT: "rms of held-out balls",
 }
 _COEFFICIENT = re.compile(r"(E[XYZABC][XYZ])\[(\d+)\]")
@@ -30,9 +30,9 @@ _CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """`nights` (n,) since the first run of all, `values` and `sigmas` (n,) in `unit`; `stated`: whether the sigmas are
-    known. `tolerance`: None for none; `two_sided`: the value may lie on either side of zero. `steps`: nights from which
-    on the machine or its table is known to be another one."""
+    """Series of a quantity. `nights`: (n,) since the first run; `values`, `sigmas`: (n,) in `unit`; `stated`: the
+    sigmas are known; `tolerance`: None for none; `two_sided`: values may have either sign; `steps`: nights from which
+    on the machine or its table is known to have changed."""
 
     name: str
     title: str
@@ -48,15 +48,18 @@ class Series:
 
 
 def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Series, ...]:
-    """Of one machine's runs, the oldest first; those without any value are left out."""
+    """Return the series of one machine's runs, given oldest first; series without values are omitted."""
     timeline = nights_of(runs)
     found = [*_volumetric(runs, timeline, settings), *_errors(runs, timeline, settings)]
     return tuple(series for series in found if len(series.values))
 
 
 def nights_of(runs: Sequence[StoredRun]) -> Array:
-    """(n,) nights since the first run: by what a run itself says of the time since the last accepted night, which is
-    the calendar unless somebody has stated it, else by the calendar."""
+    """Return (n,) nights since the first run.
+
+    A run that records the nights since the last accepted night (from the calendar unless stated by the user) is placed
+    by that, other runs by the calendar.
+    """
     nights: dict[str, float] = {}
     last = 0.0
     for count, run in enumerate(runs):
@@ -70,7 +73,7 @@ def nights_of(runs: Sequence[StoredRun]) -> Array:
 
 
 def _utc(moment: datetime) -> datetime:
-    """SQLite forgets the zone, which is always UTC."""
+    """Return the time with its zone, which SQLite does not store and which is always UTC."""
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
 
 
@@ -83,7 +86,7 @@ class _Point:
 
 
 def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
-    """Of the bare machine, with the acting table, and what held-out balls showed at the end of each run."""
+    """Yield VE without table, VE with the active table, and the rms of the held-out balls at the end of each run."""
     changed = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
     anew = _nights_where(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
     readings: tuple[tuple[str, Callable[[StoredRun], tuple[float | None, float | None]], float | None], ...] = (
@@ -106,7 +109,7 @@ def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySet
 
 
 def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
-    """Each geometric error by its largest value along the axis, then each parameter."""
+    """Yield each geometric error by its largest value along the axis, then each parameter."""
     tolerances = settings.parameter_tolerances
     steps = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
     whole: dict[str, list[_Point]] = {}
@@ -128,7 +131,7 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
 
 
 def title_of(parameter: str) -> str:
-    """`EXX slope`, `EYX bow`, `EXX order 4`; other names as they are."""
+    """Return e.g. `EXX slope`, `EYX bow`, `EXX order 4`; other names unchanged."""
     found = _COEFFICIENT.fullmatch(parameter)
     if found is None:
         return parameter
@@ -136,7 +139,7 @@ def title_of(parameter: str) -> str:
 
 
 def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int, StoredParameter]]:
-    """Coefficients by Legendre order of each error motion."""
+    """Return the coefficients of each error motion by Legendre order."""
     errors: dict[str, dict[int, StoredParameter]] = {}
     for parameter in parameters:
         found = _COEFFICIENT.fullmatch(parameter.name)
@@ -146,8 +149,11 @@ def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int
 
 
 def _largest(coefficients: Mapping[int, StoredParameter]) -> tuple[float, float]:
-    """Largest absolute value of the series along the axis and its standard uncertainty there, coefficients taken as
-    uncorrelated: history keeps no covariances, and only the weight of a night depends on it."""
+    """Return the largest absolute value along the axis and its standard uncertainty there.
+
+    Coefficients are treated as uncorrelated: history stores no covariances, and only the weight of a night depends on
+    them.
+    """
     orders = list(coefficients)
     rows = legendre_values(np.linspace(-1.0, 1.0, _SAMPLES), max(orders))[orders]
     values = np.array([coefficients[order].value for order in orders])

@@ -1,4 +1,4 @@
-"""History in its database: one row a run and machine, written again as often as one likes."""
+"""Storage of the history in its database: one row per machine and run, which may be rewritten."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from agent.history.schema import (
 from drivers.errors import ConfigurationError, LinkLost
 
 _LOCK = 7_283_001
-"""Of PostgreSQL's advisory locks: who makes or changes the tables."""
+"""Key of the PostgreSQL advisory lock held while creating or changing the tables."""
 _CHILDREN = (StoredParameter, StoredTemperature, StoredDecision)
 
 
 class HistoryStore:
-    """Open on one database. Raises ConfigurationError for one that cannot be used, LinkLost for one that is away."""
+    """Open history database. Raise ConfigurationError if it cannot be used, LinkLost if it cannot be reached."""
 
     def __init__(self, address: DatabaseAddress) -> None:
         self.address = address
@@ -44,13 +44,13 @@ class HistoryStore:
         self._engine.dispose()
 
     def digests(self, machine: str) -> Mapping[str, str]:
-        """Of what is stored of each run of that machine."""
+        """Return the stored digest of each run of the machine."""
         with self._translated_errors(), Session(self._engine) as session:
             rows = session.execute(select(StoredRun.run_id, StoredRun.digest).where(StoredRun.machine == machine))
             return {run_id: digest for run_id, digest in rows}  # noqa: C416  a Row is no pair
 
     def put(self, rows: RunRows) -> None:
-        """Store the run, or what has become of it since; all of it or nothing."""
+        """Insert or replace the rows of a run in one transaction."""
         values = {**rows.run, "digest": rows.digest, **{at: _parse_time(rows.run[at]) for at in ("started", "ended")}}
         key = {name: values[name] for name in ("machine", "run_id")}
         with self._translated_errors(), self._engine.begin() as connection:
@@ -67,7 +67,8 @@ class HistoryStore:
             return tuple(session.scalars(select(StoredRun.machine).distinct().order_by(StoredRun.machine)))
 
     def runs(self, machine: str | None = None, last: int | None = None) -> Sequence[StoredRun]:
-        """The runs of a machine, or of all, oldest first, complete with what belongs to them; `last`: so many."""
+        """Return the runs of a machine, or of all, oldest first, with all their rows; `last`: at most the latest so
+        many."""
         query = select(StoredRun).options(
             selectinload(StoredRun.parameters), selectinload(StoredRun.temperatures), selectinload(StoredRun.decisions)
         )
@@ -80,7 +81,7 @@ class HistoryStore:
             return found[::-1]
 
     def _prepare(self) -> None:
-        """Make the tables, or see that they are of a version that is known here."""
+        """Create the tables, or check that their version is supported."""
         with self._engine.begin() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
@@ -90,15 +91,15 @@ class HistoryStore:
             found = connection.execute(select(SchemaVersion.version)).scalar_one()
         if found != SCHEMA_VERSION:
             raise ConfigurationError(
-                f"the history is of version {found}, this program knows version {SCHEMA_VERSION}",
+                f"the history database has version {found}, this program supports version {SCHEMA_VERSION}",
                 key="history.url",
                 database=self.address.text,
-                hint="install the newer program here too" if found > SCHEMA_VERSION else "name a new database",
+                hint="install the newer version of volcal here" if found > SCHEMA_VERSION else "name a new database",
             )
 
     @contextmanager
     def _translated_errors(self) -> Iterator[None]:
-        """Errors of the library as errors of the house; a password never gets into one."""
+        """Convert errors of the library to errors of the error tree, without the password."""
         try:
             yield
         except ModuleNotFoundError as error:
@@ -122,12 +123,12 @@ class HistoryStore:
         return LinkLost(
             f"the history cannot be reached: {first}",
             database=self.address.text,
-            hint="nothing is lost: the journal has it all, and `volcal history sync` feeds it again",
+            hint="no data are lost: the journal has all runs, and `volcal history sync` copies them again",
         )
 
 
 def stored_run(rows: RunRows) -> StoredRun:
-    """The row that `put` would store, without a database."""
+    """Return the row that `put` would store, without a database."""
     moments = {at: _parse_time(rows.run[at]) for at in ("started", "ended")}
     key = {name: rows.run[name] for name in ("machine", "run_id")}
     run = StoredRun(**{**rows.run, **moments, "digest": rows.digest})
@@ -138,7 +139,7 @@ def stored_run(rows: RunRows) -> StoredRun:
 
 
 def _engine(address: DatabaseAddress) -> Engine:
-    """No connection is kept: a run's end and a page's question are minutes apart, and servers are restarted."""
+    """Return an engine without connection pool: accesses are minutes apart, and servers are restarted."""
     seconds = address.timeout_s
     if address.is_file:
         engine = create_engine(address.url, poolclass=NullPool, connect_args={"timeout": seconds})
@@ -155,7 +156,7 @@ def _engine(address: DatabaseAddress) -> Engine:
 
 
 def _enforce_keys(connection: Any, _: object) -> None:
-    connection.isolation_level = None  # transactions are begun below, not by the driver
+    connection.isolation_level = None  # transactions are started in `_begin_writing`, not by the driver
     connection.execute("PRAGMA foreign_keys=ON")
 
 

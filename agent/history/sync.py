@@ -1,4 +1,4 @@
-"""History fed from the journal: whatever is missing there or has changed since, however long the database was away."""
+"""Update of the history from the journal: adds runs that are missing or have changed since the last update."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from agent.history.store import HistoryStore
 
 
 def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
-    """Feed all runs of the journal in the state directory; the ones that were written, in their order.
+    """Store all runs of the journal in the state directory; return the identities of those written, in order.
 
-    Again and again without harm: what is stored and has not changed is left alone. LinkLost where the database goes
-    away on the way; the next time goes on from there.
+    May be repeated: runs that are stored and unchanged are skipped. Raise LinkLost if the connection to the database is
+    lost; the next update continues from there.
     """
     stored: dict[str, dict[str, str]] = {}
     written = []
     for run_id in run_ids(directory):
-        fed = run_rows(read_record(directory, run_id))
-        machine = fed.run["machine"]
+        rows = run_rows(read_record(directory, run_id))
+        machine = rows.run["machine"]
         known = stored.setdefault(machine, dict(store.digests(machine)))
-        if known.get(run_id) != fed.digest:
-            store.put(fed)
+        if known.get(run_id) != rows.digest:
+            store.put(rows)
             written.append(run_id)
     return tuple(written)

@@ -1,4 +1,4 @@
-"""Trend of each series: drift a night, control limits, and what it warns of before a tolerance is reached."""
+"""Trend of each series: drift per night, control limits, and alarms before a tolerance is reached."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ MIN_CHARTED = 8
 
 
 class AlarmKind(Enum):
-    """`LIMIT`: the tolerance is reached; `TREND`: it will be; `CONTROL`: the series has left its control limits."""
+    """`LIMIT`: the tolerance is reached; `TREND`: it will be reached; `CONTROL`: the series is outside its control
+    limits."""
 
     LIMIT = "limit"
     TREND = "trend"
@@ -47,8 +48,8 @@ class TrendAlarm:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """`drift` is None where there are too few values for one; `chart` and `smoothed` are of the values since the last
-    step, None below `MIN_CHARTED`; `crossing`: None without a tolerance."""
+    """Trend of a series. `drift`: None if there are too few values; `chart`, `smoothed`: of the values since the last
+    step, None below `MIN_CHARTED` values; `crossing`: None without a tolerance."""
 
     series: Series
     drift: Drift | None
@@ -95,7 +96,7 @@ def trend_of(series: Series, warn_nights: float) -> Trend:
 
 
 def _drift(series: Series) -> Drift | None:
-    """None where nothing can be said: too few nights, or too few to know a scatter that nobody has stated."""
+    """Return the drift; None if there are too few nights, or too few to estimate a repeatability that is not stated."""
     relative = series.sigmas if series.stated else np.ones_like(series.values)
     try:
         steps = find_steps(series.nights, series.values, relative, series.steps)
@@ -113,21 +114,23 @@ def _tolerance_alarm(
         return
     value = float(series.values[-1])
     if (abs(value) if series.two_sided else value) >= tolerance:
-        text = f"{series.title} is {value:.2f} {series.unit}: its tolerance {tolerance:g} {series.unit} is reached"
+        text = f"{series.title} is {value:.2f} {series.unit}: tolerance {tolerance:g} {series.unit} reached"
         yield TrendAlarm(series.name, AlarmKind.LIMIT, text, 0.0)
     elif drift is not None and reach is not None and drift.significant and reach.expected <= warn_nights:
         rate, doubt = abs(drift.slope), drift.factor * drift.slope_sigma
         in_nights = max(math.floor(reach.expected), 0)
         text = (
             f"{series.title} {'grows' if drift.slope * drift.level > 0.0 else 'changes'} by {rate:.2f} ± {doubt:.2f} "
-            f"{series.unit} a night: limit {tolerance:g} {series.unit} in {in_nights} nights"
+            f"{series.unit} per night: tolerance {tolerance:g} {series.unit} reached in {in_nights} nights"
         )
         yield TrendAlarm(series.name, AlarmKind.TREND, text, reach.expected)
 
 
 def _control_alarm(series: Series, chart: IndividualsChart | None, smoothed: EwmaChart | None) -> Iterable[TrendAlarm]:
-    """Of the newest value alone: older ones have been told when they were new. A size that has become smaller than
-    ever is a better machine and no alarm."""
+    """Yield an alarm for the newest value only, since older ones were reported before.
+
+    A magnitude that has become smaller than ever is an improvement and raises no alarm.
+    """
     if chart is None or smoothed is None:
         return
     last = len(smoothed.values) - 1

@@ -1,1 +1,1 @@
-"""Reports of runs, made from the journal alone: same run, same page, whenever it is asked for."""
+"""Reports of runs, rendered from the journal alone: the same run always gives the same page."""

@@ -1,4 +1,4 @@
-"""An estimate read back from the journal, as a report wants it."""
+"""Estimate read back from the journal for a report."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from twin.machine.error_model import ErrorModel
 
 @dataclass(frozen=True, eq=False)
 class JournalEstimate:
-    """What `agent.reports.page.ReportedEstimate` asks for. `misfit`: None where it was switched off."""
+    """Estimate from the journal; implements `agent.reports.page.ReportedEstimate`. `misfit`: None if it was
+    disabled."""
 
     model: ErrorModel
     formulation: str
@@ -32,12 +33,13 @@ class JournalEstimate:
 
     @property
     def standard_uncertainty(self) -> Array:
-        """(p,) of each parameter."""
+        """(p,) standard uncertainty of each parameter."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
 
 def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEstimate:
-    """`unresolved_mm2`: variance per direction of what is too short in space for the misfit's modes."""
+    """Return the estimate. `unresolved_mm2`: variance per direction of the misfit that is too short in space for its
+    modes."""
     document = stored.document
     return JournalEstimate(
         model=stored.model,

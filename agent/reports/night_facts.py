@@ -1,4 +1,4 @@
-"""What a verification or a night found, as rows for people."""
+"""Results of a verification or night run as rows of the report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GOOD = (Decision.WITHIN, Decision.FUSED, Decision.WRITTEN, Decision.FULL_DONE)
 
 
 def night_of(record: RunRecord) -> Mapping[str, Any] | None:
-    """The last that the run said of its night; None for a run that is no night, or ended before it said anything."""
+    """Return the last recorded result of a night or verification; None if the run has none."""
     outcome = record.decision(OUTCOME) or {}
     found: Mapping[str, Any] | None = outcome.get("night") or record.decision("night") or record.decision("verify")
     return found
@@ -41,18 +41,18 @@ def _rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [
         ("Nights since", fixed(night["nights"], 1)),
         ("Measured", f"{night['positions']} positions at station {night['station']}"),
-        ("VE as that night left it", _um(night["ve_before_um"])),
+        ("VE after that night", _um(night["ve_before_um"])),
         ("VE now", _um(night["ve_now_um"])),
-        ("VE with what is known now", _um(night["ve_after_um"])),
+        ("VE with an updated table", _um(night["ve_after_um"])),
         ("Held-out balls, rms", f"{held_out}, expected {expected}"),
-        ("Against the prediction", "–" if chi2 is None else f"normalised χ² {fixed(chi2, 2)}"),
-        ("Changed at once", _suspects(night["jumped"]) or "nothing"),
-        ("Would explain most", _suspects(night["likeliest"]) or "–"),
+        ("Consistency with the prediction", "–" if chi2 is None else f"normalised χ² {fixed(chi2, 2)}"),
+        ("Abrupt changes", _error_changes(night["jumped"]) or "none"),
+        ("Most likely cause", _error_changes(night["likeliest"]) or "–"),
         ("Reason", night["reason"] or "none"),
     ]
 
 
-def _suspects(found: list[Mapping[str, Any]]) -> str:
+def _error_changes(found: list[Mapping[str, Any]]) -> str:
     return "; ".join(f"{one['error']} {one['change']:+.1f} {one['unit']} (ln {one['evidence']:.1f})" for one in found)
 
 

@@ -1,4 +1,4 @@
-"""The files of a report out of the journal, with the trend of the runs up to that one."""
+"""Rendering of a report from the journal, with the trend of the runs up to that one."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ _MOST_TRENDS = 4
 
 
 def render_from_journal(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
-    """`report.html`, and `report.pdf` where wanted, of a run of the journal in the state directory. InputError where
-    there is no such run, or where it does not hold what a report needs."""
+    """Return `report.html`, and `report.pdf` if `pdf`, of a run in the journal of the state directory `directory`.
+
+    Raise InputError if there is no such run or its record is not sufficient for a report.
+    """
     record = read_record(directory, run_id)
     page = render_report(report_of(record, _trend_figure(directory, record)))
     files: dict[str, str | bytes] = {"report.html": page}
@@ -33,18 +35,18 @@ def render_from_journal(directory: Path, run_id: str, *, pdf: bool) -> dict[str,
 
 
 def _trend_figure(directory: Path, record: RunRecord) -> str:
-    """SVG of the foremost trends of this machine up to the run, by this journal; empty below `MIN_RUNS` values."""
+    """Return an SVG of the main trends of the machine up to this run; empty if no series has `MIN_RUNS` values."""
     known = run_ids(directory)
     earlier = [read_record(directory, run_id) for run_id in known[: known.index(record.run_id) + 1]]
-    fed = [run_rows(one) for one in earlier]
-    machine = fed[-1].run["machine"]
-    runs = [stored_run(one) for one in fed if one.run["machine"] == machine]
+    rows = [run_rows(one) for one in earlier]
+    machine = rows[-1].run["machine"]
+    runs = [stored_run(one) for one in rows if one.run["machine"] == machine]
     shown = _select_trends(runs, HistorySettings.model_validate(record.settings.get("history", {})))
     return trends_svg(shown) if shown else ""
 
 
 def _select_trends(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
-    """Volumetric errors, then what has a tolerance, as far as there are nights enough for a line."""
+    """Return the volumetric errors, then series with a tolerance, that have at least `MIN_RUNS` values."""
     trends = [trend for trend in trends_of(runs, settings) if len(trend.series.values) >= MIN_RUNS]
     first = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     held = [trend for trend in trends if trend.series.tolerance is not None and trend not in first]

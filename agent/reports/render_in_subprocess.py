@@ -1,7 +1,6 @@
-"""A report made in a process of its own: what drawing needs of memory is gone with it, and a machine that is being
-measured on is not kept waiting while it draws.
+"""Rendering of a report in a subprocess, so that the memory for drawing is released and a measurement is not delayed.
 
-``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]`` is that process.
+``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]`` is that subprocess.
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ from drivers.errors import InputError, VolcalError
 
 TIMEOUT_S = 300.0
 EXIT_REPORTED = 2
-"""Exit code where the process says in one line what is wrong with the run."""
-HINT = "`volcal report` makes it"
+"""Exit code if the last line on stderr states what is wrong with the run."""
+HINT = "render it with `volcal report`"
 TEXT_SUFFIXES = frozenset({".html"})
 
 
 def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
-    """As `agent.reports.render_from_journal.render_from_journal`."""
+    """Return the files as `agent.reports.render_from_journal.render_from_journal`, rendered in a subprocess."""
     with tempfile.TemporaryDirectory(prefix="volcal-report-") as folder:
         command = [sys.executable, "-P", "-m", "agent.reports.render_in_subprocess", str(directory), run_id, folder]
         _run([*command, "--pdf"] if pdf else command, run_id)
@@ -32,7 +31,7 @@ def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str
 
 
 def render_html_in_subprocess(directory: Path, run_id: str) -> dict[str, str | bytes]:
-    """`agent.reports.renderer.ReportRenderer` of a service."""
+    """Return the HTML report; the `ReportRenderer` of the service."""
     return render_in_subprocess(directory, run_id, pdf=False)
 
 
@@ -40,10 +39,10 @@ def _run(command: Sequence[str], run_id: str) -> None:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise InputError(f"the report of run {run_id} was not made: {error}", hint=HINT) from error
+        raise InputError(f"the report of run {run_id} could not be rendered: {error}", hint=HINT) from error
     if done.returncode:
-        said = (done.stderr.strip().splitlines() or ["it was ended"])[-1]
-        text = said if done.returncode == EXIT_REPORTED else f"the report of run {run_id} was not made: {said}"
+        said = (done.stderr.strip().splitlines() or ["the process was terminated"])[-1]
+        text = said if done.returncode == EXIT_REPORTED else f"the report of run {run_id} could not be rendered: {said}"
         raise InputError(text, hint=HINT)
 
 
@@ -58,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("into", type=Path)
     parser.add_argument("--pdf", action="store_true")
     chosen = parser.parse_args(arguments)
-    from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  who only starts this process must not load it
+    from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  the parent process must not load it
 
     try:
         write_all_atomically(chosen.into, render_from_journal(chosen.directory, chosen.run_id, pdf=chosen.pdf))

@@ -1,4 +1,4 @@
-"""Who makes the files of a report."""
+"""Interface of functions that render the files of a report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ReportRenderer = Callable[[Path, str], Mapping[str, str | bytes]]
 
 
 def render_in_process(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
-    """In this process, which from then on holds all that drawing needs."""
-    from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  drawing is loaded where somebody draws
+    """Return the HTML report, rendered in this process, which keeps the drawing libraries loaded afterwards."""
+    from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  drawing libraries are loaded only when needed
 
     return render_from_journal(directory, run_id, pdf=False)

@@ -1,6 +1,6 @@
-"""Everything that the page of a run shows, out of its record in the journal.
+"""Report data of a run, from its record in the journal.
 
-Nothing that a decision rested on is computed again: estimate, residuals and figures are those that the run wrote down.
+Values on which decisions were based are not recomputed: estimate, residuals and figures are those recorded by the run.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Nigh
 
 
 def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> ReportData:
-    """The report of a run that has ended or broken off; `trend`: SVG of the runs up to this one.
+    """Return the report data of a run that has ended or was interrupted; `trend`: SVG of the runs up to this one.
 
-    InputError for a run of a version that did not keep what a report needs.
+    Raise InputError for a run of a version that did not record the data needed.
     """
     inputs = record.decision(INPUTS)
     if inputs is None:
         raise InputError(
-            "the run does not say what machine and artefact it was begun with",
+            "the journal does not contain the machine and artefact of this run",
             run=record.run_id,
-            hint="it ended before its preflight, or an older version wrote it; what it wrote then lies in its folder",
+            hint="the run ended before its preflight, or an older version wrote it; files from then are in its folder",
         )
     tool = record.settings["tool"]
     found = _found(record)
@@ -72,9 +72,9 @@ def _header(record: RunRecord, found: IdentificationData | None) -> Header:
     chosen = settings["identification"]
     identified = record.decision(IDENTIFIED)
     shown = {
-        "Prior": "family of the machine" if chosen["prior"] else "none",
-        "Weights": "full covariances" if chosen["weights"] == "full" else "all alike",
-        "Touches a ball": str(settings["procedure"]["touches_per_ball"]),
+        "Prior": "machine family" if chosen["prior"] else "none",
+        "Weights": "full covariances" if chosen["weights"] == "full" else "equal",
+        "Touches per ball": str(settings["procedure"]["touches_per_ball"]),
     }
     if identified is not None:
         shown["Legendre order"] = identified["order"]
@@ -106,7 +106,7 @@ def _found(record: RunRecord) -> IdentificationData | None:
 
 
 def measured_positions(record: RunRecord) -> tuple[Position, ...]:
-    """Those that the observations of the run's estimate count; none without an estimate."""
+    """Return the positions that the observations of the run's estimate index; empty without an estimate."""
     return tuple(Position(*place) for place in (record.decision(IDENTIFIED) or {"positions": ()})["positions"])
 
 
@@ -115,7 +115,7 @@ def _stored(record: RunRecord) -> StoredEstimate:
 
 
 def _gates(record: RunRecord) -> tuple[Gate, ...]:
-    """The last verdict of each, in the order in which they were first asked."""
+    """Return the last verdict of each gate, in the order of first evaluation."""
     gates = {note.record["name"]: Gate(**note.record) for note in record.decisions if note.kind == "gate"}
     return tuple(gates.values())
 
@@ -137,7 +137,7 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
         night=night_facts(record),
         temperatures=_temperatures(record),
         drifts_um=drifts_um(record),
-        asked=tuple(
+        questions=tuple(
             QuestionFacts(one.minute, one.text, True if one.answered else False if one.error else None, one.error)
             for one in record.questions
         ),
@@ -153,9 +153,9 @@ def _readable_time(stamp: str) -> str:
 
 
 def _banks(record: RunRecord, outcome: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    """Which table acted before, what was written, and which bank acts at the end."""
+    """Return rows on the previous table, the table written and the bank active at the end."""
     rows = []
-    for role, name in (("backup", "Table before"), ("staged", "Table written")):
+    for role, name in (("backup", "Previous table"), ("staged", "Table written")):
         table = record.table(role)
         if table is not None:
             rows.append((name, f"bank {table.bank}, {_checksum(table.crc32)}"))
@@ -165,7 +165,7 @@ def _banks(record: RunRecord, outcome: Mapping[str, Any]) -> tuple[tuple[str, st
 
 
 def _checksum(crc32: int | None) -> str:
-    return "no compensation" if crc32 is None else f"CRC-32 of its counts {crc32:08x}"
+    return "no compensation" if crc32 is None else f"CRC-32 of the counts {crc32:08x}"
 
 
 def _verification(record: RunRecord) -> VerificationFacts | None:

@@ -22,7 +22,7 @@ def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
     lines = [EventLine(note.at, note.kind, _line(note)) for note in kept]
     if drifts:
         largest = max(_drift_um(note) or 0.0 for note in drifts)
-        text = f"the first ball was found again in {len(drifts)} positions, at most {largest:.1f} µm away"
+        text = f"first ball measured again in {len(drifts)} positions, largest displacement {largest:.1f} µm"
         lines.append(EventLine(drifts[-1].at, "event", text))
     return tuple(sorted(lines, key=lambda line: line.timestamp))
 

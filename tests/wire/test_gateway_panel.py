@@ -445,14 +445,14 @@ def test_a_wrong_access_code_file_is_named(control, tmp_path, text):
     file = tmp_path / "code"
     file.write_text(text)
     file.chmod(0o600)
-    with pytest.raises(ConfigurationError, match="access code is no") as caught:
+    with pytest.raises(ConfigurationError, match="access code is not an integer") as caught:
         GatewayEndpoint(GatewaySettings(port=0, access_code_file=file), tmp_path).start(control)
     assert caught.value.where["file"] == str(file)
 
 
 def test_an_access_code_that_others_can_read_is_refused(control, tmp_path, code_file):
     code_file.chmod(0o640)
-    with pytest.raises(ConfigurationError, match=r"open to others \(mode 0640\)"):
+    with pytest.raises(ConfigurationError, match=r"can be read by others \(mode 0640\)"):
         GatewayEndpoint(GatewaySettings(port=0, access_code_file=code_file), tmp_path).start(control)
 
 
@@ -468,5 +468,5 @@ def test_the_access_code_that_systemd_hands_over_comes_first(tmp_path):
 @pytest.mark.parametrize("text", ["", "{}", '{"accepted": 0, "content": []}', '{"accepted": "7", "content": []}', "[]"])
 def test_a_damaged_record_of_the_number_is_named(control, tmp_path, text):
     (tmp_path / "gateway-sequence.json").write_text(text)
-    with pytest.raises(ConfigurationError, match="recorded cannot be read"):
+    with pytest.raises(ConfigurationError, match="sequence number of the gateway cannot be read"):
         GatewayEndpoint(GatewaySettings(port=0), tmp_path).start(control)

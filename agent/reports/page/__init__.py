@@ -1,4 +1,4 @@
-"""The report of a run: what was measured, identified, decided and proved, on one printable page."""
+"""Report of a run on one printable page: measurements, identified errors, decisions and verification."""
 
 from agent.reports.page.data import (
     EventLine,

@@ -1,4 +1,4 @@
-"""The geometric error functions: rows are axes, columns the six errors of ISO 230-1, all in shared units."""
+"""Figure of the geometric error functions: axes in rows, the six errors of ISO 230-1 in columns, on common scales."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DISPLACEMENTS = 3
 
 
 def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
-    """SVG of the 18 functions of one axis each; an error that the model does not have stays an empty panel."""
+    """Return an SVG of the 18 error functions; an error that is not in the model gets an empty panel."""
     by_name = {curve.name: curve for curve in curves}
     drawing = Drawing("error-curves", 10.4, 4.9)
     with drawing as figure:
@@ -35,7 +35,7 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
 
 
 def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
-    """SVG of the ram–column terms at full overhang, over the height."""
+    """Return an SVG of the ram–column terms at full overhang over the height."""
     drawing = Drawing("cross-effect", 5.6, 1.9)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.35)
@@ -48,7 +48,7 @@ def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
 
 
 def _panels(figure: Figure) -> list[list[Axes]]:
-    """(3, 6) panels with a gap between displacements and rotations, where the scale changes."""
+    """Return (3, 6) panels with a gap between displacements and rotations, which have different scales."""
     layout = figure.add_gridspec(3, 7, width_ratios=[1.0, 1.0, 1.0, 0.28, 1.0, 1.0, 1.0])
     columns = (0, 1, 2, 4, 5, 6)
     return [[figure.add_subplot(layout[row, column]) for column in columns] for row in range(3)]
@@ -78,7 +78,7 @@ def _reach(curves: Sequence[ErrorCurve], unit: str) -> float:
 
 
 def _share_scale(panels: Sequence[Axes], reach: float) -> None:
-    """The same scale for panels side by side, with its numbers at the first."""
+    """Set the same scale for panels side by side, with tick labels only at the first."""
     for count, panel in enumerate(panels):
         panel.set_ylim(-1.05 * reach, 1.05 * reach)
         panel.locator_params(axis="y", nbins=5)

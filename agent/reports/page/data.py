@@ -1,7 +1,7 @@
-"""What a report is made of.
+"""Data of a report.
 
-An offline identification fills the first block only; a run on a machine adds what it decided, verified and
-noticed. Sections whose value is None or empty are left out of the page.
+An offline identification fills the first block only; a run on a machine adds decisions, verification and events.
+Sections whose value is None or empty are omitted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from twin.identification import Estimate, FieldKnowledge, Scales
 
 
 class ReportedEstimate(FieldKnowledge, Protocol):
-    """What a page shows of an estimate, whether it has just been found or is read back."""
+    """Part of an estimate shown in a report, whether just identified or read back from the journal."""
 
     @property
     def formulation(self) -> str: ...
@@ -45,7 +45,7 @@ class ReportedEstimate(FieldKnowledge, Protocol):
 
 @dataclass(frozen=True)
 class Header:
-    """Who, what and when. `timestamp` is ISO 8601 UTC; `state` one of the run states."""
+    """Title and identity of the report. `timestamp`: ISO 8601 UTC; `state`: run state."""
 
     title: str
     run_id: str
@@ -58,7 +58,7 @@ class Header:
 
 @dataclass(frozen=True)
 class VerifiedPosition:
-    """A held-out position: rms of its ball deviations, and the standard uncertainty predicted for that rms."""
+    """Held-out position: rms of its ball deviations in µm, and the standard uncertainty predicted for that rms."""
 
     label: str
     before_um: float | None
@@ -68,7 +68,7 @@ class VerifiedPosition:
 
 @dataclass(frozen=True)
 class VerificationFacts:
-    """Fresh measurements with the new table active."""
+    """Verification by new measurements with the new table active; µm."""
 
     accepted: bool
     verdict: str
@@ -80,7 +80,7 @@ class VerificationFacts:
 
 @dataclass(frozen=True)
 class TemperatureTrace:
-    """One sensor over the run: (n,) minutes since its start and (n,) °C."""
+    """Readings of one sensor: (n,) minutes since the start of the run and (n,) °C."""
 
     name: str
     minutes: Array
@@ -96,7 +96,7 @@ class EventLine:
 
 @dataclass(frozen=True)
 class QuestionFacts:
-    """A question to a person, the machine minute of the run, and the answer; None: none was given."""
+    """Question to a person, the machine time in minutes, and the answer (None: no answer)."""
 
     minute: float
     text: str
@@ -106,7 +106,7 @@ class QuestionFacts:
 
 @dataclass(frozen=True)
 class NightFacts:
-    """What a verification or a night decided, `since` the last accepted run, and the rows that say why."""
+    """Decision of a verification or night, `since` the last accepted run, with the rows that justify it."""
 
     decision: str
     good: bool
@@ -118,7 +118,7 @@ class NightFacts:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a run came from: `started_by`; name and SHA-256 of each input file; digest of the settings in full."""
+    """Origin of a run: `started_by`; name and SHA-256 of each input file; SHA-256 of the complete settings."""
 
     started_by: str
     files: tuple[tuple[str, str], ...]
@@ -127,8 +127,8 @@ class Provenance:
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What only a run on a machine knows. `times`: rows about begin and end; `banks`: about tables before, written
-    and at the end; `trend`: an SVG with all runs up to this one; `drifts_um`: of the first ball of each position."""
+    """Data of a run on a machine. `times`: rows on start and end; `banks`: rows on the tables before, written and at
+    the end; `trend`: SVG of all runs up to this one; `drifts_um`: displacement of the first ball of each position."""
 
     touches: int | None = None
     machine_minutes: float | None = None
@@ -138,7 +138,7 @@ class RunFacts:
     banks: tuple[tuple[str, str], ...] = ()
     verification: VerificationFacts | None = None
     night: NightFacts | None = None
-    asked: tuple[QuestionFacts, ...] = ()
+    questions: tuple[QuestionFacts, ...] = ()
     provenance: Provenance | None = None
     trend: str = ""
     temperatures: tuple[TemperatureTrace, ...] = ()
@@ -149,8 +149,8 @@ class RunFacts:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationData:
-    """What an identification found. `positions` are the poses that `observations.position` counts; `residuals_mm`
-    (n, 3) in the order of the observations."""
+    """Result of an identification. `positions`: poses indexed by `observations.position`; `residuals_mm`: (n, 3) in the
+    order of the observations."""
 
     observations: Observations
     estimate: ReportedEstimate
@@ -173,8 +173,8 @@ class IdentificationData:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Everything a page is drawn from. `tool_offset` (3,) mm: what the table and every stated volumetric error belong
-    to. `found` is None where a run did not come to an estimate. `gates_enforced`: whether they decided anything.
+    """Complete data of a report. `tool_offset`: (3,) mm, to which the table and all volumetric errors refer.
+    `identification`: None if the run has no estimate. `gates_enforced`: False if the gates are informative only.
     """
 
     header: Header

@@ -1,4 +1,4 @@
-"""Error functions with their uncertainty, out of an estimate's parameters and covariance."""
+"""Error functions with their uncertainty, from the parameters and the covariance of an estimate."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAMPLES = 81
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """One error function with its standard uncertainty, (n,) each; `unit` is µm or µrad."""
+    """Error function with its standard uncertainty, (n,) each; `unit`: µm or µrad."""
 
     name: str
     argument: str
@@ -27,12 +27,12 @@ class ErrorCurve:
 
     @property
     def reach(self) -> float:
-        """Largest absolute value the ±2σ band comes to."""
+        """Largest absolute value of the ±2σ band."""
         return float(np.max(np.abs(self.value) + 2.0 * self.sigma))
 
 
 def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """The error motions of X, then Y, then Z; those that have no coefficient in the model are left out."""
+    """Return the error motions of X, then Y, then Z; those without a coefficient in the model are omitted."""
     curves = []
     for axis, limits in zip("XYZ", model.ranges_mm, strict=True):
         place = np.linspace(*limits, SAMPLES)
@@ -58,7 +58,8 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
 
 
 def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """What the cross-effect adds to EYZ and EAZ at full overhang (v = 1), over z; empty when not in the model."""
+    """Return the contribution of the cross-effect to EYZ and EAZ at full overhang (v = 1) over z; empty if not
+    modelled."""
     place = np.linspace(*model.ranges_mm[2], SAMPLES)
     w = (place - place[0]) / (place[-1] - place[0])
     curves = []
@@ -75,8 +76,9 @@ def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array)
 def _curve(
     name: str, argument: str, unit: str, place: Array, *, rows: Array, coefficients: Array, covariance: Array
 ) -> ErrorCurve:
-    """`rows` (n, k) are the functions that `coefficients` (k,) weigh."""
+    """Return the curve of `rows` (n, k) weighted by `coefficients` (k,) with its standard uncertainty."""
     micro, scale = MICRO_UNITS[unit]
+    # variance of each point by propagation of the coefficients' covariance: diag(R C Rᵀ)
     variance = np.einsum("nk,kl,nl->n", rows, covariance, rows)
     sigma = scale * np.sqrt(np.maximum(variance, 0.0))
     return ErrorCurve(name, argument, micro, place, scale * (rows @ coefficients), sigma)

@@ -1,4 +1,4 @@
-"""Which figures a report holds, drawn from its data."""
+"""Figures of a report, drawn from its data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.arrays import Array
 
 
 def report_figures(data: ReportData) -> dict[str, str]:
-    """SVG by the name that the page's template gives it; an empty text where there is nothing to draw."""
+    """Return SVG by figure name in the template; an empty text if there is nothing to draw."""
     traces, probe, identification = data.run.temperatures, data.run.probe, data.identification
     figures = {
         "qualification": draw_qualification(probe) if probe and probe.rings else "",
@@ -48,23 +48,24 @@ def _of_estimate(identification: IdentificationData, tool_offset: Array) -> dict
 
 
 def ball_residuals(identification: IdentificationData) -> BallResiduals:
-    """Residuals in µm and in standard deviations, with what was rejected and where a new station begins."""
+    """Return residuals in µm and in standard deviations, with accepted balls and the first position of each station."""
     seen, estimate = identification.observations, identification.estimate
-    gone = set(estimate.rejected)
+    rejected = set(estimate.rejected)
     keys = zip(seen.position.tolist(), seen.ball.tolist(), seen.tool.tolist(), strict=True)
-    kept = np.array([key not in gone for key in keys])
+    accepted = np.array([key not in rejected for key in keys])
     stations = [position.station for position in identification.positions]
     return BallResiduals(
         position=seen.position,
         ball=seen.ball,
         residual_um=1e3 * identification.residuals_mm,
-        standardised=identification.residuals_mm / _expected_spread(identification, int(kept.sum())),
-        kept=kept,
+        standardised=identification.residuals_mm / _expected_spread(identification, int(accepted.sum())),
+        accepted=accepted,
         station_starts=tuple(count for count in range(1, len(stations)) if stations[count] != stations[count - 1]),
     )
 
 
-def _expected_spread(identification: IdentificationData, kept: int) -> Array:
-    """(n, 3) mm: touch noise as identification, less what the fit takes up with its poses and parameters."""
+def _expected_spread(identification: IdentificationData, accepted: int) -> Array:
+    """Return the expected standard deviation of the residuals, (n, 3) mm: estimated touch noise, reduced by the degrees
+    of freedom used by poses and parameters."""
     sigma = np.sqrt(np.einsum("nii->ni", identification.observations.covariance)) * identification.estimate.scales.noise
-    return np.asarray(sigma * np.sqrt(identification.estimate.degrees_of_freedom / (3.0 * kept)))
+    return np.asarray(sigma * np.sqrt(identification.estimate.degrees_of_freedom / (3.0 * accepted)))

@@ -1,4 +1,4 @@
-"""Sections about what was identified: before and after, squareness, residuals, fit, null space, table, parameters."""
+"""Sections on the identification: before and after, squareness, residuals, fit, null space, table, parameters."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def squareness(identification: IdentificationData) -> Table:
 
 
 def residual_note(identification: IdentificationData) -> str:
-    kept = ball_residuals(identification).kept
-    rms = 1e3 * np.sqrt(np.mean(identification.residuals_mm[kept] ** 2, axis=0))
+    accepted = ball_residuals(identification).accepted
+    rms = 1e3 * np.sqrt(np.mean(identification.residuals_mm[accepted] ** 2, axis=0))
     text = f"rms by component: x {rms[0]:.2f}, y {rms[1]:.2f}, z {rms[2]:.2f} µm over the accepted balls."
     several_stations = len({position.station for position in identification.positions}) > 1
     return f"{text} Dotted lines separate the stations." if several_stations else text
@@ -64,16 +64,16 @@ def _residual_of(identification: IdentificationData, position: int, ball: int, t
 
 def fit(identification: IdentificationData) -> Rows:
     estimate = identification.estimate
-    misfit = "not looked for"
+    misfit = "not estimated"
     if estimate.misfit is not None:
         rms = 1e3 * estimate.misfit.amplitude_mm * estimate.scales.misfit
-        misfit = f"about {number(rms, 2)} µm rms that the model cannot represent"
+        misfit = f"about {number(rms, 2)} µm rms not represented by the model"
     return [
         ("Normalised χ²", fixed(estimate.chi2_normalised, 3)),
         ("Degrees of freedom", fixed(estimate.degrees_of_freedom, 0)),
         ("Touch noise", f"{fixed(estimate.scales.noise, 2)} times as stated"),
-        ("Family", f"{fixed(estimate.scales.prior, 2)} times as wide as stated"),
-        ("Beside the model", misfit),
+        ("Machine family", f"{fixed(estimate.scales.prior, 2)} times as wide as stated"),
+        ("Model misfit", misfit),
         ("Conditioning", number(estimate.conditioning, 3)),
         ("Rank", f"{estimate.rank} of {estimate.model.size}"),
         ("Rejected balls", str(len(estimate.rejected))),
@@ -83,11 +83,11 @@ def fit(identification: IdentificationData) -> Rows:
 def null_intro(identification: IdentificationData) -> str:
     size, rank = identification.estimate.model.size, identification.estimate.rank
     if rank == size:
-        return f"All {size} parameters of the model are seen."
+        return f"All {size} parameters of the model are determined by the measurement."
     missing = plural(size - rank, "direction")
     return (
-        f"Of {size} parameters {rank} combinations are seen. The other {missing} are held by the family of the machine "
-        "alone; they change nothing at the balls that were measured:"
+        f"The measurement determines {rank} of {size} combinations of parameters. The other {missing} follow from the "
+        "machine family alone and have no effect at the measured balls:"
     )
 
 
@@ -102,14 +102,14 @@ def table_rows(identification: IdentificationData) -> Rows | None:
         ("Largest correction", f"{largest} µm"),
         ("Anchor", f"zero at {point(table.anchor_mm)}; primary {table.primary}, secondary {table.secondary}"),
         ("Tool offset", point(table.tool_offset_mm)),
-        ("Beyond the measured region", f"{table.extrapolated} of {table.cells} nodes"),
+        ("Outside the measured region", f"{table.extrapolated} of {table.cells} nodes"),
         ("Sign", "values are added to the commanded position"),
         ("CRC-32 of the CSV file", table.crc32),
     ]
 
 
 def parameters(identification: IdentificationData) -> list[list[tuple[str, str, str, str]]]:
-    """Three columns of name, value, σ, unit."""
+    """Return three columns of rows of name, value, σ and unit."""
     estimate = identification.estimate
     sigma = estimate.standard_uncertainty
     rows = []

@@ -1,4 +1,4 @@
-"""Who, what and when; the first lines of a report, its tiles, and what the result holds for."""
+"""Head of the report: identity, tiles with the main results, and the validity of the result."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from agent.results.facts import Quantity
 
 
 def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
-    """Four figures at the top."""
+    """Return the four main figures at the top."""
     identification, night = data.identification, data.run.night
     if identification is not None:
         shown = _of_estimate(data, identification, t)
@@ -96,14 +96,14 @@ def _machine(identification: IdentificationData) -> Rows:
 
 
 def validity(data: ReportData, identification: IdentificationData) -> list[str]:
-    """For which tool and which region the result holds."""
+    """Return statements on the tool offset and the region for which the result is valid."""
     seen = identification.observations
     used = [seen.tool_offsets[tool] for tool in np.unique(seen.tool)]
     lengths = " and ".join(point(offset) for offset in used)
     if len(used) == 1:
         first = (
-            f"Measured with one tool offset, {lengths}. The result and its table hold for this offset only: with "
-            "another stylus or tool the rotations act on another arm, and some of them were not seen apart."
+            f"Measured with one tool offset, {lengths}. The result and its table are valid for this offset only: with "
+            "another stylus or tool the rotations have another lever arm, and some could not be determined separately."
         )
     else:
         first = f"Measured with {len(used)} tool offsets, {lengths}; the table is made for {point(data.tool_offset)}."

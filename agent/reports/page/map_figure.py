@@ -19,7 +19,7 @@ HIGHEST_IN = 4.0
 
 
 def draw_planes(name: str, planes: Sequence[PlaneMap], label: str, *, dots: bool) -> str:
-    """SVG of the planes side by side under one colour scale that starts at zero."""
+    """Return an SVG of the planes side by side with a common colour scale from zero."""
     top = max(float(plane.length_um.max()) for plane in planes) or 1.0
     width, high = _panel_size(planes)
     total = high + ROOM.bottom + ROOM.top
@@ -70,7 +70,7 @@ def _draw(panel: Axes, plane: PlaneMap, top: float, dots: bool) -> AxesImage:
 
 
 def _panel_size(planes: Sequence[PlaneMap]) -> tuple[float, float]:
-    """Width and height in inches of one panel that fill the page at equal scales on both axes."""
+    """Return width and height of one panel in inches that fill the page with equal scales on both axes."""
     plane = planes[0]
     ratio = float(np.ptp(plane.y_mm) / np.ptp(plane.x_mm))
     width = (WIDTH_IN - ROOM.left - ROOM.right - BAR_IN) / len(planes) - GAP_IN

@@ -1,4 +1,4 @@
-"""Numbers and names as people read them."""
+"""Formatting of numbers and tables for the report."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from agent.results.facts import Quantity
 
 COVERAGE = 2.0
-"""Coverage factor of every expanded uncertainty in the page (GUM, about 95 %)."""
+"""Coverage factor of all expanded uncertainties of the report (GUM, about 95 %)."""
 Rows = list[tuple[str, str]]
 MINUS = "\N{MINUS SIGN}"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Column heads, rows of ready text, and which columns hold numbers, long codes in fine print, and what is not to be
-    broken over lines."""
+    """Table of ready texts: column heads, rows, and the columns with numbers, in fine print, and without line
+    breaks."""
 
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -29,7 +29,8 @@ class Table:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """To so many significant digits, never in exponents for what a page shows, with a real minus sign."""
+    """Return the value with `digits` significant digits, without exponent unless it is very small, and a real minus
+    sign."""
     if value == 0.0:
         return "0"
     text = f"{value:.{digits}g}"
@@ -43,7 +44,7 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def micrometres(quantity: Quantity | None) -> str:
-    """`12.3 ± 0.8 µm`, expanded uncertainty; a dash for what is not known."""
+    """Return `12.3 ± 0.8 µm` with expanded uncertainty; a dash if unknown."""
     if quantity is None:
         return "–"
     decimals = 1 if quantity.value_um >= 10.0 else 2

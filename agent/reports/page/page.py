@@ -1,4 +1,4 @@
-"""The values of the page, section by section."""
+"""Values of the report template, section by section."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GOOD_STATES = ("complete", "idle", "held")
 
 
 def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
-    """Every value that the template names, except the figures."""
+    """Return all values used by the template except the figures."""
     failed = [gate for gate in data.gates if not gate.passed] if data.gates_enforced else []
     proof, night, header = data.run.verification, data.run.night, data.header
     good = header.state in GOOD_STATES and not failed and (proof is None or proof.accepted)
@@ -49,7 +49,7 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
 
 
 def _identification(data: ReportData, identification: IdentificationData, t: Texts) -> dict[str, Any]:
-    """Values of the sections that need an estimate."""
+    """Return the values of the sections that need an estimate."""
     return {
         "summary": identification_sections.summary_table(data, identification, t),
         "validity": validity(data, identification),
@@ -65,7 +65,7 @@ def _identification(data: ReportData, identification: IdentificationData, t: Tex
 
 
 def _temperatures(data: ReportData) -> np.ndarray:
-    """Of the artefact, of everything that was measured."""
+    """Return all measured temperatures of the artefact in °C."""
     if data.identification is not None:
         return data.identification.observations.temperature_c
     traces = [trace.temperature_c for trace in data.run.temperatures if trace.name == "artefact"]

@@ -1,7 +1,7 @@
-"""The report on paper: the same page as PDF, A4, with running header and page numbers.
+"""PDF of the report: the same page on A4, with running header and page numbers.
 
-WeasyPrint draws figures by itself, where the page's CSS variables and `currentColor` do not reach: both are written out
-in the colours of print.
+WeasyPrint renders SVG figures separately, without the CSS variables and `currentColor` of the page: both are replaced
+by the colours for print.
 """
 
 from __future__ import annotations
@@ -28,9 +28,12 @@ _SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
 
 
 def render_pdf(page: str) -> bytes:
-    """`page`: HTML of `render_report`. The same page gives the same bytes: no date is written, and the file's identity
-    is that of its text. Nothing is fetched from anywhere. InputError where a part of it could not be drawn."""
-    # half a second that only a PDF should cost
+    """Return the PDF of `page`, the HTML of `render_report`.
+
+    The same page gives the same bytes: no date is written, and the file identifier is a hash of the text. Nothing is
+    fetched from the network. Raise InputError if a part of the page could not be drawn.
+    """
+    # import takes about 0.5 s, needed only for a PDF
     from weasyprint import HTML  # type: ignore[import-untyped]  # noqa: PLC0415
     from weasyprint.urls import URLFetcher  # type: ignore[import-untyped]  # noqa: PLC0415
 
@@ -53,20 +56,21 @@ def _in_print_colours(svg: str) -> str:
 
 @contextmanager
 def _fail_on_logged_errors() -> Iterator[None]:
-    """The library leaves out what it cannot draw and tells its log; a report with a hole in it is none."""
-    told: list[str] = []
+    """Raise InputError for errors logged by the library, which omits parts that it cannot draw."""
+    messages: list[str] = []
 
-    class Listening(logging.Handler):
+    class Collector(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            told.append(record.getMessage())
+            messages.append(record.getMessage())
 
-    logger, listening = logging.getLogger("weasyprint"), Listening(logging.ERROR)
-    logger.addHandler(listening)
+    logger, collector = logging.getLogger("weasyprint"), Collector(logging.ERROR)
+    logger.addHandler(collector)
     try:
         yield
     finally:
-        logger.removeHandler(listening)
-    if told:
+        logger.removeHandler(collector)
+    if messages:
         raise InputError(
-            f"the report cannot be printed: {told[0]}", hint="print report.html from a browser, and report it"
+            f"the report cannot be converted to PDF: {messages[0]}",
+            hint="print report.html from a browser, and report this error",
         )

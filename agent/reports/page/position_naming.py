@@ -1,4 +1,4 @@
-"""A name for a list of positions: the sets that it is made of, where it is made of sets."""
+"""Name of a list of positions from the standard position sets that it consists of."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SAME_ANGLE_DEG = 0.01
 
 
 def name_of_positions(positions: Sequence[Position]) -> str:
-    """`S3, 4 stations` where every station has all orientations of S3, else the number of positions."""
+    """Return e.g. `S3, 4 stations` if every station has all orientations of S3, otherwise the number of positions."""
     stations: dict[int, set[tuple[float, float]]] = {}
     for position in positions:
         stations.setdefault(position.station, set()).add((position.azimuth_deg, position.elevation_deg))
@@ -20,7 +20,7 @@ def name_of_positions(positions: Sequence[Position]) -> str:
             wanted = {pair for name in names for pair in POSITION_SETS[name]}
             if all(_same(found, wanted) for found in stations.values()):
                 return f"{'+'.join(names)}, {len(stations)} station{'s' if len(stations) != 1 else ''}"
-    return f"{len(positions)} positions of its own choice"
+    return f"{len(positions)} user-defined positions"
 
 
 def _same(found: set[tuple[float, float]], wanted: set[tuple[float, float]]) -> bool:

@@ -1,4 +1,4 @@
-"""What the qualification saw: residual of every touch around the stylus, and the pretravel map through them."""
+"""Figure of the probe qualification: residual of every touch around the stylus, and the pretravel map."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ RING_LOOK = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
 
 
 def draw_qualification(probe: ProbeFacts) -> str:
-    """SVG: one colour for each latitude; lines where a map is taken off the touches, points what was measured."""
+    """Return an SVG with one colour per latitude; points are touches, lines the pretravel map subtracted from them."""
     drawing = Drawing("qualification", 10.4, 2.4, Margins(right=1.9))
     with drawing as figure:
         panel = figure.subplots()

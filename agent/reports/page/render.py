@@ -1,4 +1,4 @@
-"""The report as one self-contained page: figures, style and all, no network."""
+"""Rendering of the report as one self-contained page with figures and style."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from agent.reports.page.texts import ENGLISH, Texts
 
 
 def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
-    """HTML text of the whole report. Takes a few seconds at most; reads no clock and no device: the same data give the
-    same bytes."""
+    """Return the HTML of the whole report. Takes a few seconds at most; uses no clock and no device, so the same data
+    give the same bytes."""
     environment = Environment(
         loader=PackageLoader("agent.reports.page", package_path=""),
         autoescape=select_autoescape(["html"]),
@@ -26,7 +26,7 @@ def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
     style = resources.files("agent.reports.page").joinpath("report.css").read_text(encoding="utf-8")
     figures = {name: Markup(svg) for name, svg in report_figures(data).items()}  # noqa: S704  drawn by ourselves
     return environment.get_template("report.html").render(
-        css=Markup(style),  # noqa: S704  our own file
+        css=Markup(style),  # noqa: S704  a file of this package
         **page_values(data, texts),
         **figures,
     )

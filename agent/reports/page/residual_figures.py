@@ -1,4 +1,4 @@
-"""What is left at the balls: by position, by ball, and held against a normal distribution."""
+"""Figures of the residuals at the balls: by position, by ball, and compared with a normal distribution."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ COMPONENTS = (("x", BLUE, "o"), ("y", ORANGE, "s"), ("z", GREEN, "^"))
 
 @dataclass(frozen=True)
 class BallResiduals:
-    """(n,) position and ball counts from 0, (n, 3) residuals in µm and in standard deviations, (n,) kept."""
+    """Residuals: (n,) position and ball indices from 0, (n, 3) in µm and in standard deviations, (n,) accepted."""
 
     position: Indices
     ball: Indices
     residual_um: Array
     standardised: Array
-    kept: NDArray[np.bool_]
+    accepted: NDArray[np.bool_]
     station_starts: tuple[int, ...] = ()
 
     @property
     def rms_per_ball(self) -> tuple[Indices, Array]:
-        """Balls that were kept at least once and their rms by component, (b,) and (b, 3), µm."""
-        balls = np.unique(self.ball[self.kept])
-        rows = [self.residual_um[self.kept & (self.ball == ball)] for ball in balls]
+        """Indices (b,) of the balls accepted at least once, and rms (b, 3) by component in µm."""
+        balls = np.unique(self.ball[self.accepted])
+        rows = [self.residual_um[self.accepted & (self.ball == ball)] for ball in balls]
         return balls, np.array([np.sqrt(np.mean(row**2, axis=0)) for row in rows]).reshape(-1, 3)
 
 
 def draw_by_position(residuals: BallResiduals) -> str:
-    """SVG: every ball's residual against its position, balls of a position side by side, rejected ones ringed."""
+    """Return an SVG of the residuals over the positions, balls of a position side by side, rejected balls circled."""
     drawing = Drawing("residuals-by-position", 10.4, 2.9)
     with drawing as figure:
         panel = figure.subplots()
@@ -56,7 +56,7 @@ def draw_by_position(residuals: BallResiduals) -> str:
 
 
 def draw_distribution(residuals: BallResiduals) -> str:
-    """SVG: rms per ball and a normal probability plot of the standardised residuals."""
+    """Return an SVG of the rms per ball and a normal probability plot of the standardised residuals."""
     drawing = Drawing("residual-distribution", 10.4, 2.7)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.13)
@@ -67,23 +67,26 @@ def draw_distribution(residuals: BallResiduals) -> str:
 
 
 def _spread(ball: Indices) -> Array:
-    """Offsets within ±0.35 that lay the balls of a position side by side."""
+    """Return offsets within ±0.35 that place the balls of a position side by side."""
     return 0.7 * (ball / max(1, int(ball.max())) - 0.5)
 
 
 def _components(panel: Axes, place: Array, residuals: BallResiduals) -> None:
-    kept = residuals.kept
+    accepted = residuals.accepted
     for column, (name, colour, marker) in enumerate(COMPONENTS):
         value = residuals.residual_um[:, column]
-        panel.plot(place[kept], value[kept], marker, color=colour, markersize=2.4, markeredgewidth=0, label=name)
-    limit = 1.4 * float(np.abs(residuals.residual_um[kept]).max(initial=0.1))
+        panel.plot(
+            place[accepted], value[accepted], marker, color=colour, markersize=2.4, markeredgewidth=0, label=name
+        )
+    limit = 1.4 * float(np.abs(residuals.residual_um[accepted]).max(initial=0.1))
     panel.set_ylim(-1.08 * limit, 1.08 * limit)
-    if not kept.all():
-        _rejected(panel, place[~kept], residuals.residual_um[~kept], limit)
+    if not accepted.all():
+        _rejected(panel, place[~accepted], residuals.residual_um[~accepted], limit)
 
 
 def _rejected(panel: Axes, place: Array, residual: Array, limit: float) -> None:
-    """The largest component of each with its value; what lies beyond the scale stands at its edge."""
+    """Draw the largest component of each rejected ball with its value; values beyond the scale are drawn at its
+    edge."""
     largest = residual[np.arange(len(residual)), np.abs(residual).argmax(axis=1)]
     shown = np.clip(largest, -limit, limit)
     panel.plot(place, shown, "o", markersize=7, markerfacecolor="none", markeredgecolor=INK, label="rejected")
@@ -99,13 +102,13 @@ def _per_ball(panel: Axes, residuals: BallResiduals) -> None:
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("ball")
     panel.set_ylabel("rms residual / µm")
-    panel.set_title("Each ball over all positions", loc="left")
+    panel.set_title("rms per ball over all positions", loc="left")
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2)
 
 
 def _normal_plot(panel: Axes, residuals: BallResiduals) -> None:
-    ordered = np.sort(residuals.standardised[residuals.kept].ravel())
+    ordered = np.sort(residuals.standardised[residuals.accepted].ravel())
     expected = ndtri((np.arange(ordered.size) + 0.5) / ordered.size)
     reach = 1.05 * float(max(np.abs(ordered).max(), np.abs(expected).max()))
     panel.plot([-reach, reach], [-reach, reach], color=INK, linewidth=0.8, label="normal, as assumed")

@@ -15,14 +15,14 @@ SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
 
 def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[float] = ()) -> str:
-    """SVG over the run; beside it by how much the first ball of each position had moved at its end, where known."""
+    """Return an SVG of the temperatures; beside it, if known, the displacement of the first ball of each position."""
     drawing = Drawing("temperatures", 10.4, 2.2)
     with drawing as figure:
         if len(drifts_um):
             panel, beside = figure.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2]})
             beside.bar(np.arange(1, len(drifts_um) + 1), drifts_um, color=BLUE, width=0.7)
             beside.set_xlabel("position, in the order measured")
-            beside.set_ylabel("first ball again / µm")
+            beside.set_ylabel("displacement of first ball / µm")
             beside.xaxis.set_major_locator(MaxNLocator(integer=True))
         else:
             panel = figure.subplots()
@@ -36,7 +36,7 @@ def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[fl
 
 
 def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) -> str:
-    """SVG of the artefact's temperature at each ball, for measurements without a time of their own."""
+    """Return an SVG of the artefact's temperature at each ball, for measurements without time stamps."""
     drawing = Drawing("temperatures", 10.4, 1.9)
     with drawing as figure:
         panel = figure.subplots()
@@ -49,7 +49,7 @@ def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) 
 
 
 def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
-    """SVG of each held-out position: bare machine, compensated machine, and what was predicted (2σ)."""
+    """Return an SVG of each held-out position: before, after, and the prediction (2σ)."""
     drawing = Drawing("verification", 10.4, 2.6, Margins(bottom=0.72, left=0.7))
     with drawing as figure:
         panel = figure.subplots()

@@ -1,4 +1,4 @@
-"""Sections about a run on a machine: proof, night, gates, questions, inputs, events."""
+"""Sections on a run on a machine: verification, night, gates, questions, inputs, events."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def night(facts: NightFacts | None, t: Texts) -> dict[str, Any] | None:
 
 def temperature_note(artefact: ArtefactFacts, temperature_c: Array) -> str:
     expansion = (
-        f"its expansion is taken into account with {1e6 * artefact.cte_per_k:.2f} ± "
+        f"expansion compensated with {1e6 * artefact.cte_per_k:.2f} ± "
         f"{2e6 * artefact.cte_standard_uncertainty_per_k:.2f} µm/(m·K) (k = 2)."
     )
     if not len(temperature_c):
@@ -62,12 +62,12 @@ def gates(data: ReportData) -> list[dict[str, Any]]:
 
 
 def consents(data: ReportData, t: Texts) -> Table | None:
-    if not data.run.asked:
+    if not data.run.questions:
         return None
     answers = {True: t["yes"], None: t["open"]}
     rows = tuple(
         (fixed(one.minute, 1), one.text, answers.get(one.yes, t["no"].format(error=one.error)))
-        for one in data.run.asked
+        for one in data.run.questions
     )
     return Table((t["minute"], t["asked"], t["answer"]), rows, (t["minute"],))
 
@@ -75,7 +75,7 @@ def consents(data: ReportData, t: Texts) -> Table | None:
 def inputs(provenance: Provenance | None, t: Texts) -> Table | None:
     if provenance is None:
         return None
-    rows = (*provenance.files, ("settings, complete, as the journal has them", provenance.settings_sha256))
+    rows = (*provenance.files, ("complete settings as recorded in the journal", provenance.settings_sha256))
     return Table((t["file"], t["digest"]), rows, (), (t["digest"],))
 
 

@@ -17,7 +17,7 @@ PLANE_SHAPE = (49, 25)
 
 @dataclass(frozen=True)
 class PlaneMap:
-    """Lengths in µm, (nx, ny), over x and y in mm at height `z_mm`; `measured` (m, 2) are x, y of balls near it."""
+    """Lengths in µm, (nx, ny), over x and y in mm at height `z_mm`; `measured`: (m, 2) x, y of the balls near it."""
 
     z_mm: float
     x_mm: Array
@@ -33,11 +33,12 @@ class WorkspaceMaps:
 
 
 def workspace_maps(estimate: ReportedEstimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
-    """Maps at the bottom, the middle and the top of Z; `measured` (n, 3) axis positions go to the nearest plane."""
+    """Return maps at the lower end, middle and upper end of Z; `measured`: (n, 3) axis positions, assigned to the
+    nearest plane."""
     heights = np.linspace(*estimate.model.ranges_mm[2], 3)
     planes = [_plane(estimate, float(height)) for height in heights]
     points = np.concatenate([plane_points for _, _, plane_points in planes])
-    # the rigid motion is that of the grid on which every volumetric error is stated
+    # remove the rigid motion fitted on the evaluation grid, to which every volumetric error refers
     grid = evaluation_grid(estimate.model.ranges_mm)
     found, everywhere = (exact_deviation(estimate.model, at, tool_offset, estimate.parameters) for at in (points, grid))
     left = found - rigid_part(grid + tool_offset, everywhere, points + tool_offset)

@@ -1,1 +1,1 @@
-"""The page at the machine: what is shown and asked there. All it needs is served from here; no network beyond."""
+"""Web page for the operator and the engineer at the machine, served without external resources."""

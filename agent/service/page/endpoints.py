@@ -1,5 +1,7 @@
-"""What the engineer's view asks for beyond the documented interface: curves, maps, trends, worth of the set, tables,
-reports. The page's own, so it may change with it; reading only, behind the same guard."""
+"""Read-only HTTP routes of the engineer view: curves, maps, trends, value of the position set, tables, reports.
+
+They belong to the page and may change with it; they are not part of the documented interface.
+"""
 
 from __future__ import annotations
 
@@ -26,36 +28,36 @@ REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
 
 
 def page_router() -> APIRouter:
-    """With memories of its own: what a run has found never changes, so it is computed once."""
+    """Return the router, with caches: results of an ended run never change, so they are computed once."""
     router = APIRouter(prefix="/api/page", include_in_schema=False, responses=DOCUMENTED)
     results, set_values = ResultCache(), SetValueCache()
     trends = cache(_trend_cache)
 
     @router.get("/runs/{run_id}/curves")
     def curves(app_state: AppStateDependency, run_id: str) -> Document:
-        """The error functions with their standard uncertainties, the cross-effect, and the squarenesses."""
+        """Return the error functions with standard uncertainties, the cross-effect and the squareness errors."""
         return results.curves(app_state.archive.directory, run_id)
 
     @router.get("/runs/{run_id}/map")
     def error_map(app_state: AppStateDependency, run_id: str) -> Document:
-        """Deviation and its uncertainty in µm on planes of the workspace."""
+        """Return deviation and its uncertainty in µm on planes of the workspace."""
         return results.maps(app_state.archive.directory, run_id)
 
     @router.get("/runs/{run_id}/report.{form}")
     def report(app_state: AppStateDependency, run_id: str, form: Literal["html", "pdf"]) -> Response:
-        """As `volcal report` writes it, from the journal alone."""
+        """Return the report as `volcal report` writes it, from the journal alone."""
         content = render_in_subprocess(app_state.archive.directory, run_id, pdf=form == "pdf")[f"report.{form}"]
         headers = {"Content-Disposition": f'attachment; filename="volcal-{run_id}.{form}"'}
         return Response(content, media_type=REPORT_TYPES[form], headers=headers)
 
     @router.get("/trends")
     def all_trends(app_state: AppStateDependency, of: Annotated[str | None, Query(max_length=20)] = None) -> Document:
-        """Volumetric errors and the 21 errors over the nights; `of`: the parameters of one error."""
+        """Return volumetric errors and the 21 errors over the nights; with `of` the parameters of one error."""
         return trends().document(app_state.settings(), of)
 
     @router.get("/worth")
     def worth(app_state: AppStateDependency) -> Document:
-        """The positions of the settings, what the set is worth, and what it would lose without each of them."""
+        """Return the position set of the settings, its expected benefit, and the loss without each position."""
         return set_values.document(prepare_job(app_state.settings(), app_state.config.parent))
 
     @router.get("/tables/{run_id}/{role}.csv")
@@ -78,7 +80,7 @@ def page_router() -> APIRouter:
 
 
 def _trend_cache() -> TrendCache:
-    """A database's client is loaded when the first reader asks for trends."""
+    """Return the cache of trends. The database client is loaded with the first request."""
     from agent.service.page.trends import TrendCache  # noqa: PLC0415
 
     return TrendCache()

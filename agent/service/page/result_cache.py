@@ -1,4 +1,4 @@
-"""What a run has found, as numbers to be drawn: error functions with bands, maps of the workspace."""
+"""Results of a run as numbers for figures: error functions with bands, maps of the workspace."""
 
 from __future__ import annotations
 
@@ -19,36 +19,38 @@ from twin.arrays import Array
 
 Document = dict[str, Any]
 SQUARENESSES = ("C0Y", "B0Z", "A0Z")
-"""Of ISO 230-1's 21 errors those three that are a single number."""
+"""Squareness errors: the three of the 21 errors of ISO 230-1 that are a single number."""
 MAX_CACHED = 16
 
 
 class ResultCache:
-    """Any thread may ask; what is computed of the latest runs is kept."""
+    """Cache of the results of the latest runs; safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: dict[tuple[str, str, str], Document] = {}
 
     def curves(self, directory: Path, run_id: str) -> Document:
-        """InputError where the run has found nothing."""
+        """Return the error functions. Raise InputError if the run has no estimate."""
         return self._of("curves", directory, run_id, _curves)
 
     def maps(self, directory: Path, run_id: str) -> Document:
-        """InputError as `curves`."""
+        """Return the maps. Raise InputError as `curves`."""
         return self._of("maps", directory, run_id, _maps)
 
     def _of(
         self, what: str, directory: Path, run_id: str, make: Callable[[ReportData, IdentificationData], Document]
     ) -> Document:
-        """A run that goes on may still come to another estimate: it is not kept."""
+        """Return a document from the cache. A run in progress is not cached, since its estimate may still change."""
         key = (what, str(directory), run_id)
         with self._lock:
             if key not in self._cached:
                 record = read_record(directory, run_id)
                 data = report_of(record)
                 if data.identification is None:
-                    raise InputError(f"run {run_id} has no estimate", hint="it ended before its errors were identified")
+                    raise InputError(
+                        f"run {run_id} has no estimate", hint="the run ended before the errors were identified"
+                    )
                 document = make(data, data.identification)
                 if record.ended is None:
                     return document
@@ -104,7 +106,7 @@ def _maps(data: ReportData, identification: IdentificationData) -> Document:
 
 
 def _plane(plane: PlaneMap) -> Document:
-    """`length_um`: rows of y, each over all x."""
+    """Return a plane. `length_um`: rows of constant y over all x."""
     return {
         "z_mm": plane.z_mm,
         "x_mm": [float(plane.x_mm[0]), float(plane.x_mm[-1])],

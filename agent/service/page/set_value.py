@@ -1,4 +1,4 @@
-"""What the set of the settings is worth, and by how much the error to be expected grows without each position."""
+"""Expected benefit of the position set, and increase of the expected error without each position."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Document = dict[str, Any]
 
 
 class SetValueCache:
-    """Any thread may ask; the last set is kept."""
+    """Cache of the last document; safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: tuple[str, Document] | None = None
 
     def document(self, job: Job) -> Document:
-        """ConfigurationError where nothing of the set is within reach."""
+        """Return the document. Raise ConfigurationError if no position of the set is reachable."""
         key = job.settings.model_dump_json()
         with self._lock:
             if self._cached is None or self._cached[0] != key:
@@ -35,8 +35,10 @@ class SetValueCache:
 
 
 def set_value_document(job: Job) -> Document:
-    """µm, rigidly aligned: what is to be expected of the machine's family before and after the set, and `lost_um` for
-    each position: by how much the latter would grow without it."""
+    """Return the expected errors of the machine family before and after measuring the set, in µm, rigidly aligned.
+
+    `lost_um` of a position: increase of the error after the set if this position were omitted.
+    """
     with translated(ConfigurationError, key="procedure.position_set"):
         candidates = build_candidates(
             job.procedure,

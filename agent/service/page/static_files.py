@@ -1,4 +1,4 @@
-"""The page's files behind the guard of the HTTP door: one document, its assets, the drawing shared with the preview."""
+"""Static files of the page behind the guard of the HTTP endpoint: document, assets, drawing scripts of the preview."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ CONTENT_SECURITY_POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
-"""No script or style stands inside the document, and nothing is fetched from anywhere else."""
+"""Policy: no inline scripts or styles, no external resources."""
 
 
 def mount_page(app: FastAPI, _: AppState) -> None:
-    """`/`, `/assets/…`, `/drawing/…` and `/api/page/…`. Versions are not in the names, so browsers ask every time."""
+    """Add `/`, `/assets/…`, `/drawing/…` and `/api/page/…`. File names have no version, so browsers revalidate each
+    time."""
     own, drawing = _directory("agent.service.page") / "assets", _directory("agent.planning.preview")
     scripts = {path.name: path for path in drawing.glob("*.js")}
 
@@ -49,7 +50,7 @@ def mount_page(app: FastAPI, _: AppState) -> None:
 
 
 async def _with_policy(request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
-    """Reports are documents of their own with a style of their own; everything else comes from files."""
+    """Add the security policy except to `/api/`, since reports have inline styles."""
     response = await call_next(request)
     if not request.url.path.startswith("/api/"):
         response.headers["Content-Security-Policy"] = CONTENT_SECURITY_POLICY
@@ -58,6 +59,6 @@ async def _with_policy(request: Request, call_next: Callable[[Request], Awaitabl
 
 
 def _directory(package: str) -> Path:
-    """Installed packages of ours are directories: the package data is declared for that."""
+    """Return the directory of a package's data; the packages are installed as directories."""
     with as_file(files(package)) as path:
         return path

@@ -1,4 +1,4 @@
-"""Kept tables as files, and how two of them differ."""
+"""Stored tables as files, and the difference of two tables."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ Document = dict[str, Any]
 
 
 def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role: str) -> str:
-    """InputError where what was kept is that nothing was compensated."""
+    """Return the table as CSV. Raise InputError if the stored state is that no table was active."""
     if image is None:
-        raise InputError(f"run {run_id} kept no compensation as {role}", hint="bank 0 holds no table: nothing to save")
+        raise InputError(f"run {run_id} stored no table as {role}", hint="bank 0 contains no table")
     return format_table(table_of(image, tool_offset_mm))
 
 
 def table_difference(one: TableImage | None, other: TableImage | None) -> Document:
-    """`other` less `one` in µm at the nodes of either: per axis the largest difference with its place, and the rms.
+    """Return `other` minus `one` in µm at their nodes: per axis the largest difference with its location, and the rms.
 
-    No compensation counts as zero. InputError for two tables on different grids.
+    A missing table counts as zero. Raise InputError if the tables have different grids.
     """
     image = other if one is None else one
     if image is None:
         return {"same": True, "nodes": 0, "axes": [], "crc32": [None, None]}
     if one is not None and other is not None and not _same_grid(one, other):
         raise InputError(
-            "the two tables stand on different grids",
-            hint="save both as files and compare the corrections where the grids meet",
+            "the two tables have different grids",
+            hint="save both as files and compare the corrections at common nodes",
         )
     change = _corrections(other, image) - _corrections(one, image)
     return {
@@ -59,7 +59,7 @@ def _axis(change: Array, image: TableImage, axis: str) -> Document:
 
 
 def _corrections(table: TableImage | None, like: TableImage) -> Array:
-    """(nx, ny, nz, 3) µm."""
+    """Return the corrections, (nx, ny, nz, 3) in µm."""
     if table is None:
         return np.zeros((*like.shape, 3))
     return UM_PER_MM * table.resolution_mm * table.counts.astype(np.float64)

@@ -1,4 +1,4 @@
-"""Trends over the nights for the page: volumetric errors and the 21 errors, the parameters of one error when asked."""
+"""Trends over the nights for the page: volumetric errors and the 21 errors, or the parameters of one error."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Document = dict[str, Any]
 
 
 class TrendCache:
-    """Any thread may ask; the same runs give the same trends, so they are computed once."""
+    """Cache of trends, recomputed only if the runs have changed; safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: dict[str | None, tuple[object, Document]] = {}
 
     def document(self, settings: Settings, of: str | None) -> Document:
-        """LinkLost or ConfigurationError where history cannot be read."""
+        """Return the document. Raise LinkLost or ConfigurationError if history cannot be read."""
         with closing(HistoryStore(database_address(settings))) as store:
             digests = dict(store.digests(store.address.machine))
             if has_journal(settings.state_directory) and not set(run_ids(settings.state_directory)) <= set(digests):
@@ -53,14 +53,14 @@ def _document(runs: Sequence[StoredRun], settings: Settings, of: str | None) -> 
 
 
 def _is_selected(series: Series, of: str | None) -> bool:
-    """Whole errors have no bracket in their name; each parameter of one has."""
+    """Return True for a series to be shown; names of parameters contain a bracket, names of errors do not."""
     if of is None:
         return series.name in VOLUMETRIC or "[" not in series.name
     return series.name.startswith(f"{of}[")
 
 
 def _trend(trend: Trend) -> Document:
-    """With the line that was fitted and its band, for who draws it."""
+    """Return the trend with the fitted line and its band."""
     drift = trend.drift
     half = (
         []
@@ -77,5 +77,5 @@ def _trend(trend: Trend) -> Document:
 
 
 def _utc(run: StoredRun) -> str:
-    """SQLite forgets the zone, which is always UTC."""
+    """Return the start in UTC; SQLite does not store the zone."""
     return run.started.replace(tzinfo=None).isoformat() + "Z"

@@ -142,7 +142,7 @@ class TestPlace:
             HistoryStore(store.address)
 
     def test_a_password_in_the_url_is_refused(self, state: Path) -> None:
-        with pytest.raises(ConfigurationError, match="holds a password") as told:
+        with pytest.raises(ConfigurationError, match="contains a password") as told:
             database_address(settings(state, url="postgresql://me:secret@plant/volcal"))
         assert "secret" not in str(told.value)
 
@@ -158,7 +158,7 @@ class TestPlace:
         file = tmp_path / "password"
         file.write_text("hush-hush\n")
         file.chmod(0o644)
-        with pytest.raises(ConfigurationError, match="others can read"):
+        with pytest.raises(ConfigurationError, match="can be read by others"):
             database_address(settings(state, url="postgresql://me@plant/volcal", credentials_file=str(file)))
 
     @pytest.mark.parametrize("url", ["mysql://me@plant/volcal", "not a url"])
@@ -194,7 +194,7 @@ class TestTrends:
         assert trend.drift.slope == pytest.approx(0.4)
         (alarm,) = [one for one in alarms_of(trends) if one.series == "EXX[1]" and one.kind is AlarmKind.TREND]
         assert alarm.text.startswith("EXX slope grows by 0.40 ± ")
-        assert alarm.text.endswith("µm a night: limit 12 µm in 9 nights") or "in 8 nights" in alarm.text
+        assert alarm.text.endswith("µm per night: tolerance 12 µm reached in 9 nights") or "in 8 nights" in alarm.text
 
     def test_no_alarm_without_a_trend(self, state: Path, store: HistoryStore) -> None:
         fed(state, store, [5.0 + 0.1 * (-1) ** night for night in range(10)])
@@ -307,7 +307,7 @@ class TestCommands:
         result = CliRunner().invoke(main, call)
         assert result.exit_code == 4, result.output
         assert {"EXX", "EXX[1]", "EXX[2]"} == {trend["name"] for trend in json.loads(result.stdout)["trends"]}
-        assert "limit 12 µm in" in result.stderr
+        assert "tolerance 12 µm reached in" in result.stderr
         assert figure.read_bytes().startswith(b"\x89PNG")
 
     def test_export_and_sync(self, config: Path, tmp_path: Path) -> None:

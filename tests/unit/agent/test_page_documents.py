@@ -69,7 +69,7 @@ def test_a_kept_table_as_a_file() -> None:
     assert len(rows) == 1 + 24
     assert [float(value) for value in rows[1][:3]] == [0.0, 10.0, 20.0]
     assert [float(value) for value in rows[2][3:]] == pytest.approx([0.1 * n for n in table.counts[0, 0, 1].tolist()])
-    with pytest.raises(InputError, match="no compensation"):
+    with pytest.raises(InputError, match="stored no table as backup"):
         table_csv(None, np.zeros(3), "run", "backup")
 
 

@@ -209,7 +209,7 @@ class TestPage:
 
     def test_identity_and_table_are_stated(self, offline_page: str) -> None:
         text = " ".join(Page(offline_page).text)
-        for wanted in ("run-17", "2026-03-01 02:03 UTC", "1.2.3", "0badcafe", "11 × 7 × 6", "hold for this offset"):
+        for wanted in ("run-17", "2026-03-01 02:03 UTC", "1.2.3", "0badcafe", "11 × 7 × 6", "valid for this offset"):
             assert wanted in text
 
 
@@ -337,7 +337,7 @@ class TestNumbers:
             ball=np.array([0, 0, 0, 1]),
             residual_um=np.array([[3.0, 0, 0], [-3.0, 0, 0], [99.0, 0, 0], [0, 2.0, 0]]),
             standardised=np.zeros((4, 3)),
-            kept=np.array([True, True, False, True]),
+            accepted=np.array([True, True, False, True]),
         )
         balls, rms = residuals.rms_per_ball
         assert balls.tolist() == [0, 1]
@@ -362,7 +362,4 @@ class TestWords:
     def test_a_complete_set_is_named_and_a_choice_is_counted(self) -> None:
         assert name_of_positions(parse_position_set("S2+S3", 3)) == "S2+S3, 3 stations"
         assert name_of_positions(parse_position_set("S1", 1)) == "S1, 1 station"
-        assert (
-            name_of_positions((*parse_position_set("S1", 2), Position(2, 10.0, 20.0)))
-            == "7 positions of its own choice"
-        )
+        assert name_of_positions((*parse_position_set("S1", 2), Position(2, 10.0, 20.0))) == "7 user-defined positions"
