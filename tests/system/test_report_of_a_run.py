@@ -1,4 +1,4 @@
-"""Reports of whole runs from their journal: complete, refused and broken off; the same again; on paper."""
+"""Reports of whole runs from their journal: complete, refused and aborted; reproducible; as PDF."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ class TestRebuilt:
             "SHA-256",
             f"{staged.crc32:08x}",
             "no compensation",
-            "What the measurement does not see",
-            "Verification by fresh measurements",
+            "Undetermined parameter combinations",
+            "Verification by new measurements",
             "az 20°, el 25°",
             "performed by",
         )
@@ -124,7 +124,7 @@ class TestRebuilt:
     def test_a_verification_has_a_report_of_its_own(self, season: Season) -> None:
         assert season.verified.error is None
         text = page(season, season.verified)
-        assert "What the night found" in text
+        assert "Result of the night" in text
         assert season.calibrated.outcome.run_id in text
         assert "The 21 geometric errors" not in text
 
@@ -132,7 +132,7 @@ class TestRebuilt:
         assert season.aborted.outcome.state is RunState.ABORTED
         text = page(season, season.aborted)
         assert "somebody pressed abort" in text
-        assert "did not come to an estimate" in text
+        assert "did not reach an estimate" in text
 
     def test_an_unknown_run_is_refused(self, season: Season) -> None:
         with pytest.raises(InputError, match="the last ones are"):
@@ -151,10 +151,10 @@ class TestPaper:
         assert len(render_pdf(page(season, season.calibrated))) > 100_000
 
     def test_a_hole_is_no_report(self) -> None:
-        """A picture from elsewhere is not fetched, and what is not drawn is told."""
+        """External images are not fetched, and parts that cannot be drawn are an error."""
         image = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" viewBox="0 0 9 9">'
         image += '<image xlink:href="file:///etc/hostname" width="9" height="9"/></svg>'
-        with pytest.raises(InputError, match="cannot be printed"):
+        with pytest.raises(InputError, match="cannot be converted to PDF"):
             render_pdf(f"<html><head><style></style></head><body>{image}</body></html>")
 
 
