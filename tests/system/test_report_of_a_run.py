@@ -82,7 +82,7 @@ class TestRebuilt:
     def test_the_estimate_is_that_of_the_run(self, season: Season) -> None:
         """Residuals and volumetric error against what stands in the estimate file: VE by its own quadratic form."""
         outcome = season.calibrated.outcome
-        found = report_of(read_record(season.state, outcome.run_id)).found
+        found = report_of(read_record(season.state, outcome.run_id)).identification
         assert found is not None
         assert outcome.report is not None
         stored = parse_estimate(outcome.report.with_name("estimate.json").read_text(encoding="utf-8"), "estimate.json")
