@@ -52,6 +52,7 @@ class HiddenMachine:
 
     def deviation(self, axis_positions: np.ndarray) -> np.ndarray:
         errors = exact_deviation(self.model, axis_positions, self.offset, self.parameters)
+        assert self.description.deflection is not None
         return errors + self.description.deflection.at(axis_positions)
 
     def found_at(self, tool_points: np.ndarray) -> np.ndarray:

@@ -126,7 +126,7 @@ class Night:
             return rig
         clock = OffsetClock(rig.clock, self.world.now)
         former = SimulatedMachineDevice(self.world, clock)
-        roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), former)
+        roles: dict[str, Any] = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), former)
         mounts = dict.fromkeys(rig.mounts, former)
         return dataclasses.replace(rig, devices={"twin": former}, mounts=mounts, clock=clock, **roles)
 

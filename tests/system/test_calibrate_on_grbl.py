@@ -60,6 +60,8 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
         [*VOLCAL, "simulate", "--config", str(scenario), *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     with process:
+        assert process.stdin is not None
+        assert process.stdout is not None
         try:
             ready = json.loads(process.stdout.readline())
             assert ready["serial"]["port"] == str(link)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -21,7 +22,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def volcal(*arguments: str) -> dict[str, object]:
+def volcal(*arguments: str) -> dict[str, Any]:
     result = CliRunner().invoke(main, [*arguments, "--json"])
     assert result.exit_code == 0, result.output
     return json.loads(result.stdout)
@@ -65,7 +66,7 @@ def test_a_designed_set_is_one_that_plan_takes_and_values_alike():
     _assert_front(said)
 
 
-def _assert_front(said: dict[str, object]) -> None:
+def _assert_front(said: dict[str, Any]) -> None:
     """CSV and JSON say the same; along the best points more time is a smaller error; the design is one of them."""
     rows = list(csv.DictReader(Path("set-front.csv").read_text().splitlines()))
     assert [int(row["positions"]) for row in rows] == [point["positions"] for point in said["front"]]

@@ -75,8 +75,8 @@ class TestGoodInput:
     def test_the_table_makes_the_hidden_machine_better_within_the_prediction(self, measured: tuple) -> None:
         """The table read by an own reader, added to the commanded position of the machine as it really is."""
         _balls, machine, said, out = measured
-        ranges = tuple((low + 1.0, high - 1.0) for low, high in machine.description.model.ranges_mm)
-        grid = evaluation_grid(ranges, (21, 9, 9))  # the deflection is not known beyond the travel
+        x, y, z = ((low + 1.0, high - 1.0) for low, high in machine.description.model.ranges_mm)
+        grid = evaluation_grid((x, y, z), (21, 9, 9))  # the deflection is not known beyond the travel
         corrections = read_table(out / "table.csv")(grid)
         before = volumetric_error(grid + machine.offset, machine.deviation(grid))
         after = volumetric_error(grid + machine.offset, corrections + machine.deviation(grid + corrections))

@@ -103,7 +103,7 @@ class Hall:
                 server_certificate=str(state / "opcua" / "own" / "certificate.der"),
             )
             async with client:
-                return [await client.get_node(ua.NodeId(path, 2)).read_value() for path in paths]
+                return [await client.get_node(ua.NodeId(ua.String(path), ua.Int16(2))).read_value() for path in paths]
 
         return asyncio.run(look())
 

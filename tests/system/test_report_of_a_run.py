@@ -15,6 +15,7 @@ from nights import Night, memory_directory, short_document
 from agent.cli.main import main
 from agent.execution.journal_copy import copy_journal
 from agent.execution.run_record import read_record
+from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.reports.page.pdf import render_pdf
@@ -56,10 +57,10 @@ def season() -> Iterator[Season]:
 
         heard = night.heard
 
-        class Listening(list):  # type: ignore[type-arg]
-            def append(self, announcement: object) -> None:
-                heard.append(announcement)  # type: ignore[arg-type]
-                if getattr(announcement, "kind", "") == "progress" and asked:
+        class Listening(list[Announcement]):
+            def append(self, announcement: Announcement) -> None:
+                heard.append(announcement)
+                if announcement.kind == "progress" and asked:
                     asked[0].request_abort("somebody pressed abort")
 
         night.heard = Listening()

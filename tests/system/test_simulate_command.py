@@ -19,7 +19,7 @@ from click.testing import CliRunner
 from drivers.clock import LockstepClock, VirtualClock
 from drivers.errors import CommandRejected, LinkLost
 from drivers.registry import DeviceContext
-from drivers.roles import OperatorRequest, OperatorTask
+from drivers.roles import Operator, OperatorRequest, OperatorTask
 from simulators.cli import simulate
 from simulators.operator import PLUGIN, SimulatedOperator, SimulatedOperatorSettings
 
@@ -66,6 +66,8 @@ def simulator() -> Iterator[Simulator]:
         stdout=subprocess.PIPE,
     )
     with process:
+        assert process.stdin is not None
+        assert process.stdout is not None
         try:
             yield Simulator(process, json.loads(process.stdout.readline()))
         finally:
@@ -131,6 +133,7 @@ def test_operator_moves_the_artefact(simulator: Simulator) -> None:
     host, port = simulator.place("control")
     settings = SimulatedOperatorSettings(host=host, port=port)
     operator = PLUGIN.create(settings, DeviceContext("hand", VirtualClock(), ROOT))
+    assert isinstance(operator, Operator)
     operator.open()
     assert operator.ask(OperatorRequest(OperatorTask.MOVE_ARTEFACT, "to station 2", 2)) is True
     assert operator.ask(OperatorRequest(OperatorTask.CONSENT, "may the machine move?")) is True
@@ -247,6 +250,7 @@ def test_ends_with_a_signal(number: signal.Signals) -> None:
     with subprocess.Popen(
         command("--clock", "real"), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
+        assert process.stdout is not None
         assert json.loads(process.stdout.readline())["time"] is None
         process.send_signal(number)
         _, said = process.communicate(timeout=END_WITHIN_S)

@@ -186,9 +186,9 @@ def test_a_bank_of_the_controller(
     name: str | None, identified: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, machine = identified
-    texts = [(run / part).read_text() for part in ("table.csv", "table.json")]
+    table = parse_table((run / "table.csv").read_text(), (run / "table.json").read_text(), "table", "side")
     limits = StoreLimits((1, 2), (100, 100, 100), 10**6, 1e-3 if name else 1e-4, 1.0, Activation.IMMEDIATE)
-    image = image_of(parse_table(*texts, "table", "side"), limits)
+    image = image_of(table, limits)
     store = SimpleNamespace(active_bank=lambda: 2, read_table=lambda bank: image if bank == 2 else None)
 
     @contextmanager
@@ -200,7 +200,7 @@ def test_a_bank_of_the_controller(
         done = volcal("table", "export", "--out", tmp_path / "bank.csv")
         assert done.exit_code == 0, done.output
         read = parse_table((tmp_path / "bank.csv").read_text(), (tmp_path / "bank.json").read_text(), "table", "side")
-        assert np.abs(read.corrections - parse_table(*texts, "table", "side").corrections).max() < 6e-5
+        assert np.abs(read.corrections - table.corrections).max() < 6e-5
         return
     done = volcal("table", "export", "--format", name, "--estimate", run / "estimate.json", "--out", tmp_path / "o")
     assert done.exit_code == 0, done.output

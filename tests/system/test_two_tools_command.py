@@ -38,8 +38,8 @@ class Measured:
         """True VE of the machine with a tool, without and with the table that stands in `out`."""
         folder, machine = self.folder / out, self.machines[tool]
         table = parse_table((folder / "table.csv").read_text(), (folder / "table.json").read_text(), "csv", "json")
-        ranges = tuple((low + 1.0, high - 1.0) for low, high in machine.description.model.ranges_mm)
-        grid = evaluation_grid(ranges, (21, 9, 9))
+        x, y, z = ((low + 1.0, high - 1.0) for low, high in machine.description.model.ranges_mm)
+        grid = evaluation_grid((x, y, z), (21, 9, 9))
         correction = table.at(grid)
         bare, left = machine.deviation(grid), correction + machine.deviation(grid + correction)
         points = grid + machine.offset

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,7 +90,7 @@ def test_active_bank_holds_the_table_of_the_files(nights: TwoNights) -> None:
     text, side = ((folder / name).read_text() for name in ("table.csv", "table.json"))
     table = parse_table(text, side, "table.csv", "table.json")
     assert np.abs(banks[1].counts * banks[1].resolution_mm - table.corrections).max() <= 0.5001 * banks[1].resolution_mm
-    staged = nights.stored(nights.first).results("publish/read-back")
+    staged: list[Any] = nights.stored(nights.first).results("publish/read-back")
     assert [result["crc32"] for result in staged] == [table_digest(banks[1])]
 
 

@@ -95,7 +95,6 @@ def state() -> Iterator[Path]:
 class Broken:
     """A night with a former table active and a tripwire in its only device."""
 
-    monkeypatch: pytest.MonkeyPatch
     state: Path
 
     def run(self, kind: type[Tripwire], place: tuple[str, int], then: Callable[[], None]):
@@ -107,7 +106,7 @@ class Broken:
             wires.append(kind(rig.devices["twin"], *place, then))
             return with_device(rig, wires[0])
 
-        self.night = Night(self.monkeypatch, tamper=tamper)
+        self.night = Night(tamper=tamper)
         ended = self.night.run(short_document(self.state), self._keep, files=False)
         assert wires[0].tripped, "the run never came to this place"
         return ended
@@ -131,8 +130,8 @@ class Broken:
 
 
 @pytest.fixture
-def broken(monkeypatch, state: Path) -> Broken:
-    return Broken(monkeypatch, state)
+def broken(state: Path) -> Broken:
+    return Broken(state)
 
 
 def place_name(place: tuple[str, int]) -> str:

@@ -166,6 +166,7 @@ class House:
     owner: Owner
     parts: OwnerParts
     puppet: Puppet
+    machine: AbsentMachine
 
     @property
     def event_log(self) -> EventLog:
@@ -183,6 +184,7 @@ def house(
     settings = Settings.model_validate(settings_document(state, **sections))
     with capture_logs(), ownership(state, "the service (process 1)") as owned:
         event_log, puppet = EventLog(), Puppet()
+        machine = AbsentMachine(Devices(make_clock=lambda _: VirtualClock()), status=status)
         parts = OwnerParts(
             config=state / "volcal.toml",
             event_log=event_log,
@@ -191,11 +193,11 @@ def house(
             ownership=owned,
             journal_state=JournalState(state),
             reports=ReportQueue(state, lambda *_: {}),
-            machine=AbsentMachine(Devices(make_clock=lambda _: VirtualClock()), status=status),
+            machine=machine,
             carry_out=puppet,
             circumstances=lambda: circumstances,
         )
-        built = House(Owner(settings, parts), parts, puppet)
+        built = House(Owner(settings, parts), parts, puppet, machine)
         try:
             yield built
         finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ PROBING = ProbingParameters(
 )
 
 
-def probing(touches: int = 5, **changes: object) -> ProbingParameters:
+def probing(touches: int = 5, **changes: Any) -> ProbingParameters:
     return replace(PROBING, directions=approach_directions(touches, AXIS), **changes)
 
 

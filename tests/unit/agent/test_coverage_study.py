@@ -92,4 +92,4 @@ def test_a_machine_is_the_same_whoever_works_on_it() -> None:
     fewer = run(replace(case(6), workers=LocalWorkers(1)))
     common = [row for row in found().rows if row[0] in range(6)]
     assert [row[:6] for row in fewer.rows if row[0] in range(6)] == [row[:6] for row in common]
-    assert np.isfinite([row[4] for row in fewer.rows]).all()
+    assert np.isfinite(np.array([row[4] for row in fewer.rows], dtype=float)).all()

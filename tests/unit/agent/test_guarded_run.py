@@ -37,7 +37,7 @@ TABLE = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((2, 2, 2, 3)
 FOUND, NEW = 1, 2
 RETREAT_Y_MM = -50.0
 COURSE = Retreat(1, RETREAT_Y_MM, 0, {})
-JOB = SimpleNamespace(
+JOB: Any = SimpleNamespace(
     rules=SimpleNamespace(retreat=COURSE, probing=SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=10.0))
 )
 
@@ -141,12 +141,15 @@ class Run(GuardedRun):
     """Run that reads the active compensation, then calls the function of the test."""
 
     def __init__(self, machine: FakeMachine, journal: FakeJournal, work: Callable[[Run], None]) -> None:
+        rig: Any = machine
+        recorder: Any = journal
         clock = VirtualClock()
         self.supervisor = Supervisor(clock)
         engine = Engine(machine.actions(), journal)
-        tracker = RunStateTracker(journal, lambda _: None)
-        super().__init__(JOB, RunContext(machine, engine, journal, tracker, self.supervisor, clock, RunHooks()))
+        tracker = RunStateTracker(recorder, lambda _: None)
+        super().__init__(JOB, RunContext(rig, engine, recorder, tracker, self.supervisor, clock, RunHooks()))
         self._then = work
+        self._machine = machine
         tracker.enter(RunState.PREFLIGHT)
 
     def _work(self) -> None:
@@ -157,7 +160,7 @@ class Run(GuardedRun):
         """Return a function with the effect of staging and activating a new table."""
         for state in (RunState.IDENTIFYING, RunState.STAGING, RunState.ACTIVATING):
             self._tracker.enter(state)
-        self._rig.active = self.progress.active_bank = NEW
+        self._machine.active = self.progress.active_bank = NEW
 
 
 def raising(error: BaseException, *, written: bool = False) -> Callable[[Run], None]:
@@ -312,7 +315,7 @@ def test_with_a_full_disk_the_probe_is_withdrawn_and_the_bank_restored() -> None
     assert journal.tables == [("backup", FOUND)]
 
 
-def test_the_bank_is_restored_although_the_disk_fills_on_the_exit_path() -> None:
+def test_the_bank_is_restored_although_the_disk_fills_on_the_exit_path(monkeypatch: pytest.MonkeyPatch) -> None:
     journal = FakeJournal()
     machine = FakeMachine()
     does = machine.stop
@@ -321,7 +324,7 @@ def test_the_bank_is_restored_although_the_disk_fills_on_the_exit_path() -> None
         journal.full = True
         return does()
 
-    machine.stop = stop
+    monkeypatch.setattr(machine, "stop", stop)
     run, _, _ = ended(raising(MotionFault("limit"), written=True), machine, journal)
     assert machine.active == run.progress.active_bank == FOUND
 

@@ -176,7 +176,8 @@ class Night(NightlyRun):
         self.verdicts, self.minutes, self.full_minutes = list(verdicts), minutes, full_minutes
         self.done: list[tuple[str, tuple[Position, ...]]] = []
         self.fused: NightReport | None = None
-        tracker = RunStateTracker(self.journal, lambda _: None)
+        journal: Any = self.journal
+        tracker = RunStateTracker(journal, lambda _: None)
         for state in (RunState.PREFLIGHT, RunState.MEASURING):
             tracker.enter(state)
         job: Any = SimpleNamespace()
@@ -185,7 +186,7 @@ class Night(NightlyRun):
             minutes=lambda positions: 2.0 * len(positions), discriminating=lambda *_, **__: ()
         )
         preflight: Any = SimpleNamespace(timeline=TIMELINE, machine_seconds=WHOLE_S)
-        context: Any = RunContext(None, None, self.journal, tracker, None, self.clock, RunHooks())  # type: ignore[arg-type]
+        context: Any = RunContext(None, None, journal, tracker, None, self.clock, RunHooks())  # type: ignore[arg-type]
         super().__init__(job, context, judge, PLAN, chooser, preflight, Slot(slot_minutes, full_allowed, reserve))
 
     def _begin(self) -> Any: ...

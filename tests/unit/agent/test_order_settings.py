@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from agent.model_files import load_machine
 from agent.results.estimation import estimate_machine, order_text, scale_warnings
-from agent.settings.schema import IdentificationSettings
+from agent.settings.schema import IdentificationSettings, Order
 from twin.artefact.artefact import ball_bar
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import MountGeometry, mount_pose, parse_position_set, station_locations
@@ -67,7 +67,7 @@ def test_evidence_is_the_default() -> None:
 
 
 def test_each_order_selects_its_model(machine: MachineDescription, seen: Observations) -> None:
-    def sizes(order: object, options: Options) -> int:
+    def sizes(order: Order, options: Options) -> int:
         return estimate_machine(machine, BAR, seen, options, order).model.size
 
     plain = Options(misfit_mm=0.0, outliers="none", estimate_scales=False)

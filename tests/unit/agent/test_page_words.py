@@ -11,7 +11,7 @@ import pytest
 from agent.execution.states import RunState
 from agent.runs.kinds.restoration import TABLE_ROLES
 from agent.runs.run_request import KINDS, SOURCES
-from agent.service.alarms import CODES, DEFECT
+from agent.service.alarms import CODES, DEFECT, AlarmCode
 
 ASSETS = Path(__file__).parents[3] / "agent" / "service" / "page" / "assets"
 SCRIPTS = sorted(ASSETS.glob("*.js"))
@@ -64,7 +64,7 @@ def test_each_state_has_its_word_and_its_sentence_and_its_shape(state: RunState)
 
 
 @pytest.mark.parametrize("code", [*CODES.values(), DEFECT], ids=lambda code: code.code)
-def test_each_alarm_has_its_title_and_what_to_do(code: object) -> None:
+def test_each_alarm_has_its_title_and_what_to_do(code: AlarmCode) -> None:
     assert f"alarm.{code.code}" in MESSAGES
     assert f"alarm.{code.code}.do" in MESSAGES
 

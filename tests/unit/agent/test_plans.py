@@ -178,7 +178,9 @@ def test_withdrawal_goes_back_along_the_stylus_before_anything_else() -> None:
 @pytest.mark.parametrize("position", [Position(4, 90.0, -90.0), Position(1, -135.0, 45.0)])
 def test_the_way_out_of_an_artefact_that_stands_off_keeps_inside_the_travel(position, off_mm) -> None:
     """Parking places lie at the very end of the travel of Y."""
-    finder, probing = JOB.rules.retreat.path_rules.finder_for(JOB.layout), JOB.rules.probing
+    path_rules, probing = JOB.rules.retreat.path_rules, JOB.rules.probing
+    assert path_rules is not None
+    finder = path_rules.finder_for(JOB.layout)
     pose = finder.pose_at(position.station, position.azimuth_deg, position.elevation_deg)
     centres = finder.ball_axes(pose, position.station) + np.array(off_mm)
     lower, upper = np.array(JOB.machine.limits).T
@@ -192,6 +194,7 @@ def test_the_way_out_of_an_artefact_that_stands_off_keeps_inside_the_travel(posi
         steps += planner.leave("b", centres[ball])
         corners += sum("away" in step.key for step in steps)
         for step in steps:
+            assert isinstance(step, s.MoveTo | s.Retrace | s.TouchTowards)
             assert (lower <= step.target_mm).all(), step
             assert (step.target_mm <= upper).all(), step
     assert corners

@@ -27,7 +27,7 @@ from agent.planning.preview.tip_path import Waypoint, walk_waypoints
 from agent.settings.load import load_settings, with_overrides
 from twin.artefact.position_set import Position
 from twin.collision.bodies import Body
-from twin.collision.geometry import sphere
+from twin.collision.geometry import Capsule, sphere
 
 
 def job(position_set: str = "S1", stations: tuple[int, ...] = (1, 2)) -> Job:
@@ -92,6 +92,7 @@ def test_the_tip_touches_the_balls_of_its_position(at_two_stations: Job, preview
     for visit in preview.visits:
         for point in preview.path[visit.first : visit.end]:
             if point.touch:
+                assert point.ball is not None
                 centre = preview.placings[visit.placing].balls[point.ball].centre_mm
                 assert math.dist(point.tip_mm, centre) == pytest.approx(contact, abs=0.06)
 
@@ -194,6 +195,7 @@ def test_the_numbers_come_back_to_a_twentieth_of_a_millimetre(preview: Preview) 
         assert [ball.why_not for ball in placing.balls] == [ball[3] for ball in raw["balls"]]
         for body, (index, *numbers) in zip(placing.bodies, raw["bodies"], strict=True):
             assert read["names"][index] == body.name
+            assert isinstance(body.shape, Capsule)
             expected = (*body.shape.a, *body.shape.b, body.shape.radius)
             assert np.array(numbers) / 10 == pytest.approx(np.array(expected), abs=0.0501)
 

@@ -9,6 +9,7 @@ import pytest
 
 from agent.errors import PlanDiverged
 from agent.execution.encoding import decode_result, encode_result, table_digest
+from agent.execution.engine import Action
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.journal_reader import open_journal
 from agent.execution.replay_log import ReplayLog
@@ -93,9 +94,14 @@ def test_entries_are_neither_written_twice_nor_changed(journal: Journal, tmp_pat
 def replaying(journal: Journal, done: list[str], *, run: int = 1) -> ReplayingEngine:
     clock = ResumedClock(VirtualClock(), 0.0)
     run_journal, recorded = journal.continue_run(run, "run-1", clock)
-    actions = {
+
+    def touch(step: TouchTowards) -> Touch:
+        done.append(step.key)
+        return Touch((2.0, 0.0, 0.0))
+
+    actions: dict[type, Action] = {
         MoveTo: lambda step: done.append(step.key),
-        TouchTowards: lambda step: done.append(step.key) or Touch((2.0, 0.0, 0.0)),
+        TouchTowards: touch,
         Record: lambda _: None,
     }
     return ReplayingEngine(actions, run_journal, None, Replay(recorded, clock, StepTrace()), lambda *_: TABLE)

@@ -22,6 +22,7 @@ from agent.errors import Aborted, Busy, GateRefused
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
+from agent.runs.kinds.nightly import Night
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.run_request import RunRequest
 from agent.service.client import error_of
@@ -107,7 +108,7 @@ def test_a_timer_is_refused_without_permission_and_the_next_night_is_not_lost(tm
 
 def test_the_controller_is_asked_again_after_a_run_that_broke_off(tmp_path: Path) -> None:
     with house(tmp_path) as built:
-        asked = built.parts.machine.asked
+        asked = built.machine.asked
         built.owner.start(NIGHTLY)
         built.puppet.begun()
         assert asked == ["reached"]
@@ -125,7 +126,7 @@ def test_the_controller_is_asked_again_after_a_run_that_broke_off(tmp_path: Path
 
 def test_a_machine_that_is_away_at_a_reset_is_asked_before_the_next_run(tmp_path: Path) -> None:
     with house(tmp_path) as built:
-        devices = built.parts.machine
+        devices = built.machine
         built.owner.start(NIGHTLY)
         built.puppet.begun()
         built.puppet.end(RunState.FAULTED, LinkLost("gone"))
@@ -143,7 +144,9 @@ def test_the_station_of_a_night_is_where_the_artefact_stands_and_no_choice_of_wh
     everywhere = job_of(RunRequest(kind="nightly", source="timer"), settings, tmp_path)
     at_the_second = RunRequest(kind="nightly", source="timer", stations=[2])
     assert job_of(at_the_second, settings, tmp_path).stations == everywhere.stations == (1, 2)
-    assert kind_of(at_the_second).station == 2
+    kind = kind_of(at_the_second)
+    assert isinstance(kind, Night)
+    assert kind.station == 2
     calibration = RunRequest(kind="calibrate", source="page", stations=[2], consent=True)
     assert job_of(calibration, settings, tmp_path).stations == (2,)
 
@@ -152,7 +155,9 @@ def test_a_run_must_end_within_the_hours(tmp_path: Path) -> None:
     with house(tmp_path, circumstances=at("05:00"), service={"hours": ["22:00-05:30"]}) as built:
         built.owner.start(RunRequest(kind="nightly", source="timer", slot_minutes=45.0))
         built.puppet.begun()
-        assert built.puppet.started[0].kind.slot_minutes == 30.0
+        kind = built.puppet.started[0].kind
+        assert isinstance(kind, Night)
+        assert kind.slot_minutes == 30.0
 
 
 def test_an_abort_before_the_run_has_its_mailbox_is_not_lost() -> None:
@@ -257,8 +262,11 @@ class Told(Notifier):
 
 
 @pytest.mark.parametrize("silent_s", [1.0, 31.0])
-def test_a_service_whose_engine_hangs_is_no_longer_fed(tmp_path: Path, silent_s: float) -> None:
-    clock, told, signals = VirtualClock(), Told(), SimpleQueue()
+def test_a_service_whose_engine_hangs_is_no_longer_fed(
+    tmp_path: Path, silent_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, told = VirtualClock(), Told()
+    signals: SimpleQueue[int] = SimpleQueue()
     health = Health(clock.now, hang_timeout_s=30.0, computing_s=900.0)
     clock.sleep(silent_s)
     signals.put(signal.SIGHUP)
@@ -267,7 +275,7 @@ def test_a_service_whose_engine_hangs_is_no_longer_fed(tmp_path: Path, silent_s:
         built.owner.start(NIGHTLY)
         built.puppet.begun()
         built.puppet.enter(RunState.MEASURING)
-        built.owner.close = lambda _: True  # its own test is above
+        monkeypatch.setattr(built.owner, "close", lambda _: True)  # its own test is above
         MainLoop(built.owner, health, told, signals, tmp_path / "gone.toml").run()
     fed = [message for message in told.messages if "WATCHDOG" in message]
     assert bool(fed) is (silent_s < 30.0)

@@ -20,7 +20,9 @@ RULES = SettlingRules(max_rate_k_per_h=5.0, max_departure_k=4.0, poll_interval_s
 
 def played(plan: s.Plan[Any], bar_c: Callable[[float], float]) -> tuple[list[s.Step], Any]:
     """Steps and conclusion; time passes in dwells alone."""
-    now, seen, answer = 0.0, [], None
+    now = 0.0
+    seen: list[s.Step] = []
+    answer: Any = None
     try:
         while True:
             step = plan.send(answer)

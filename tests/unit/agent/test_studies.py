@@ -7,6 +7,7 @@ import inspect
 import json
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -179,7 +180,9 @@ class TestClosedFormAndSimulation:
         file = tmp_path / "five.toml"
         file.write_text(FIVE_BALLS)
         job = load_case(CASE_STUDY, stations=2, artefact=file)
-        said = document(run_study("monte-carlo", case(job=job, options=options, machines=200, position_set="S3")))
+        said: dict[str, Any] = document(
+            run_study("monte-carlo", case(job=job, options=options, machines=200, position_set="S3"))
+        )
         assert (said["balls"], said["balls_measured"]) == (5, 60)
         closed, simulated = said["vce_closed_form"], said["vce_scales_as_stated"]
         for kind in ("raw", "aligned"):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,9 +40,10 @@ def found() -> StudyResult:
     return run(case())
 
 
-def table() -> dict[str, dict[str, float | None]]:
-    rows = (dict(zip(COLUMNS, row, strict=True)) for row in found().rows)
-    return {str(row.pop("influence")): row for row in rows}  # type: ignore[misc]
+def table() -> dict[str, dict[str, Any]]:
+    """Return the columns of every influence; numbers, None if there is no such figure."""
+    rows: list[dict[str, Any]] = [dict(zip(COLUMNS, row, strict=True)) for row in found().rows]
+    return {str(row.pop("influence")): row for row in rows}
 
 
 def test_the_table_names_every_influence_and_the_whole() -> None:
@@ -92,7 +95,7 @@ def test_the_true_machines_are_the_family_with_higher_orders_beside() -> None:
 
 
 def test_the_limits_hold_the_machines() -> None:
-    summary = found().summary
+    summary: Mapping[str, Any] = found().summary
     low, high = summary["vce_95_percent_limits_aligned_um"]
     assert low < summary["vce_median_aligned_um"] < summary["vce_expected_aligned_um"] < high
     assert summary["simulated_inside_the_limits_percent"] >= 85.0

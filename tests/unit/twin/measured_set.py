@@ -10,6 +10,7 @@ from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import MountGeometry, is_reachable, mount_pose, parse_position_set, station_locations
 from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import Family, family_from_amplitudes
 
@@ -31,7 +32,9 @@ def case_study(order: int, cross_effect: tuple[str, ...] = ("b1", "b2", "c1")) -
     return model, family_from_amplitudes(model, AMPLITUDES)
 
 
-def bar(balls: int = 11, tilt_deg: float = 15.0, sigma_mm: float = 0.0, **more: float) -> Artefact:
+def bar(
+    balls: int = 11, tilt_deg: float = 15.0, sigma_mm: float = 0.0, cte_standard_uncertainty_per_k: float = 0.0
+) -> Artefact:
     return ball_bar(
         "bar",
         balls=balls,
@@ -40,8 +43,13 @@ def bar(balls: int = 11, tilt_deg: float = 15.0, sigma_mm: float = 0.0, **more: 
         holder_length_mm=60.0,
         ball_diameter_mm=25.0,
         standard_uncertainty_mm=sigma_mm,
-        **more,
+        cte_standard_uncertainty_per_k=cte_standard_uncertainty_per_k,
     )
+
+
+def truth_of(model: ErrorModel, parameters: np.ndarray) -> Deviation:
+    """Return the deviation in mm of a machine with exactly these parameters."""
+    return lambda at, tool: exact_deviation(model, at, tool, parameters)
 
 
 def measured(
@@ -72,11 +80,11 @@ def measured(
                 at = nominal - deviation(at, tool)
             found.append(at + rng.normal(0.0, sigma_mm, at.shape))
             rows += [(number, int(ball), number_of_tool, elevation) for ball in np.flatnonzero(inside)]
-    position, ball, tool_number, elevations = zip(*rows, strict=True)
+    numbers, balls, tool_numbers, elevations = zip(*rows, strict=True)
     return Observations(
-        position=np.array(position),
-        ball=np.array(ball),
-        tool=np.array(tool_number),
+        position=np.array(numbers),
+        ball=np.array(balls),
+        tool=np.array(tool_numbers),
         axis_positions=np.concatenate(found),
         covariance=np.tile(np.eye(3) * max(sigma_mm, 1e-5) ** 2, (len(rows), 1, 1)),
         temperature_c=np.full(len(rows), temperature_c),

@@ -63,9 +63,9 @@ def test_a_wrong_file_names_itself_and_the_place(old: str, new: str, told: str) 
 def test_positions_survive_writing_and_reading() -> None:
     positions = (Position(2, -45.0, 35.264), Position(1, 0.1 + 0.2, -math.degrees(0.5)))
     again = parse_positions(format_positions(positions), "p.csv")
-    assert [(p.station, p.azimuth_deg, p.elevation_deg) for p in again] == [
-        (p.station, pytest.approx(p.azimuth_deg), pytest.approx(p.elevation_deg)) for p in positions
-    ]
+    assert [position.station for position in again] == [position.station for position in positions]
+    for read, written in zip(again, positions, strict=True):
+        assert (read.azimuth_deg, read.elevation_deg) == pytest.approx((written.azimuth_deg, written.elevation_deg))
 
 
 @pytest.mark.parametrize(

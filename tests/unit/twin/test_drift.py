@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured_set import RANGES, TOOL, bar, case_study, measured
+from measured_set import RANGES, TOOL, bar, case_study, measured, truth_of
 
 from twin.artefact.observations import Observations
 from twin.artefact.thermal_regressors import smooth_readings, thermal_regressors
@@ -103,7 +103,7 @@ def test_stated_uncertainty_of_the_drifted_parameters_holds() -> None:
     for seed in range(60):
         rng = np.random.default_rng([7, seed])
         truth = FAMILY.prior_standard_deviation * rng.standard_normal(MODEL.size)
-        still = measured("S3", 3, BAR, lambda at, tool, t=truth: exact_deviation(MODEL, at, tool, t), rng)
+        still = measured("S3", 3, BAR, truth_of(MODEL, truth), rng)
         course = np.linspace(0.0, 2.0, still.size)[:, None]
         options = replace(PLAIN, drift=prior, state_regressors=course[-1])
         found = identify(MODEL, replace(still, thermal_regressors=course), BAR, FAMILY, options)

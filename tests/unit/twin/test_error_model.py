@@ -58,7 +58,7 @@ def test_wrong_ranges(ranges, says):
 
 
 def test_wrong_orders_terms_and_names():
-    good = ErrorModel.uniform(CHAIN, RANGES).orders
+    good = dict(ErrorModel.uniform(CHAIN, RANGES).orders)
     for orders, terms, says in (
         (good | {"EXQ": 2}, (), "'EXQ' is not an error motion"),
         ({"EXX": 2}, (), "no Legendre order"),

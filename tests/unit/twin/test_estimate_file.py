@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -136,7 +137,7 @@ def with_covariance(row: int, column: int, value: float) -> str:
         (lambda: with_misfit(mixing=[[[1.0]]]), "list is too short", "carried_over.misfit.mixing[1]"),
     ],
 )
-def test_what_does_not_fit_is_named(bad: object, words: str, key: str | None) -> None:
+def test_what_does_not_fit_is_named(bad: Callable[[], str], words: str, key: str | None) -> None:
     with pytest.raises(FormatError, match=words) as caught:
         parse_estimate(bad(), "e.json")
     assert caught.value.where["file"] == "e.json"

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
-from measured_set import RANGES, TOOL, bar, case_study, measured
+from measured_set import RANGES, TOOL, bar, case_study, measured, truth_of
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from twin.artefact.observations import Observations
 from twin.errors import DataError, SingularSet
 from twin.identification import Options, field_uncertainty, identify, predicted_vce
+from twin.identification.options import Formulation, Weights
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.volumetric import align_rigidly, evaluation_grid, rms, volumetric_error
 
@@ -148,7 +150,7 @@ class TestUncertainty:
             parameters = rng.normal(size=model.size) * family.prior_standard_deviation
             certified = bar(11, sigma_mm=0.8e-3)
             real = dataclasses.replace(certified, balls=certified.balls + rng.normal(0.0, 0.8e-3, (11, 3)))
-            seen = measured("S3", 3, real, lambda X, t, E=parameters: exact_deviation(model, X, t, E), rng)
+            seen = measured("S3", 3, real, truth_of(model, parameters), rng)
             estimate = identify(model, seen, certified, family, PLAIN)
             scale = np.sqrt(np.diag(estimate.covariance))
             error = (parameters - estimate.parameters) / scale
@@ -183,7 +185,7 @@ class TestUncertainty:
 @pytest.mark.parametrize("prior", [True, False])
 @pytest.mark.parametrize("weights", ["full", "unit"])
 @pytest.mark.parametrize("formulation", ["centres", "distances"])
-def test_normalised_chi2_is_one_where_all_is_as_stated(formulation: str, weights: str, prior: bool) -> None:
+def test_normalised_chi2_is_one_where_all_is_as_stated(formulation: Formulation, weights: Weights, prior: bool) -> None:
     """Truth, certificate and noise are drawn from their priors, with noise that differs between balls."""
     model, family = case_study(3)
     options = dataclasses.replace(PLAIN, formulation=formulation, weights=weights, use_prior=prior)
@@ -193,9 +195,7 @@ def test_normalised_chi2_is_one_where_all_is_as_stated(formulation: str, weights
         parameters = rng.normal(size=model.size) * family.prior_standard_deviation
         certified = bar(9, sigma_mm=0.8e-3)
         real = dataclasses.replace(certified, balls=certified.balls + rng.normal(0.0, 0.8e-3, (9, 3)))
-        seen = measured(
-            "S1+S2+S3", 3, real, lambda X, t, E=parameters: exact_deviation(model, X, t, E), rng, sigma_mm=1e-7
-        )
+        seen = measured("S1+S2+S3", 3, real, truth_of(model, parameters), rng, sigma_mm=1e-7)
         sigma_mm = rng.uniform(0.5e-3, 2e-3, seen.size)
         noise = sigma_mm[:, None] * rng.normal(size=(seen.size, 3))
         covariance = sigma_mm[:, None, None] ** 2 * np.eye(3)
@@ -337,7 +337,7 @@ def test_strategies_stand_in_the_published_order() -> None:
     model, family = case_study(4, ("b0", "b1", "b2", "c0", "c1"))
     artefact = bar(7, 0.0)
 
-    def vce(expression: str, **changes: object) -> float:
+    def vce(expression: str, **changes: Any) -> float:
         seen = measured(expression, 3, artefact, lambda X, t: np.zeros_like(X), np.random.default_rng(0))
         options = dataclasses.replace(PLAIN, **changes)
         return predicted_vce(identify(model, seen, artefact, family, options), GRID, TOOL).raw_um

@@ -7,6 +7,7 @@ rounding. Errors of realistic size are compared as well.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ STEEL = bar(7, sigma_mm=0.8e-3, cte_standard_uncertainty_per_k=1e-6)
 BOTH_TOOLS = (TOOL, np.array([60.0, 330.0, -40.0]))
 
 
-def a_night(expression: str, artefact: Artefact, seed: int, size: float, **more: object) -> Observations:
+def a_night(expression: str, artefact: Artefact, seed: int, size: float, **more: Any) -> Observations:
     """Return one night of one machine: a family member plus a wave that no order represents, scaled by `size`."""
     truth = size * FAMILY.draw(np.random.default_rng(5), 1)[0]
 
@@ -95,6 +96,8 @@ def test_another_artefact_brings_errors_of_its_own() -> None:
     known = identify(MODEL, first, one, FAMILY, options).carried_over()
     fused = identify(MODEL, second, other, FAMILY, dataclasses.replace(options, carried_over=known))
     assert fused.parameters / SIGMA == pytest.approx(at_once.parameters / SIGMA, abs=1e-9)
+    assert fused.misfit is not None
+    assert at_once.misfit is not None
     assert fused.misfit.coefficients == pytest.approx(at_once.misfit.coefficients, abs=1e-9)
     assert fused.covariance / np.outer(SIGMA, SIGMA) == pytest.approx(
         at_once.covariance / np.outer(SIGMA, SIGMA), abs=1e-6

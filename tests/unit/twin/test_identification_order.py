@@ -89,7 +89,12 @@ def test_the_chosen_order_is_the_highest_without_very_strong_evidence_against_it
 
 def test_a_family_that_does_not_fall_off_gets_no_higher_order_than_the_machine_has() -> None:
     """Without the falling prior a higher order would follow noise, and the evidence then speaks against it."""
-    flat = {**AMPLITUDES, "decay": 1.0, "positioning_um": [8.0, 5.0, 3.0], "rotation_urad": [4.6, 2.8, 2.0]}
+    flat: dict[str, float | list[float]] = {
+        **AMPLITUDES,
+        "decay": 1.0,
+        "positioning_um": [8.0, 5.0, 3.0],
+        "rotation_urad": [4.6, 2.8, 2.0],
+    }
     flat["straightness_um"] = [5.5, 3.3]
     estimate = identify_by_evidence(
         lambda order: family_from_amplitudes(case_study(order)[0], flat),

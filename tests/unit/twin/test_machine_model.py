@@ -39,7 +39,8 @@ def test_exact_is_the_plain_product_of_matrices(chain):
     rng = np.random.default_rng(5)
     ranges = ((-500.0, 3500.0), (100.0, 1400.0), (-1500.0, 0.0))
     model = model_of(chain, ranges=ranges)
-    points = rng.uniform(*np.array(ranges).T, (6, 3))
+    low, high = np.array(ranges).T
+    points = rng.uniform(low, high, (6, 3))
     tool = np.array([30.0, 250.0, -120.0])
     errors = random_errors(model, rng)
     expected = plain_machine.deviations(chain, ranges, points, tool, dict(zip(model.names, errors, strict=True)))

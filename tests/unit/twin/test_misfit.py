@@ -27,8 +27,8 @@ def test_prior_rms_over_the_workspace_is_one() -> None:
 def test_the_model_cannot_imitate_a_mode() -> None:
     """After fitting model and rigid motion over the centres of many cells, a mode keeps its size."""
     half = [0.5 * (high - low) / count for (low, high), count in zip(RANGES, CELLS, strict=True)]
-    middles = tuple((low + h, high - h) for (low, high), h in zip(RANGES, half, strict=True))
-    grid = evaluation_grid(middles, CELLS)
+    x, y, z = ((low + h, high - h) for (low, high), h in zip(RANGES, half, strict=True))
+    grid = evaluation_grid((x, y, z), CELLS)
     basis = deviation_basis(MODEL, grid, TOOL)
     columns = np.stack([align_rigidly(grid + TOOL, basis[:, :, k]).reshape(-1) for k in range(MODEL.size)], axis=1)
     used = np.linalg.svd(columns / np.linalg.norm(columns, axis=0).clip(1e-9), full_matrices=False)

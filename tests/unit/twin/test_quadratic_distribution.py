@@ -95,7 +95,7 @@ def test_a_form_of_correlated_variables_against_sampling() -> None:
     factor[2] = 0.0
     mean = rng.normal(size=6)
     one = QuadraticDistribution.of(
-        columns.T @ columns / 30, columns.T @ fixed / 30, fixed @ fixed / 30, mean, factor @ factor.T
+        columns.T @ columns / 30, columns.T @ fixed / 30, float(fixed @ fixed / 30), mean, factor @ factor.T
     )
     x = mean + rng.normal(size=(100_000, 6)) @ factor.T
     drawn = ((x @ columns.T + fixed) ** 2).mean(axis=1)
@@ -233,7 +233,8 @@ def test_the_mean_square_is_that_of_the_prediction() -> None:
 
 def test_points_that_are_no_grid_do_as_well() -> None:
     estimate = estimated(0.001)
-    scattered = np.random.default_rng(1).uniform(*np.array(RANGES).T, (60, 3))
+    low, high = np.array(RANGES).T
+    scattered = np.random.default_rng(1).uniform(low, high, (60, 3))
     expected = volumetric_distributions(estimate, scattered, TOOL).vce.expected
     assert expected.aligned_mm == pytest.approx(predicted_vce(estimate, scattered, TOOL).aligned_mm, rel=1e-6)
 

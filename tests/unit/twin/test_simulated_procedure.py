@@ -49,7 +49,7 @@ ORIENTATIONS = ((45.0, 0.0), (-45.0, 0.0), (0.0, 45.0), (0.0, -45.0), (90.0, 45.
 MOUNT = MountGeometry()
 
 
-def bar(tilt_deg: float = 15.0, **changes: float) -> Artefact:
+def bar(tilt_deg: float = 15.0, sag_mm: float = 0.0) -> Artefact:
     return ball_bar(
         "bar",
         balls=7,
@@ -59,7 +59,7 @@ def bar(tilt_deg: float = 15.0, **changes: float) -> Artefact:
         ball_diameter_mm=25.0,
         standard_uncertainty_mm=0.8e-3,
         cte_standard_uncertainty_per_k=0.4e-6,
-        **changes,
+        sag_mm=sag_mm,
     )
 
 
@@ -85,7 +85,8 @@ def model(order: int = 5, chain: str = CHAINS[0]) -> ErrorModel:
 
 
 def deflection() -> DeflectionGrid:
-    return cantilever_deflection(*(np.linspace(low, high, 7) for low, high in RANGES))
+    x, y, z = (np.linspace(low, high, 7) for low, high in RANGES)
+    return cantilever_deflection(x, y, z)
 
 
 def quiet(order: int = 5, chain: str = CHAINS[0], **changes: object) -> TruthAssumptions:

@@ -51,12 +51,13 @@ def test_it_is_the_dense_normal_distribution_of_what_is_measured(first: Estimate
     points, local = problem.sides(known.mean)
     left, free = [], np.zeros((3 * later.size, 0))
     for k in np.unique(problem.observations.position):
-        rows = np.flatnonzero(problem.observations.position == k)
-        left.append(points[rows] - placed(local[rows], points[rows]))
+        seen_there = np.flatnonzero(problem.observations.position == k)
+        left.append(points[seen_there] - placed(local[seen_there], points[seen_there]))
         motions = np.zeros((later.size, 3, 6))
-        motions[rows, :, :3] = np.eye(3)
+        motions[seen_there, :, :3] = np.eye(3)
         for axis in range(3):
-            motions[rows, :, 3 + axis] = np.cross(np.eye(3)[axis], points[rows] - points[rows].mean(axis=0)) / 500.0
+            levers = points[seen_there] - points[seen_there].mean(axis=0)
+            motions[seen_there, :, 3 + axis] = np.cross(np.eye(3)[axis], levers) / 500.0
         free = np.concatenate((free, motions.reshape(-1, 6)), axis=1)
     beside = np.linalg.svd(free)[0][:, free.shape[1] :]
     residual = -beside.T @ np.concatenate(left).reshape(-1)
@@ -128,6 +129,7 @@ def test_expected_error_with_a_table_is_the_mean_over_drawn_machines(first: Esti
     written = first.parameters + 0.3 * SIGMA
     rng = np.random.default_rng(8)
     basis = deviation_basis(MODEL, grid, TOOL)
+    assert unknowns.modes is not None
     modes = unknowns.misfit_mm * unknowns.modes.at(grid, None)
     squares = []
     for z in rng.multivariate_normal(first.z, first.z_covariance, 400):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measured_set import RANGES, TOOL, case_study
@@ -72,7 +74,8 @@ def test_another_anchor_is_another_rigid_motion() -> None:
 def test_trilinear_reading_agrees_with_scipy_and_is_held_beyond_the_border() -> None:
     one = table()
     reference = RegularGridInterpolator(NODES, one.corrections)
-    points = np.random.default_rng(1).uniform(*np.array(RANGES).T, (500, 3))
+    low, high = np.array(RANGES).T
+    points = np.random.default_rng(1).uniform(low, high, (500, 3))
     assert one.at(points) == pytest.approx(reference(points), abs=1e-12)
     assert one.at([[-50.0, 1400.0, 700.0]])[0] == pytest.approx(one.at([[0.0, 1300.0, 700.0]])[0], abs=1e-15)
 
@@ -126,8 +129,8 @@ def test_an_anchor_outside_the_table_is_refused() -> None:
 )
 def test_a_table_that_cannot_be(wrong: dict) -> None:
     two = np.array([0.0, 1.0])
-    good = {"x": two, "y": two, "z": two, "corrections": np.zeros((2, 2, 2, 3)), "tool_offset": TOOL}
-    good |= {"anchor": Anchor(np.zeros(3)), "extrapolated": np.zeros((2, 2, 2), dtype=bool)}
-    CompensationTable(**good)
+    good = CompensationTable(
+        two, two, two, np.zeros((2, 2, 2, 3)), TOOL, Anchor(np.zeros(3)), np.zeros((2, 2, 2), dtype=bool)
+    )
     with pytest.raises(DataError):
-        CompensationTable(**{**good, **wrong})
+        replace(good, **wrong)

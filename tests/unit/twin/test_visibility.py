@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from typing import Any
 
 import numpy as np
 import plain_machine
@@ -48,7 +49,7 @@ def layout(tool: np.ndarray = TOOL) -> MeasuringLayout:
     return layout_for(plain, tool, 1)
 
 
-def set_up(expression: str = "S3", order: int = 4, sigma_mm: float = 1e-3, **options: object) -> SetUp:
+def set_up(expression: str = "S3", order: int = 4, sigma_mm: float = 1e-3, **options: Any) -> SetUp:
     model, family = case_study(order)
     procedure = Procedure({"probe": layout()}, np.eye(3) * sigma_mm**2)
     return SetUp(model, family, procedure, parse_position_set(expression, 3), dataclasses.replace(AS_STATED, **options))
@@ -63,7 +64,8 @@ class TestRank:
     @staticmethod
     def plain_rank(model: ErrorModel, scale: np.ndarray, tools: list[np.ndarray]) -> int:
         """Return the rank of the field at scattered points without rigid motions, by differences of the plain loop."""
-        points = np.random.default_rng(3).uniform(*np.array(RANGES).T, (28, 3))
+        low, high = np.array(RANGES).T
+        points = np.random.default_rng(3).uniform(low, high, (28, 3))
         reached = np.concatenate([points + tool for tool in tools])
         columns = []
         for name, size in zip(model.names, 1e-2 * scale, strict=True):

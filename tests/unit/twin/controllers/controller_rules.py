@@ -35,7 +35,8 @@ def linuxcnc(files: Files) -> Rule:
     for section in re.findall(r"\[JOINT_\d\]\n(.*)\n(.*)\n", files["ini-lines.txt"]):
         settings = dict(line.split(" = ") for line in section)
         assert settings["COMP_FILE_TYPE"] == "0"
-        nominals, trims = [], []
+        nominals: list[float] = []
+        trims: list[float] = []
         for line in files[settings["COMP_FILE"]].split("\n"):
             try:
                 nominal, forward, reverse = (float(word) for word in line.split())
@@ -84,7 +85,7 @@ def siemens_cec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) 
     assert lines[-1] == "M17"
     told = dict(line.split("=") for line in lines[2:-1])
     enabling = [line.split(" ;")[0] for line in files["CEC_ENABLE.SPF"].splitlines() if line.startswith("$")]
-    enabled = {int(re.search(r"\[(\d+)\]", line)[1]) for line in enabling if line.endswith("=1")}
+    enabled = {int(line.split("[")[1].split("]")[0]) for line in enabling if line.endswith("=1")}
     tables = {}
     for index in sorted({int(key.split("[")[1].rstrip("]")) for key in told if key.startswith("$AN_CEC_MIN")}):
         low, high, step = (float(told[f"$AN_CEC_{word}[{index}]"]) for word in ("MIN", "MAX", "STEP"))
@@ -163,7 +164,9 @@ def fanuc_pitch(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
     """
     told = {}
     for line in files["parameters.txt"].split("\n")[1:-2]:
-        number, rest = re.fullmatch(r"N(\d+)(A.*)", line).groups()
+        parameter = re.fullmatch(r"N(\d+)(A.*)", line)
+        assert parameter is not None, line
+        number, rest = parameter.groups()
         told[int(number)] = {int(axis): int(value) for axis, value in re.findall(r"A(\d)P(-?\d+)", rest)}
     data = {int(n) - 10000: int(v) for n, v in re.findall(r"N(\d+)P(-?\d+)", files["pitch-error.txt"])}
     assert all(abs(value) <= 7 for value in data.values())
@@ -314,6 +317,12 @@ def lookup(arguments: list[list[float]], values: list[float]) -> Callable[[list[
 def small_turn(a: float, b: float, c: float) -> np.ndarray:
     """Rotate about X, Y, Z, right-handed, to first order."""
     return np.array([[1.0, -c, b], [c, 1.0, -a], [-b, a, 1.0]])
+
+
+def rule_at(name: str, files: Files, reference_mm: Place) -> Rule:
+    """Return the rule of a format; the rules of Fanuc count positions from the reference point."""
+    counted = {"fanuc-pitch": fanuc_pitch, "fanuc-3d": fanuc_3d}
+    return counted[name](files, reference_mm) if name in counted else RULES[name](files)
 
 
 RULES: dict[str, Callable[[Files], Rule]] = {

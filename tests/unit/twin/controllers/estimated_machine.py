@@ -81,6 +81,7 @@ def left_um(machine: TrueMachine, added: np.ndarray) -> float:
 
 def left_of_estimate_um(source: ExportSource, added: np.ndarray, grid: np.ndarray = GRID) -> float:
     known_of = source.estimate
+    assert known_of is not None, "only a source with its estimate has a remaining error"
     offset = source.table.tool_offset
     left = added + exact_deviation(known_of.model, grid + added, offset, known_of.parameters)
     return volumetric_error(grid + offset, left).aligned_um

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimated_machine import TOOL, known, machine_with, source_of
+from estimated_machine import TOOL, known, source_of
 
 from twin.compensation.controllers.export_format import ExportSource, TableEstimate
 from twin.compensation.controllers.format_options import ExportOptions
@@ -95,6 +95,7 @@ def test_another_machine_another_tool_and_another_night_are_told_from_the_right_
             ExportSource(replace(source.table, tool_offset=TOOL + np.array([0.0, 0.0, 900.0])), source.estimate)
         )
     known_of = source.estimate
+    assert known_of is not None
     shorter = replace(known_of.model, ranges_mm=((0.0, 2000.0), *known_of.model.ranges_mm[1:]))
     with pytest.raises(DataError, match="exceeds the range") as caught:
         require_same_machine(
@@ -128,8 +129,11 @@ def test_intervals_are_whole_detection_units(name: str) -> None:
 
 
 def test_the_smallest_magnification_that_fits_is_chosen_and_a_smaller_one_refused() -> None:
-    steep = source_of(machine_with().estimate.model, 12.0 * known(1).estimate.parameters)
+    estimate = known(1).estimate
+    assert estimate is not None
+    steep = source_of(estimate.model, 12.0 * estimate.parameters)
     found = FORMATS["fanuc-pitch"].export(alone(steep.table), ExportOptions()).facts["magnification"]
+    assert isinstance(found, int)
     assert found > 1
     error = refused("fanuc-pitch", alone(steep.table), magnification=found - 1)
     assert "exceeds ±7" in error.message

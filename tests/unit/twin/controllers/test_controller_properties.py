@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from controller_rules import RULES
+from controller_rules import RULES, rule_at
 from estimated_machine import source_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -32,13 +32,15 @@ def tables(draw: st.DrawFn) -> tuple[CompensationTable, tuple[float, float, floa
     shape = tuple(draw(st.integers(2, 6)) for _ in range(3))
     step = draw(st.sampled_from([12.5, 50.0, 100.0]))
     first = [step * draw(st.integers(-20, 20)) for _ in range(3)]
-    nodes = [low + step * np.arange(count) for low, count in zip(first, shape, strict=True)]
+    nodes = [low + step * np.arange(count, dtype=np.float64) for low, count in zip(first, shape, strict=True)]
     rng = np.random.default_rng(draw(st.integers(0, 10**6)))
     corrections = 1e-3 * np.round(rng.uniform(-15.0, 15.0, (*shape, 3)), 4)
     x, y, z = (float(line[draw(st.integers(0, len(line) - 1))]) for line in nodes)
     marks = np.zeros(shape, dtype=bool)
     tool = rng.uniform(-200.0, 200.0, 3)
-    return CompensationTable(*nodes, corrections, tool, Anchor(np.array([x, y, z])), marks), (x, y, z)
+    along_x, along_y, along_z = nodes
+    anchor = Anchor(np.array([x, y, z]))
+    return CompensationTable(along_x, along_y, along_z, corrections, tool, anchor, marks), (x, y, z)
 
 
 def points_in(table: CompensationTable) -> np.ndarray:
@@ -52,8 +54,7 @@ def points_in(table: CompensationTable) -> np.ndarray:
 def test_a_controller_adds_what_is_said(name: str, drawn: tuple) -> None:
     table, reference = drawn
     one: ControllerExport = FORMATS[name].export(ExportSource(table), ExportOptions({"reference_mm": reference}))
-    fanuc = name.startswith("fanuc")
-    rule = RULES[name](one.files, reference) if fanuc else RULES[name](one.files)
+    rule = rule_at(name, one.files, reference)
     at = points_in(table) if name != "fanuc-pitch" else np.array(np.meshgrid(*table.nodes)).reshape(3, -1).T
     assert rule(at) == pytest.approx(one.correction(at), abs=2e-6)
     if name not in ("gcode-csv", "neutral"):

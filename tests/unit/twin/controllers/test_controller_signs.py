@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from controller_rules import RULES
+from controller_rules import RULES, rule_at
 from estimated_machine import GRID, known, left_of_estimate_um, left_um, moving_table, truth
 
 from twin.compensation.controllers.export_format import ControllerExport, ExportSource
@@ -70,7 +70,7 @@ def test_tables_of_a_workpiece_that_moves_have_the_right_sign_too(seed: int) -> 
 def test_nothing_is_added_at_the_reference_point(name: str) -> None:
     reference = (1000.0, 600.0, 500.0)
     one = exported(name, known(2), reference_mm=reference)
-    rule = RULES[name](one.files, reference) if name.startswith("fanuc") else RULES[name](one.files)
+    rule = rule_at(name, one.files, reference)
     assert np.abs(rule(np.array([reference]))).max() < 1e-6
     machine = truth(2)
     assert left_um(machine, rule(GRID)) < left_um(machine, np.zeros_like(GRID))
