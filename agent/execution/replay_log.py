@@ -34,7 +34,7 @@ class RecordedStep:
 
 @dataclass
 class ReplayLog:
-    """Queues of the records of a run; the replay takes from their heads what it would otherwise write again.
+    """Queues of the records of a run; the replay consumes each record in place of writing it again.
 
     `unfinished`: the step that began and did not end. `entries`: per table, entries that are compared as a whole.
     Records of withdrawals and returns are in none of them. `resumptions`: how often the run has been resumed.

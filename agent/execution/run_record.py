@@ -17,7 +17,7 @@ from twin.units import S_PER_MIN
 
 @dataclass(frozen=True)
 class OperatorQuestion:
-    """A question to the operator, `minute` of machine time after the first step; `answered`: the answer was yes."""
+    """Question to the operator, `minute` of machine time after the first step; `answered`: the answer was yes."""
 
     minute: float
     text: str

@@ -1,4 +1,4 @@
-"""The states of a run as data. PackML (ISA-TR88.00.02) names stand beside ours for panels and gateways."""
+"""States of a run as data, with the PackML (ISA-TR88.00.02) names beside ours for panels and gateways."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class CalibrationRun(GuardedRun):
         """Calibrate from the first position of the set; the state is measuring and the compensation has been read."""
         job, progress = self._job, self.progress
         order = replace(job.measuring, standing_at=standing_at)
-        progress.measured = self._engine.run(measure_with_repeats(order, job.layout, self._rules, job.repeat_rules))
+        progress.measured = self._engine.run(measure_with_repeats(order, job.layout, self.rules, job.repeat_rules))
         self._tracker.enter(RunState.IDENTIFYING)
         balls = balls_for_estimate(job, progress.measured)
         with translated(MeasurementFault):
@@ -111,7 +111,7 @@ class CalibrationRun(GuardedRun):
     def _verify(self, estimation: EstimationResult, measured: MeasuredPositions, image: TableImage) -> None:
         job, progress = self._job, self.progress
         order = job.verifying(measured.standing_at)
-        progress.verified = self._engine.run(measure_positions(order, job.layout, self._rules, measured.mount_poses))
+        progress.verified = self._engine.run(measure_positions(order, job.layout, self.rules, measured.mount_poses))
         before = job.balls_of(measured, held_out=True)
         after = job.balls_of(progress.verified, held_out=True)
         progress.proof = self._proof(estimation, before, after)

@@ -112,10 +112,6 @@ class GuardedRun(ABC):
     @property
     def rules(self) -> PositionRules:
         """Rules of measurement with the current qualification of the stylus."""
-        return self._rules
-
-    @property
-    def _rules(self) -> PositionRules:
         prepared = self.progress.prepared
         return self._job.rules if prepared is None else prepared.rules
 

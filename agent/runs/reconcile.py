@@ -25,7 +25,7 @@ from drivers.roles import MotionState
 
 @dataclass(frozen=True)
 class RecordedBank:
-    """A bank and the CRC-32 of its table by the journal; None for an empty one, as bank 0."""
+    """Bank and the CRC-32 of its table according to the journal; None for an empty bank, as bank 0."""
 
     number: int
     crc32: int | None
@@ -33,7 +33,7 @@ class RecordedBank:
 
 @dataclass(frozen=True)
 class LastCompensation:
-    """Compensation left by the last run that read it, by the journal."""
+    """Compensation left by the last run that read it, according to the journal."""
 
     run: int
     run_id: str

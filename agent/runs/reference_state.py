@@ -1,8 +1,8 @@
-"""The last accepted night: the known errors of the machine, and the table active since. The journal is the truth.
+"""Reference state of a machine: the estimate of the last accepted night, and the table active since.
 
-An estimate is accepted by a decision in the journal that names the table activated with it. The need for a full
-calibration is such a decision too, and holds until a later night is accepted. A copy of the estimate is written beside
-the journal, for people and for `volcal identify --carried-over`; nothing is read from it.
+The journal is the single source: an estimate is accepted by a decision that names the table activated with it. The need
+for a full calibration is such a decision too, and holds until a later night is accepted. A copy of the estimate is
+written beside the journal, for people and for `volcal identify --carried-over`; nothing is read from it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Session of a run, from a job and its kind to a closed journal: lock, devices, preflight, the run itself, results.
 
 `carry_out` begins a new run; `agent.runs.resume.resume` continues an interrupted one. Both are made of the same parts:
-`run_resources` (lock, journal, clock, supervisor), `open_rig`, and a `Session` that collects what the run reaches and
-turns it into a `RunResult`.
+`run_resources` (lock, journal, clock, supervisor), `open_rig`, and a `RunSession` that collects what the run reaches
+and turns it into a `RunResult`.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def carry_out(
         steps = StepProgress(tracker, hooks.observe)
         engine = Engine(rig.actions(journal.run), journal, steps.observe)
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
-        session = Session(context, steps, job, kind, resources.began_s)
+        session = RunSession(context, steps, job, kind, resources.began_s)
         with session.ended_by_errors():
             tracker.enter(RunState.PREFLIGHT)
             with open_rig(context):
@@ -142,7 +142,7 @@ def open_rig(context: RunContext) -> Iterator[None]:
             tracker.note(f"closing: {complaint}")
 
 
-class Session:
+class RunSession:
     """Plan, progress and result of one run, new or resumed."""
 
     def __init__(self, context: RunContext, steps: StepProgress, job: Job, kind: Kind, began_s: float) -> None:

@@ -124,7 +124,7 @@ class CalibrationPendingRun(GuardedRun):
     def _work(self) -> None:
         require_table_of(self._judge.reference, self._begin())
         self._prepare_probe()
-        measured = measure(self._engine, self._plan, VERIFICATION, self._plan.first, self._job, self._rules)
+        measured = measure(self._engine, self._plan, VERIFICATION, self._plan.first, self._job, self.rules)
         self.progress.measured = measured
         self._tracker.enter(RunState.IDENTIFYING)
         report = judge_measurement(self._judge, self._plan, self._job, measured, self._correction).report

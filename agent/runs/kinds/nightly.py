@@ -175,7 +175,7 @@ class NightlyRun(CalibrationRun):
         self, prefix: str, positions: Sequence[Position], before: MeasuredPositions | None = None
     ) -> MeasuredPositions:
         mount_poses = None if before is None else before.mount_poses
-        return measure(self._engine, self._plan, prefix, positions, self._job, self._rules, mount_poses)
+        return measure(self._engine, self._plan, prefix, positions, self._job, self.rules, mount_poses)
 
     def _judged(self, measured: MeasuredPositions) -> Judgement:
         self.progress.measured = measured

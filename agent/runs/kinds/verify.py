@@ -57,7 +57,7 @@ class VerifyRun(GuardedRun):
         require_table_of(self._judge.reference, self._begin())
         self._prepare_probe()
         job, plan = self._job, self._plan
-        measured = measure(self._engine, plan, VERIFICATION, plan.first, job, self._rules)
+        measured = measure(self._engine, plan, VERIFICATION, plan.first, job, self.rules)
         self.progress.measured = measured
         self._tracker.enter(RunState.IDENTIFYING)
         report = self.progress.night = judge_measurement(self._judge, plan, job, measured, self._correction).report

@@ -21,7 +21,7 @@ from agent.runs.resume.return_to_position import ReturnToPosition
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.run_context import RunContext, RunHooks
 from agent.runs.run_start import record_asked
-from agent.runs.session import RunResult, Session, open_rig, run_resources
+from agent.runs.session import RunResult, RunSession, open_rig, run_resources
 from agent.runs.step_progress import StepProgress
 from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import utc_timestamp
@@ -54,7 +54,7 @@ def resume(
         replay = Replay(recorded, run_clock, StepTrace())
         engine = ReplayingEngine(rig.actions(journal.run), journal, steps.observe, replay, stored_tables(journal, rig))
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
-        session = Session(context, steps, job, origin.kind, resources.began_s)
+        session = RunSession(context, steps, job, origin.kind, resources.began_s)
         with session.ended_by_errors():
             tracker.enter(RunState.RESUMING)
             with open_rig(context):
