@@ -58,11 +58,11 @@ def greedy(search: ExchangeSearch) -> tuple[int, ...]:
 
 def run() -> dict[str, float]:
     job = load_case(CASE_STUDY)
-    setting = DesignProblem({job.settings.tool: job}, GRID_DEG)
+    problem = DesignProblem({job.settings.tool: job}, GRID_DEG)
     start = perf_counter()
-    candidates = setting.candidates
+    candidates = problem.candidates
     built = perf_counter()
-    search = setting.search
+    search = problem.search
     priced = perf_counter()
     grown = greedy(search)
     greedily = perf_counter()

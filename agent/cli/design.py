@@ -109,7 +109,7 @@ def design_command(
             )
     best = next(choice for choice in choices if choice.best)
     rivals = _rivals(job)
-    files = write_design(best.found, rivals, out)
+    files = write_design(best.result, rivals, out)
     seconds = wall_seconds() - started
     if as_json:
         click.echo(json.dumps(_document(choices, best, rivals, files, seconds), allow_nan=False))
@@ -164,7 +164,7 @@ def _worth(found: DesignResult) -> dict[str, object]:
 def _document(
     choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
 ) -> dict[str, object]:
-    found = best.found
+    found = best.result
     return {
         "positions": [_as_json(position) for position in found.positions],
         **_worth(found),
@@ -194,7 +194,7 @@ def _variant(choice: VariantDesign) -> dict[str, object]:
 def _show(
     choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
 ) -> None:
-    found, console = best.found, results_console()
+    found, console = best.result, results_console()
     if len(choices) > 1:
         console.print(_comparison(choices))
     volumetric = found.valuation

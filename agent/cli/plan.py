@@ -106,7 +106,7 @@ def _document(
         "formulation": job.settings.identification.formulation,
         "positions": [position_key(p) for p in job.positions],
         "held_out": [position_key(p) for p in job.held_out],
-        "order": [position_key(p) for p in job.measuring.positions],
+        "order": [position_key(p) for p in job.measuring_order.positions],
         "left_out": list(preflight.measured.left_out),
         "unreachable_balls": preflight.measured.unreachable_balls,
         "balls": balls,

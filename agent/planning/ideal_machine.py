@@ -22,8 +22,8 @@ class IdealMachine:
     """Ideal machine with its axes at `start_mm` and the mount at zero; mounts at stations of their own start at the
     angles of their first turn.
 
-    `spent(step, motion_s, beyond_s)` hears of every step that takes time. Every ball stands where `layout` has it; the
-    probe trips at contact.
+    `spent(step, motion_s, overhead_s)` is called for every step that takes time. The balls are at their locations in
+    `layout`; the probe trips at contact.
     """
 
     def __init__(

@@ -62,7 +62,7 @@ class Job:
         return Procedure({self.settings.tool: self.layout}, covariance)
 
     @cached_property
-    def measuring(self) -> MeasuringOrder:
+    def measuring_order(self) -> MeasuringOrder:
         """Order of the set, with the held-out positions at the verified stations, before the new table is active."""
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
@@ -84,11 +84,11 @@ class Job:
             chosen.repeat_after_change_k, chosen.declared_change_k, chosen.repeat_positions, self.positions
         )
 
-    def preparing(self) -> Plan[PreparationResult]:
+    def preparation_plan(self) -> Plan[PreparationResult]:
         """Return the plan of probe check and qualification, which come before everything else."""
-        return prepare_probe(self.measuring, self.layout, self.rules, self.preparation)
+        return prepare_probe(self.measuring_order, self.layout, self.rules, self.preparation)
 
-    def verifying(self, standing_at: int | None) -> MeasuringOrder:
+    def verification_order(self, standing_at: int | None) -> MeasuringOrder:
         """Return the order of the held-out positions measured again, starting at the artefact's station."""
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         if not self.settings.procedure.optimise_order:

@@ -1,6 +1,6 @@
 """Preflight: the complete plan on the simulated machine with virtual time, before anything moves.
 
-The simulated machine moves as the real one does; what its commands cost besides, `agent.planning.time_model` adds.
+The simulated machine moves like the real one; `agent.planning.time_model` adds the latencies of its commands.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Procedure = Callable[[Job], Plan[tuple[MeasuredPositions, MeasuredPositions]]]
 
 @dataclass(frozen=True)
 class PreflightResult:
-    """Simulated run. `timeline`: step key → seconds of machine time at which that step is done; `steps`: those that
-    take time, in order."""
+    """Simulated run. `timeline`: step key → machine time in s at the end of that step; `steps`: those that take time,
+    in order."""
 
     measured: MeasuredPositions
     verified: MeasuredPositions
@@ -55,9 +55,8 @@ def run_preflight(
 ) -> PreflightResult:
     """Run the whole procedure, by default that of a calibration, on a machine without errors.
 
-    `start_mm`: where the real machine stands; None for where the simulated one begins. Raises PlanRefused
-    naming the step, and the two bodies where one would hit the other; and what `watch` raises, which is called at every
-    step.
+    `start_mm`: axis positions of the real machine; None for the start of the simulated one. Raises PlanRefused, naming
+    the step and, for a collision, the two bodies; and any error raised by `watch`, which is called at every step.
     """
     plan = (procedure or whole_procedure)(job)
     began = wall_seconds()
@@ -69,7 +68,7 @@ def run_preflight(
         engine, carried = Engine(rig.actions(), observer=times.note), not job.rules.change.own_mounts
         checked = checked_plan(plan, job.settings.procedure, job.settings.stations, carried=carried)
         measured, verified = engine.run(checked)
-    except (Aborted, Interrupted) as end:  # at no step of the machine's
+    except (Aborted, Interrupted) as end:  # belongs to no step of the machine
         raise type(end)(end.message, hint=end.hint) from end
     except (DeviceError, MeasurementFault) as error:
         raise PlanRefused(f"preflight: {error.message}", hint=_what_to_do(job), **error.where) from error
@@ -82,7 +81,9 @@ def run_preflight(
 
 def _what_to_do(job: Job) -> str:
     if job.settings.procedure.paths == "plain":
-        return 'nothing was moved; plain ways are not proved; `procedure.paths = "shortest"` looks for free ones'
+        return (
+            'nothing was moved; plain paths are not proved free; `procedure.paths = "shortest"` searches for free ones'
+        )
     return "nothing was moved; the plan must change"
 
 
@@ -118,9 +119,9 @@ def _require_proof(verified: MeasuredPositions) -> None:
 
 def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
     """Plan of a calibration: the probe's preparation, the set with the held-out positions, then these again."""
-    prepared = yield from job.preparing()
-    order = replace(job.measuring, standing_at=prepared.standing_at)
+    prepared = yield from job.preparation_plan()
+    order = replace(job.measuring_order, standing_at=prepared.standing_at)
     measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.repeat_rules)
-    order = job.verifying(measured.standing_at)
+    order = job.verification_order(measured.standing_at)
     verified = yield from measure_positions(order, job.layout, prepared.rules, measured.mount_poses)
     return measured, verified

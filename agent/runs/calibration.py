@@ -53,7 +53,7 @@ class CalibrationRun(GuardedRun):
     def calibrate(self, standing_at: int | None) -> None:
         """Calibrate from the first position of the set; the state is measuring and the compensation has been read."""
         job, progress = self._job, self.progress
-        order = replace(job.measuring, standing_at=standing_at)
+        order = replace(job.measuring_order, standing_at=standing_at)
         progress.measured = self._engine.run(measure_with_repeats(order, job.layout, self.rules, job.repeat_rules))
         self._tracker.enter(RunState.IDENTIFYING)
         balls = balls_for_estimate(job, progress.measured)
@@ -110,7 +110,7 @@ class CalibrationRun(GuardedRun):
 
     def _verify(self, estimation: EstimationResult, measured: MeasuredPositions, image: TableImage) -> None:
         job, progress = self._job, self.progress
-        order = job.verifying(measured.standing_at)
+        order = job.verification_order(measured.standing_at)
         progress.verified = self._engine.run(measure_positions(order, job.layout, self.rules, measured.mount_poses))
         before = job.balls_of(measured, held_out=True)
         after = job.balls_of(progress.verified, held_out=True)

@@ -96,7 +96,7 @@ class GuardedRun(ABC):
 
     def _prepare_probe(self) -> PreparationResult:
         """Check and qualify the probe; the result holds for all later measurements."""
-        prepared = self.progress.prepared = self._engine.run(self._job.preparing())
+        prepared = self.progress.prepared = self._engine.run(self._job.preparation_plan())
         record_probe(self._journal, prepared)
         return prepared
 

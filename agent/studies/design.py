@@ -94,9 +94,9 @@ def run(case: StudyCase) -> StudyResult:
     reference = next(one for one in named if one.name == REFERENCE)
     goals: list[tuple[str, Goal]] = [(SLOT_KIND, TimeSlotGoal(share * reference.minutes)) for share in SLOT_SHARES]
     goals.append((TARGET_KIND, TargetErrorGoal(1e-3 * reference.criterion_um)))
-    setting = DesignProblem(base.jobs, GRID_DEG)
+    problem = DesignProblem(base.jobs, GRID_DEG)
     designs = [
-        evaluator.evaluate_design(base, setting, goal, kind=kind, with_preflight=True)
+        evaluator.evaluate_design(base, problem, goal, kind=kind, with_preflight=True)
         for kind, goal in _counted(case, goals, "designs")
     ]
     slot = TimeSlotGoal(VARIANT_SHARE * reference.minutes)
@@ -139,9 +139,9 @@ class SetEvaluator:
         return self._evaluated(name, "named", variant, positions, minutes, published=True)
 
     def evaluate_design(
-        self, variant: Variant, setting: DesignProblem, goal: Goal, *, kind: str, with_preflight: bool
+        self, variant: Variant, problem: DesignProblem, goal: Goal, *, kind: str, with_preflight: bool
     ) -> EvaluatedSet:
-        found = find_design(setting, goal, verify=False, with_preflight=with_preflight, say=lambda _: None)
+        found = find_design(problem, goal, verify=False, with_preflight=with_preflight, say=lambda _: None)
         return self._evaluated(
             f"{len(found.positions)} designed", kind, variant, found.positions, found.minutes, published=False
         )

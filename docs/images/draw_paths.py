@@ -1,4 +1,4 @@
-"""Draws the tip's way through one position from above, by plain ways and by proved ones: docs/images/paths.png.
+"""Draw the tip's path through one position from above, plain and proved free: docs/images/paths.png.
 
 .venv/bin/python docs/images/draw_paths.py
 """

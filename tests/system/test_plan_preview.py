@@ -76,7 +76,7 @@ def test_a_refused_plan_is_drawn_and_stays_refused(tmp_path: Path, monkeypatch: 
     page = (tmp_path / "plan.html").read_text(encoding="utf-8")
     refusal = json.loads(data_of(page))["refusal"]
     assert (refusal["step"], refusal["bodies"]) == (REFUSED_STEP, ["ram", "post 4"])
-    assert "The two bodies: <b>ram and post 4</b>" in page
+    assert "Colliding bodies: <b>ram and post 4</b>" in page
 
 
 @pytest.mark.parametrize("where", ["a file", "below a file", "not writable"])

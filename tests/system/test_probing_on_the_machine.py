@@ -56,7 +56,7 @@ class Bench:
         return Engine(self.rig.actions(), observer=lambda step, result: self.seen.append((step, result))).run(plan)
 
     def prepared(self) -> PreparationResult:
-        return self.run(self.job.preparing())
+        return self.run(self.job.preparation_plan())
 
     def measured(self, prepared: PreparationResult, positions: tuple[Position, ...]) -> MeasuredPositions:
         order = MeasuringOrder("measure", positions, 1)
@@ -145,12 +145,12 @@ def test_dry_run_walk_and_machine_agree_on_what_two_stages_of_nine_touches_take(
     preflight = run_preflight(machine.job)
     began = machine.rig.clock.now()
     prepared = machine.prepared()
-    order = dataclasses.replace(machine.job.measuring, standing_at=prepared.standing_at)
+    order = dataclasses.replace(machine.job.measuring_order, standing_at=prepared.standing_at)
     machine.run(measure_positions(order, machine.job.layout, prepared.rules))
     last = next(key for step, _ in reversed(machine.seen) if (key := step.key) in preflight.timeline)
     taken = machine.rig.clock.now() - began
     assert taken == pytest.approx(preflight.timeline[last], rel=0.01)
-    _, steps = walk_plan(machine.job, machine.job.preparing())
+    _, steps = walk_plan(machine.job, machine.job.preparation_plan())
     walked_s = sum(timed.seconds for timed in steps)
     assert 20.0 < walked_s < 240.0
     assert walked_s == pytest.approx(

@@ -50,7 +50,7 @@ def told(job: Job) -> tuple[Reversal, list[s.Step]]:
     rig = assemble(job.settings, VirtualClock(), Path.cwd())
     rig.open()
     seen: list[s.Step] = []
-    prepared = Engine(rig.actions(), observer=lambda step, _: seen.append(step)).run(job.preparing())
+    prepared = Engine(rig.actions(), observer=lambda step, _: seen.append(step)).run(job.preparation_plan())
     assert rig.devices["twin"].world.collisions == []  # type: ignore[attr-defined]
     assert prepared.reversal is not None
     return prepared.reversal, seen

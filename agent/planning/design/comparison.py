@@ -22,7 +22,7 @@ class VariantDesign:
     best: bool = False
 
     @property
-    def found(self) -> DesignResult:
+    def result(self) -> DesignResult:
         """Design of this variant. Raises ValueError with the reason if it has none."""
         if self.design is None:
             raise ValueError(self.reason)
@@ -46,7 +46,7 @@ def compare_variants(
     if len(errors) == len(choices):
         raise errors[0]
     reached = [number for number, choice in enumerate(choices) if choice.design is not None]
-    best = min(reached, key=lambda number: _rank(choices[number].found, goal))
+    best = min(reached, key=lambda number: _rank(choices[number].result, goal))
     choices[best] = replace(choices[best], best=True)
     return choices
 

@@ -1,1 +1,1 @@
-"""A plan to look at before anything moves: a picture, and a page that turns and steps through the positions."""
+"""Preview of a plan before anything moves: a picture, and an interactive page that steps through the positions."""

@@ -1,4 +1,4 @@
-"""The artefact as it stands in one position: its bodies, and of each ball whether the probe gets at it."""
+"""Artefact in one position: its bodies, and the accessibility of each ball."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import point, separation
 
 _SEARCH_RADIUS_MM = 25.0
-"""Bodies farther from each other than this are no reason for anything."""
+"""Largest distance of two bodies that are considered as an obstruction."""
 
 
 def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> ArtefactPlacement:
@@ -32,7 +32,7 @@ def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> Ar
 
 
 def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
-    """Artefact, mount and table of `position`, where the mount is said to stand."""
+    """Return artefact, mount and table in `position`, the mount at its nominal location."""
     place = job.layout.location(position.station)
     pose = _pose(job, position, place)
     geometry = job.layout.mount
@@ -42,7 +42,7 @@ def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
 
 
 def obstruction_of(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
-    """In words, what keeps the probe from ball `number` whose axis position is `axes_mm` (3,)."""
+    """Return as text why the probe cannot measure ball `number` at the axis position `axes_mm` (3,)."""
     layout = job.layout
     ends = zip("XYZ", axes_mm.tolist(), layout.lower_mm.tolist(), layout.upper_mm.tolist(), strict=True)
     outside = [
@@ -51,16 +51,16 @@ def obstruction_of(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
     if outside:
         return f"outside the travel: {', '.join(outside)}"
     pair = _closest_pair(job, scene, number, axes_mm)
-    return f"no access: {pair[0]} too close to {pair[1]}" if pair else "no access: something is in the probe's way"
+    return f"no access: {pair[0]} too close to {pair[1]}" if pair else "no access: a body obstructs the probe"
 
 
 def _tenths(value_mm: float) -> str:
-    """A tiny negative number is zero, not minus zero."""
+    """Return the value with one decimal; a tiny negative number as 0.0, not -0.0."""
     return f"{round(value_mm, 1) + 0.0:.1f}"
 
 
 def _closest_pair(job: Job, scene: Scene, number: int, axes_mm: Array) -> tuple[str, str] | None:
-    """Names of the two bodies that come closest where the touches of a ball begin."""
+    """Return the names of the two closest bodies with the tip at the starts of a ball's touches."""
     meant = {(TIP, ball_name(number)), ("stem", ball_name(number))}
     away = job.layout.contact_mm + job.layout.approach_mm
     closest, named = math.inf, None

@@ -1,6 +1,6 @@
-"""A preview as one compact JSON text for the page: whole tenths of a millimetre, whole hundredths of a second.
+"""A preview as one compact JSON text for the page, in integer tenths of a millimetre and hundredths of a second.
 
-The path goes as differences, so that some ten thousand points stay small; differences of rounded numbers add up
+The path is stored as differences, so that ten thousand points stay small; differences of rounded numbers add up
 without drift.
 """
 
@@ -21,13 +21,13 @@ NO_BALL = -1
 
 
 def embedded(preview: Preview) -> str:
-    """JSON that may stand in a `<script>` element: nothing in it can end the element."""
+    """Return JSON that is safe in a `<script>` element: no text in it can end the element."""
     text = json.dumps(document(preview), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c")
 
 
 def document(preview: Preview) -> dict[str, object]:
-    names = sorted({body.name for placing in preview.placings for body in placing.bodies})
+    names = sorted({body.name for placement in preview.placements for body in placement.bodies})
     return {
         "machine": preview.machine,
         "artefact": preview.artefact,
@@ -39,30 +39,30 @@ def document(preview: Preview) -> dict[str, object]:
         "table": _box(preview.table),
         "probe": [_body(body) for body in preview.probe],
         "names": names,
-        "placings": [_placing(placing, names) for placing in preview.placings],
+        "placings": [_placing(placement, names) for placement in preview.placements],
         "visits": [_visit(visit) for visit in preview.visits],
         "path": _path(preview.path),
         "refusal": _refusal(preview.refusal),
     }
 
 
-def _placing(placing: ArtefactPlacement, names: Sequence[str]) -> dict[str, object]:
+def _placing(placement: ArtefactPlacement, names: Sequence[str]) -> dict[str, object]:
     index = {name: number for number, name in enumerate(names)}
-    position = placing.position
+    position = placement.position
     return {
         "key": position_key(position),
         "station": position.station,
         "az": position.azimuth_deg,
         "el": position.elevation_deg,
-        "heldOut": placing.held_out,
-        "reachable": placing.reachable,
-        "balls": [[*_tenths(ball.centre_mm), ball.why_not] for ball in placing.balls],
-        "bodies": [[index[body.name], *_capsule(body)] for body in placing.bodies],
+        "heldOut": placement.held_out,
+        "reachable": placement.reachable,
+        "balls": [[*_tenths(ball.centre_mm), ball.obstruction] for ball in placement.balls],
+        "bodies": [[index[body.name], *_capsule(body)] for body in placement.bodies],
     }
 
 
 def _visit(visit: Visit) -> list[object]:
-    return [visit.phase, visit.placing, visit.first, visit.end, visit.note]
+    return [visit.phase, visit.placement, visit.first, visit.end, visit.note]
 
 
 def _path(path: Sequence[PathPoint]) -> dict[str, object]:
@@ -91,7 +91,7 @@ def _refusal(refusal: Refusal | None) -> dict[str, object] | None:
 
 
 def _body(body: Body) -> list[object]:
-    """Name and lower and upper corner of a box, or name, both ends and radius of a capsule."""
+    """Return name and lower and upper corner of a box, or name, both ends and radius of a capsule."""
     return [body.name, *(_box(body.shape) if isinstance(body.shape, Box) else _capsule(body))]
 
 
@@ -102,7 +102,7 @@ def _box(box: Box) -> list[int]:
 def _capsule(body: Body) -> list[int]:
     shape = body.shape
     if not isinstance(shape, Capsule):
-        raise TypeError(f"{body.name} is no capsule")
+        raise TypeError(f"{body.name} is not a capsule")
     return [*_tenths(shape.a), *_tenths(shape.b), *_tenths([shape.radius])]
 
 

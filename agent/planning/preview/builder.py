@@ -1,4 +1,4 @@
-"""From a job to its preview: every position, the path through them, and where preflight said no."""
+"""Build the preview of a job: all positions, the path through them, and the refusal by the preflight."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from twin.collision.geometry import Box, point
 from twin.design.procedure import MIN_BALLS
 
 MARGIN_MM = 200.0
-"""By so much the drawn part of the table is larger than what stands on it."""
+"""Margin of the drawn part of the table around the bodies on it."""
 
 
 def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
-    """The plan of `job` to look at; `refused`: what preflight had to say against it. `waypoints`: of a path that has
-    been simulated by a preflight already; None: that of the whole calibration."""
+    """Return the preview of `job`; `refused`: the preflight's refusal. `waypoints`: path already simulated by a
+    preflight; None: the path of the whole calibration."""
     if waypoints is None:
         waypoints = walk_waypoints(job, refused)
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))
     held_out = set(job.held_out)
-    placings = tuple(artefact_placement_of(job, position, held_out=position in held_out) for position in positions)
+    placements = tuple(artefact_placement_of(job, position, held_out=position in held_out) for position in positions)
     walked = _walked(waypoints, positions)
-    visits = (*walked, *_unvisited(placings, walked, refused))
+    visits = (*walked, *_unvisited(placements, walked, refused))
     refusal = refusal_of(job, refused, waypoints, max(len(walked) - 1, 0)) if refused else None
     return Preview(
         machine=job.machine.name,
@@ -40,7 +40,7 @@ def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence
         travel=_travel(job),
         table=_table(job),
         probe=job.layout.probe.bodies(),
-        placings=placings,
+        placements=placements,
         visits=visits,
         path=_path(waypoints, refusal),
         refusal=refusal,
@@ -48,7 +48,7 @@ def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence
 
 
 def _path(waypoints: Sequence[Waypoint], refusal: Refusal | None) -> tuple[PathPoint, ...]:
-    """A refused plan ends where the two bodies meet."""
+    """Return the path; that of a refused plan ends where the two bodies collide."""
     path = [PathPoint(w.tip_mm, w.ends_s, w.ball, w.touches) for w in waypoints]
     if path and refusal:
         path[-1] = replace(path[-1], tip_mm=refusal.tip_mm, touch=False)
@@ -56,7 +56,7 @@ def _path(waypoints: Sequence[Waypoint], refusal: Refusal | None) -> tuple[PathP
 
 
 def _walked(waypoints: Sequence[Waypoint], positions: Sequence[Position]) -> tuple[Visit, ...]:
-    """Consecutive steps of one position; what comes between two positions (carrying) begins the next one."""
+    """Group consecutive steps by position; steps between two positions (carrying) belong to the next one."""
     known = {position_key(position): number for number, position in enumerate(positions)}
     visits: list[Visit] = []
     index = 0
@@ -69,23 +69,23 @@ def _walked(waypoints: Sequence[Waypoint], positions: Sequence[Position]) -> tup
 
 
 def _phase_and_position(key: str) -> tuple[str, str]:
-    """``measure`` and ``station-1/az45-el0`` of ``measure/station-1/az45-el0/ball-03/touch-2``."""
+    """Return ``measure`` and ``station-1/az45-el0`` for ``measure/station-1/az45-el0/ball-03/touch-2``."""
     phase, *rest = key.split("/")
     return phase, "/".join(rest[:2])
 
 
 def _unvisited(
-    placings: Sequence[ArtefactPlacement], walked: Sequence[Visit], refused: PlanRefused | None
+    placements: Sequence[ArtefactPlacement], walked: Sequence[Visit], refused: PlanRefused | None
 ) -> list[Visit]:
-    """Positions where nothing is measured, each with the reason."""
-    seen = {visit.placing for visit in walked}
+    """Return the positions that are not measured, each with the reason."""
+    seen = {visit.placement for visit in walked}
     end = walked[-1].end if walked else 0
     visits = []
-    for number, placing in enumerate(placings):
+    for number, placement in enumerate(placements):
         if number in seen:
             continue
-        if placing.reachable < MIN_BALLS:
-            note = f"left out: {placing.reachable} of its balls can be reached, {MIN_BALLS} are needed"
+        if placement.reachable < MIN_BALLS:
+            note = f"left out: {placement.reachable} of its balls can be reached, {MIN_BALLS} are needed"
         else:
             note = "not reached: the preflight was refused before" if refused else "not part of the plan"
         visits.append(Visit("", number, end, end, note))
@@ -98,7 +98,7 @@ def _travel(job: Job) -> Box:
 
 
 def _table(job: Job) -> Box:
-    """The table under the travel and everything that stands on it."""
+    """Return the part of the table under the travel and under all bodies on it."""
     travel = _travel(job)
     bodies = [body for station in job.stations for body in bodies_at(job, Position(station, 0.0, 0.0))]
     [table, *_] = [body.shape for body in bodies if body.name == TABLE]

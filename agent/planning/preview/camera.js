@@ -1,5 +1,5 @@
-/* An orthographic camera: lengths stay comparable and the plan views are true to scale. Lengths mm, angles rad.
-   It looks against `toEye`; yaw turns about Z, pitch lifts the eye above the XY plane. */
+/* Orthographic camera: lengths stay comparable and the plan views are to scale. Lengths in mm, angles in rad.
+   It looks against `toEye`; yaw turns about Z, pitch raises the eye above the XY plane. */
 const RIGHT_ANGLE = Math.PI / 2;
 const VIEWS = {
   isometric: [-0.75 * Math.PI, Math.atan(Math.SQRT1_2)],
@@ -34,7 +34,7 @@ class Camera {
     this.toEye = [cp * cy, cp * sy, sp];
   }
 
-  /* Screen x, y in CSS pixels and the depth in mm, larger nearer to the eye. */
+  /* Return screen x, y in CSS pixels and the depth in mm, larger when closer to the eye. */
   project(p) {
     const x = p[0] - this.target[0], y = p[1] - this.target[1], z = p[2] - this.target[2];
     const { right: r, up: u, toEye: e, scale } = this;
@@ -45,12 +45,12 @@ class Camera {
     ];
   }
 
-  /* Move what is seen by so many pixels. */
+  /* Shift the view by (dx, dy) pixels. */
   shift(dx, dy) {
     for (let i = 0; i < 3; i++) this.target[i] += (-dx * this.right[i] + dy * this.up[i]) / this.scale;
   }
 
-  /* Zoom so that what is under the pixel (x, y) stays there. */
+  /* Zoom with the point under the pixel (x, y) fixed. */
   zoom(factor, x = this.width / 2, y = this.height / 2) {
     const scale = Math.min(40, Math.max(0.01, this.scale * factor));
     const kept = 1 - scale / this.scale;
@@ -59,7 +59,7 @@ class Camera {
     this.shift(dx, dy);
   }
 
-  /* Show all `points`, filling the view up to a margin. */
+  /* Fit all `points` into the view, up to a margin. */
   fit(points) {
     this.target = [0, 0, 0];
     this.scale = 1;

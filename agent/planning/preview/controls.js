@@ -1,4 +1,4 @@
-/* State, panel, playing. Everything that changes asks for one repaint in the next frame. */
+/* State, panel and playback. Every change requests one repaint in the next frame. */
 const PLAY_MS = 3500;
 
 const element = (id) => document.getElementById(id);
@@ -28,7 +28,7 @@ function paintNow() {
   seen = paint(ctx, camera, plan, state, colours);
 }
 
-/* ---- where we look */
+/* ---- view */
 
 function look(name) {
   view = name;
@@ -60,10 +60,10 @@ function resize() {
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   [camera.width, camera.height] = [box.width, box.height];
   if (view) look(view);
-  paintNow(); // a canvas of another size is empty, and must not be shown so
+  paintNow(); // resizing clears the canvas; repaint before it is shown
 }
 
-/* ---- which position, and how far on the path */
+/* ---- current position and progress on the path */
 
 function goTo(visit) {
   state.visit = Math.min(plan.visits.length - 1, Math.max(0, visit));
@@ -101,7 +101,7 @@ function describe() {
 function whereTheProbeIs(visit) {
   if (visit.note) return "–";
   const ball = plan.path.ballAt[state.progress];
-  if (ball < 0) return "on the way";
+  if (ball < 0) return "between balls";
   return plan.path.touches[state.progress] ? `ball ${ball}, touching` : `ball ${ball}`;
 }
 
@@ -124,7 +124,7 @@ function pause() {
   element("play").textContent = "play";
 }
 
-/* Every position takes the same time on the screen. */
+/* Each position plays in the same time on the screen. */
 function advance(nowMs) {
   const visit = plan.visits[state.visit], before = state.progress;
   owed += (Math.max(0, nowMs - lastMs) * Math.max(1, visit.end - visit.first)) / PLAY_MS;

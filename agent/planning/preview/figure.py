@@ -1,4 +1,4 @@
-"""The preview as one picture: isometric, and true to scale from above (XY) and along X (YZ)."""
+"""The preview as one picture: isometric view, and plan views to scale from above (XY) and along X (YZ)."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ STEEL = "#8b97a5"
 STATION_COLOURS = (BLUE, AMBER, GREEN, PURPLE, SKY, "#6a51a3", "#7a8a00", "#8c564b")
 ELEVATION_DEG, AZIMUTH_DEG = 28.0, -118.0
 SLAB_MM = 40.0
-"""So much of the table's thickness is drawn; all of it would only take room."""
+"""Drawn thickness of the table; its full thickness would only take space."""
 
 ROOM_MM = 40.0
 BEHIND_MM = 300.0
-"""So much of the ram is shown behind the travel."""
+"""Length of the ram shown behind the travel."""
 
 _SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 _EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
 def draw_png(preview: Preview) -> bytes:
-    """PNG of the whole plan; of a refused one with the two bodies that would meet."""
+    """Return a PNG of the whole plan; for a refused plan with the two bodies that would collide."""
     return picture("plan", lambda figure: _draw(figure, preview), SIZE_IN).png
 
 
 def _draw(figure: Figure, preview: Preview) -> None:
-    """Placed by hand: finding the room from what is drawn takes seconds with so many points in space."""
+    """Draw all views at fixed places: automatic layout takes seconds with so many points in space."""
     figure.set_layout_engine("none")
     space: Axes3D = figure.add_axes((0.14, 0.40, 0.86, 0.56), projection="3d", computed_zorder=False)
     _draw_space(space, preview)
@@ -59,7 +59,7 @@ def _title(preview: Preview) -> str:
     refusal = preview.refusal
     if refusal is None:
         return f"{what}: preflight passed, {preview.minutes:.1f} min"
-    bodies = f"\nthe two bodies: {' and '.join(refusal.bodies)}" if refusal.bodies else ""
+    bodies = f"\ncolliding bodies: {' and '.join(refusal.bodies)}" if refusal.bodies else ""
     return f"{what}: REFUSED at step {refusal.step}{bodies}"
 
 
@@ -84,7 +84,7 @@ def _draw_space(axes: Axes3D, preview: Preview) -> None:
         axes.plot(*np.array([preview.refusal.tip_mm]).T, zorder=9, **_MEETING)
     _arrange_space(axes, preview)
     for artist in (*axes.lines, *axes.collections):
-        artist.set_clip_on(False)  # the square that mplot3d draws in is smaller than its place
+        artist.set_clip_on(False)  # the square in which mplot3d draws is smaller than its axes
 
 
 def _probe_in_space(axes: Axes3D, body: Body, colour: str) -> None:
@@ -150,7 +150,7 @@ def _hull(box: Box, plane: tuple[int, int]) -> Array:
     return outline
 
 
-# ------------------------------------------------------------------ what both show
+# ------------------------------------------------------------------ common to both
 
 _MEETING: dict[str, Any] = {
     "marker": "o",
@@ -162,16 +162,16 @@ _MEETING: dict[str, Any] = {
 
 
 def _lines(preview: Preview) -> Iterable[tuple[Array, str, float]]:
-    """Segments (n, 2, 3), colour and width: mounts, posts, and the bars by station; what would be hit last, in red."""
-    yield _segments(preview.placings, ("pedestal",)), STEEL, 4.0
-    yield _segments(preview.placings, ("shaft",)), STEEL, 2.0
+    """Yield segments (n, 2, 3), colour and width: mounts, posts, bars by station; last, in red, colliding bodies."""
+    yield _segments(preview.placements, ("pedestal",)), STEEL, 4.0
+    yield _segments(preview.placements, ("shaft",)), STEEL, 2.0
     for number, station in enumerate(preview.stations):
-        there = [placing for placing in preview.placings if placing.position.station == station]
+        there = [placement for placement in preview.placements if placement.position.station == station]
         colour = STATION_COLOURS[number % len(STATION_COLOURS)]
         yield _segments(there, ("bar",)), colour, 1.8
         yield _segments(there, ("post ",)), colour, 0.6
     if preview.refusal:
-        hit = preview.placings[preview.visits[preview.refusal.visit].placing]
+        hit = preview.placements[preview.visits[preview.refusal.visit].placement]
         struck = tuple(body for body in hit.bodies if body.name in preview.refusal.bodies)
         if struck:
             yield _ends(struck), RED, 3.5
@@ -180,11 +180,11 @@ def _lines(preview: Preview) -> Iterable[tuple[Array, str, float]]:
 def _dots(preview: Preview) -> Iterable[tuple[Array, dict[str, Any]]]:
     """Balls (n, 3) and how they are marked: filled by station, hollow red where the probe does not get."""
     for number, station in enumerate(preview.stations):
-        there = [placing for placing in preview.placings if placing.position.station == station]
+        there = [placement for placement in preview.placements if placement.position.station == station]
         colour = STATION_COLOURS[number % len(STATION_COLOURS)]
         yield _centres(there, reachable=True), {"marker": "o", "markersize": 2.6, "color": colour}
     hollow = {"marker": "o", "markersize": 4.6, "markerfacecolor": "none", "color": RED, "markeredgewidth": 1.1}
-    yield _centres(preview.placings, reachable=False), hollow
+    yield _centres(preview.placements, reachable=False), hollow
 
 
 def _legend(preview: Preview) -> list[Any]:
@@ -194,7 +194,7 @@ def _legend(preview: Preview) -> list[Any]:
     ]
     dot: dict[str, Any] = {"linestyle": "none", "marker": "o"}
     reached = preview.balls - preview.unreachable
-    meeting = [Line2D([], [], linestyle="none", **_MEETING, label="tip when they meet")] if preview.refusal else []
+    meeting = [Line2D([], [], linestyle="none", **_MEETING, label="tip at the collision")] if preview.refusal else []
     return [
         *stations,
         *meeting,
@@ -208,14 +208,14 @@ def _legend(preview: Preview) -> list[Any]:
 
 
 def _extent(preview: Preview) -> tuple[Array, Array]:
-    """Lower and upper corner (3,) of all that must be seen."""
-    balls = np.vstack([_centres(preview.placings, reachable=reached) for reached in (True, False)])
+    """Return the lower and upper corner (3,) of the drawn space."""
+    balls = np.vstack([_centres(preview.placements, reachable=reached) for reached in (True, False)])
     everything = np.vstack([_corners(preview.travel), _corners(_slab(preview.table)), balls])
     return everything.min(axis=0) - ROOM_MM, everything.max(axis=0) + ROOM_MM
 
 
 def _probe(preview: Preview) -> list[Body]:
-    """Tip, stem, body and ram where the path touches last, or where it is refused."""
+    """Return tip, stem, body and ram at the last touch of the path, or where it is refused."""
     touched = [point.tip_mm for point in preview.path if point.touch]
     tip = preview.refusal.tip_mm if preview.refusal else touched[-1] if touched else None
     return [] if tip is None else [Body(body.name, body.shape.translated(tip)) for body in preview.probe]
@@ -227,9 +227,9 @@ def _colour_of(body: Body, preview: Preview) -> str:
     return STEEL if isinstance(body.shape, Box) else "#b7791f"
 
 
-def _segments(placings: Sequence[ArtefactPlacement], names: tuple[str, ...]) -> Array:
-    """(n, 2, 3): axes of the bodies whose name begins with one of `names`."""
-    return _ends(body for placing in placings for body in placing.bodies if body.name.startswith(names))
+def _segments(placements: Sequence[ArtefactPlacement], names: tuple[str, ...]) -> Array:
+    """Return the axes (n, 2, 3) of the bodies whose name begins with one of `names`."""
+    return _ends(body for placement in placements for body in placement.bodies if body.name.startswith(names))
 
 
 def _ends(bodies: Iterable[Body]) -> Array:
@@ -237,9 +237,9 @@ def _ends(bodies: Iterable[Body]) -> Array:
     return np.array(ends, dtype=np.float64).reshape(-1, 2, 3)
 
 
-def _centres(placings: Sequence[ArtefactPlacement], *, reachable: bool) -> Array:
-    """(n, 3)."""
-    kept = [ball.centre_mm for placing in placings for ball in placing.balls if ball.reachable is reachable]
+def _centres(placements: Sequence[ArtefactPlacement], *, reachable: bool) -> Array:
+    """Return the centres (n, 3) of the balls that are reachable, or of those that are not."""
+    kept = [ball.centre_mm for placement in placements for ball in placement.balls if ball.reachable is reachable]
     return np.array(kept, dtype=np.float64).reshape(-1, 3)
 
 
@@ -249,7 +249,7 @@ def _slab(table: Box) -> Box:
 
 
 def _corners(box: Box) -> Array:
-    """(8, 3)."""
+    """Return the corners (8, 3)."""
     low, high = np.array(box.lower), np.array(box.upper)
     bits = np.array([[i & 1, (i >> 1) & 1, i >> 2] for i in range(8)])
     corners: Array = low + bits * (high - low)
@@ -257,5 +257,5 @@ def _corners(box: Box) -> Array:
 
 
 def _width(radius_mm: float) -> float:
-    """Line width in points that hints at a thickness; true to scale it would be invisible."""
+    """Return a line width in points that indicates the thickness; to scale it would be invisible."""
     return max(0.8, 0.12 * radius_mm)

@@ -1,7 +1,7 @@
-/* Pointer, keys, buttons; and the beginning. */
+/* Pointer, keys and buttons; start of the page. */
 const TURN = 0.08, PICK_PX = 12;
 
-/* ---- pointer: one drags, two pinch and shift */
+/* ---- pointer: one finger turns, two zoom and shift */
 
 const pointers = new Map();
 
@@ -104,7 +104,7 @@ function onKey(event) {
   event.preventDefault();
 }
 
-/* ---- begin */
+/* ---- start */
 
 element("visit").max = plan.visits.length - 1;
 element("visit").addEventListener("input", (event) => goTo(Number(event.target.value)));

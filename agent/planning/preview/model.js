@@ -1,4 +1,4 @@
-/* The plan as embedded in the page, in mm and s. */
+/* The plan embedded in the page, converted to mm and s. */
 const TENTH = 0.1, HUNDREDTH = 0.01;
 
 function readPlan(text) {
@@ -19,7 +19,7 @@ function readPlan(text) {
   };
 }
 
-/* Differences of whole numbers, added up before they become mm and s. */
+/* Integer differences, summed before conversion to mm and s. */
 function readPath({ steps, times, touches, balls }) {
   const tips = [], ends = [], ballAt = [], at = [0, 0, 0];
   let seconds = 0;
@@ -41,7 +41,7 @@ function readPlacing(raw, names) {
   return { ...raw, bodies, balls, bar: bodies.find((body) => body.name === "bar") };
 }
 
-/* A bar comes in pieces from post to post; it is drawn as one. */
+/* A bar consists of pieces from post to post; it is drawn as one. */
 function joined(bodies) {
   const whole = [];
   for (const body of bodies) {
@@ -56,7 +56,7 @@ const readCapsule = (n) => ({ a: mm(n, 0), b: mm(n, 3), radius: n[6] * TENTH });
 const readBox = (n) => ({ low: mm(n, 0), high: mm(n, 3) });
 const mm = (numbers, from) => [0, 1, 2].map((i) => numbers[from + i] * TENTH);
 
-/* The last touch of a visit, where the probe is on a ball; its last waypoint where there is none. */
+/* Return the last touch of a visit, or its last waypoint if there is none. */
 function restingPoint(plan, visit) {
   for (let i = visit.end - 1; i >= visit.first; i--) if (plan.path.touches[i]) return i;
   return Math.max(visit.end - 1, 0);

@@ -1,7 +1,7 @@
-/* One picture of the plan: workspace, other positions, path, and in front the position that is looked at. */
+/* Paint the plan: workspace, other positions, path, and in front the selected position. */
 const NEAR_PX = 2;
 
-/* Returns where every ball is on the screen, for the pointer. */
+/* Return the screen position of every ball, for the pointer. */
 function paint(ctx, camera, plan, state, colours) {
   ctx.clearRect(0, 0, camera.width, camera.height);
   const visit = plan.visits[state.visit];
@@ -42,7 +42,7 @@ function paintWorkspace(ctx, camera, plan, colours) {
   });
 }
 
-/* A thin slab: all of the table's thickness would only hide things. */
+/* A thin slab: the full thickness of the table would only hide other bodies. */
 const tableTop = ({ low, high }) => ({ low: [low[0], low[1], high[2] - 40], high });
 
 function paintGhost(ctx, camera, placing, colours) {
@@ -58,7 +58,7 @@ function paintGhost(ctx, camera, placing, colours) {
   ctx.globalAlpha = 1;
 }
 
-/* Waypoints nearer than a few pixels to the one before are left out: a ball's touches are one dot from afar. */
+/* Skip waypoints within a few pixels of the previous one: from afar a ball's touches are one dot. */
 function paintPath(ctx, camera, tips, first, last, colour, opacity) {
   if (last <= first) return;
   ctx.globalAlpha = opacity;
@@ -130,7 +130,7 @@ function pedestalAt(plan, station) {
   return plan.placings.find((placing) => placing.station === station).bodies.find((body) => body.name === "pedestal");
 }
 
-/* Where the mount stands at another time, or another mount. */
+/* Pedestal of another station. */
 function paintPedestal(ctx, camera, plan, station, colours) {
   const { a, b, radius } = pedestalAt(plan, station);
   ctx.lineCap = "butt";
@@ -139,7 +139,7 @@ function paintPedestal(ctx, camera, plan, station, colours) {
   ctx.globalAlpha = 1;
 }
 
-/* The one looked at comes last, above those that stand behind it. */
+/* The selected station is painted last, above those behind it. */
 function paintStations(ctx, camera, plan, current, colours) {
   ctx.font = "600 12px system-ui, sans-serif";
   for (const station of [...plan.stations.filter((number) => number !== current), current]) {

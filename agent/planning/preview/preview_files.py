@@ -1,4 +1,4 @@
-"""Files of a preview, both or none: a picture, and a page that holds data, style and program and needs no network."""
+"""Files of a preview, written both or none: a picture, and a self-contained page that needs no network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a plan is refused: the step, the two bodies, and where the tip stands when they meet."""
+"""Refusal of a plan: the step, the two colliding bodies, and the tip centre at the collision."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twin.collision.geometry import Point, point, translate_point
 
 
 def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], visit: int) -> Refusal:
-    """`waypoints`: as walked up to the refused step, which is the last one; `visit`: the one that it belongs to."""
+    """Return the refusal. `waypoints`: up to the refused step, which is the last one; `visit`: index of its visit."""
     bodies: tuple[str, ...] = ()
     tip = translate_point(lower_end(job), point(job.tool_offset_mm))
     if waypoints:
@@ -33,7 +33,7 @@ def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], vi
 
 
 def named_in(message: str, moving: Sequence[Body], standing: Sequence[Body]) -> tuple[str, ...]:
-    """The moving and the standing body that a message names; empty unless it names both."""
+    """Return the moving and the stationary body named in a message; empty unless it names both."""
     groups = [{body.name for body in group if _has(message, body.name)} for group in (moving, standing)]
     return tuple(max(names, key=len) for names in groups) if all(groups) else ()
 
@@ -43,7 +43,7 @@ def _has(message: str, name: str) -> bool:
 
 
 def _goal(job: Job, waypoint: Waypoint) -> Point:
-    """Where the step was to lead the tip; a mount that turns leaves it where it is."""
+    """Return the tip centre at the end of the step; a turn of the mount leaves it unchanged."""
     step = waypoint.step
     if isinstance(step, MoveTo | TouchTowards):
         return translate_point(step.target_mm, point(job.tool_offset_mm))

@@ -1,4 +1,4 @@
-"""What a preview shows, as frozen values: no drawing, no files.
+"""Contents of a preview as immutable values, without drawing or files.
 
 Lengths in mm, in the workpiece frame; the path is that of the stylus tip's centre.
 """
@@ -15,20 +15,20 @@ from twin.collision.geometry import Box, Point
 
 @dataclass(frozen=True)
 class PreviewBall:
-    """`why_not`: what keeps the probe from it; empty where it can be reached."""
+    """Ball of a preview. `obstruction`: reason why the probe cannot measure it; empty if it can."""
 
     number: int
     centre_mm: Point
-    why_not: str
+    obstruction: str
 
     @property
     def reachable(self) -> bool:
-        return not self.why_not
+        return not self.obstruction
 
 
 @dataclass(frozen=True)
 class ArtefactPlacement:
-    """The artefact in one position, with the mount that holds it. `bodies`: balls, posts, bar, shaft, pedestal."""
+    """Artefact in one position, with the mount that holds it. `bodies`: balls, posts, bar, shaft, pedestal."""
 
     position: Position
     held_out: bool
@@ -42,13 +42,13 @@ class ArtefactPlacement:
 
 @dataclass(frozen=True)
 class Visit:
-    """One time that a position is measured: waypoints `first` to `end` (exclusive) of the path.
+    """One measurement of a position: waypoints `first` to `end` (exclusive) of the path.
 
-    `note`: why nothing is measured there, for a visit without waypoints.
+    `note`: reason why a position without waypoints is not measured.
     """
 
     phase: str
-    placing: int
+    placement: int
     first: int
     end: int
     note: str = ""
@@ -56,7 +56,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """`ball`: whose measurement it belongs to; `touch`: the tip is on a ball."""
+    """Point of the path. `ball`: ball being measured; `touch`: the tip is on a ball."""
 
     tip_mm: Point
     ends_s: float
@@ -66,7 +66,7 @@ class PathPoint:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why preflight said no: at which step, which two bodies, and where the tip then is."""
+    """Refusal by the preflight: message, step, the two colliding bodies and the tip centre there."""
 
     message: str
     step: str
@@ -77,7 +77,8 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Preview:
-    """`travel`: where the tip can be; `table`: the part of it under the travel; `probe`: relative to the tip."""
+    """Preview of a plan. `travel`: that of the tip; `table`: its part under the travel; `probe`: relative to the
+    tip."""
 
     machine: str
     artefact: str
@@ -85,24 +86,24 @@ class Preview:
     travel: Box
     table: Box
     probe: tuple[Body, ...]
-    placings: tuple[ArtefactPlacement, ...]
+    placements: tuple[ArtefactPlacement, ...]
     visits: tuple[Visit, ...]
     path: tuple[PathPoint, ...]
     refusal: Refusal | None
 
     @property
     def balls(self) -> int:
-        return sum(len(placing.balls) for placing in self.placings)
+        return sum(len(placement.balls) for placement in self.placements)
 
     @property
     def unreachable(self) -> int:
-        return self.balls - sum(placing.reachable for placing in self.placings)
+        return self.balls - sum(placement.reachable for placement in self.placements)
 
     @property
     def minutes(self) -> float:
-        """Machine time of the whole path; of a refused plan, until it is refused."""
+        """Machine time of the whole path; for a refused plan, up to the refusal."""
         return self.path[-1].ends_s / 60.0 if self.path else 0.0
 
     @property
     def stations(self) -> Sequence[int]:
-        return sorted({placing.position.station for placing in self.placings})
+        return sorted({placement.position.station for placement in self.placements})

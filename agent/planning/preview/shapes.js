@@ -1,4 +1,4 @@
-/* Solid bodies on a flat canvas: each becomes pieces with a depth, painted from far to near. */
+/* Solid bodies on a 2D canvas: each is split into pieces with a depth, painted from far to near. */
 const PIECE_MM = 100;
 
 const BOX_FACES = [
@@ -18,7 +18,7 @@ function capsulePieces(camera, { a, b, radius }, colour) {
   return pieces;
 }
 
-/* Lighter towards the upper left, as if lit from there. Pieces overlap by a pixel, so that no seam shows. */
+/* Lighter towards the upper left, as if lit from there. Pieces overlap by a pixel to hide seams. */
 function paintTube(ctx, from, to, width, colour) {
   const length = Math.hypot(to[0] - from[0], to[1] - from[1]) || 1;
   const end = [to[0] + (to[0] - from[0]) / length, to[1] + (to[1] - from[1]) / length];
@@ -73,7 +73,7 @@ function ring(ctx, x, y, size, colour, width = 2) {
   ctx.stroke();
 }
 
-/* The faces of a box that look at the eye, translucent: what is behind stays visible. */
+/* Faces of a box towards the eye, translucent, so that bodies behind them stay visible. */
 function boxPieces(camera, box, colour, opacity) {
   const corners = boxCorners(box).map((corner) => camera.project(corner));
   return BOX_FACES.filter(([axis, side]) => side * camera.toEye[axis] > 1e-6).map(([, , face]) => {

@@ -1,4 +1,4 @@
-"""Where a plan's steps lead the stylus tip, walked on the machine without errors."""
+"""Path of the stylus tip through the steps of a plan, executed on an ideal machine."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _BALL = re.compile(r"/ball-(\d+)")
 
 @dataclass(frozen=True)
 class Waypoint:
-    """What a step leaves behind: the tip centre (workpiece frame), seconds since the plan began, and how the artefact
-    then stands."""
+    """State after a step: tip centre (workpiece frame), seconds since the start of the plan, and the artefact's
+    position."""
 
     step: Step
     tip_mm: Point
@@ -38,15 +38,15 @@ class Waypoint:
 
     @property
     def ball(self) -> int | None:
-        """The ball that the step belongs to."""
+        """Number of the ball that the step belongs to; None if there is none."""
         named = _BALL.search(self.step.key)
         return int(named.group(1)) if named else None
 
 
 def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
-    """Every step that moves something or takes time, in order; of a refused plan, up to the step that was refused.
+    """Return every step that moves something or takes time, in order; for a refused plan up to the refused step.
 
-    Such a plan need not get that far here either: then this is as far as it gets.
+    If the plan stops earlier on the ideal machine, the path ends there.
     """
     walker = _Walker(job)
     last = refused.where.get("step") if refused else None
@@ -75,7 +75,7 @@ def _up_to(plan: Generator[Step, Any, Any], last: str | None) -> Generator[Step,
 
 
 class _Walker:
-    """Keeps where the ideal machine stands after each step."""
+    """Records the position of the ideal machine after each step."""
 
     def __init__(self, job: Job) -> None:
         machine = IdealMachine(job.layout, time_model(job.machine, job.settings.timing), lower_end(job), self._spent)

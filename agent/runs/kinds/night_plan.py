@@ -123,13 +123,13 @@ def whole_night(plan: NightPlan) -> Procedure:
     """Return the procedure of a whole night: verification, further positions and proof."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-        prepared = yield from job.preparing()
+        prepared = yield from job.preparation_plan()
         measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
         if plan.further:
             order = plan.order(FURTHER, plan.further)
             more = yield from measure_positions(order, job.layout, prepared.rules, measured.mount_poses)
             measured = join_measured(measured, more)
-        again = job.verifying(plan.station)
+        again = job.verification_order(plan.station)
         verified = yield from measure_positions(again, job.layout, prepared.rules, measured.mount_poses)
         return measured, verified
 
@@ -140,7 +140,7 @@ def verification_only(plan: NightPlan) -> Procedure:
     """Return the procedure of a verification alone, which judges by its own measurements."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-        prepared = yield from job.preparing()
+        prepared = yield from job.preparation_plan()
         measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
         return measured, measured
 

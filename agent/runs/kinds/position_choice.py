@@ -32,11 +32,11 @@ class PositionChooser:
     station: int
 
     @cached_property
-    def vetting(self) -> FeasibilityCheck:
+    def feasibility(self) -> FeasibilityCheck:
         return FeasibilityCheck(self.job)
 
     def minutes(self, positions: Sequence[Position]) -> float:
-        return sum(self.vetting.minutes(position) for position in positions)
+        return sum(self.feasibility.minutes(position) for position in positions)
 
     def held_out(self, count: int) -> tuple[Position, ...]:
         """Return the first orientations of the verification that can be measured here, at most `count`."""
@@ -122,11 +122,11 @@ class PositionChooser:
             candidates = build_candidates(job.procedure, positions, machine.family, options, grid, job.tool_offset_mm)
         index_of = {position: index for index, position in enumerate(candidates.positions)}
         costs = MeasuringCosts(
-            minutes=np.array([self.vetting.minutes(position) for position in candidates.positions]),
+            minutes=np.array([self.feasibility.minutes(position) for position in candidates.positions]),
             stations=np.array([position.station for position in candidates.positions]),
             standing_at=self.station,
         )
-        search = ExchangeSearch(candidates, costs, lambda index: not self.vetting.hit(candidates.positions[index]))
+        search = ExchangeSearch(candidates, costs, lambda index: not self.feasibility.hit(candidates.positions[index]))
         return search, [index_of[position] for position in positions if position in index_of]
 
     def _offered(self) -> list[Position]:
@@ -136,4 +136,4 @@ class PositionChooser:
     def _usable(self, position: Position) -> bool:
         layout = self.job.layout
         reached = int(layout.reachable(position, layout.nominal(position)).sum())
-        return reached >= MIN_BALLS and not self.vetting.hit(position)
+        return reached >= MIN_BALLS and not self.feasibility.hit(position)

@@ -1,4 +1,4 @@
-"""Design on the case study: the criterion equals the predicted VCE, and vetting agrees with the preflight."""
+"""Design on the case study: the criterion is the predicted VCE, and the feasibility check agrees with the preflight."""
 
 from dataclasses import replace
 from functools import cache
@@ -47,8 +47,8 @@ def of_s1_and_s3() -> CandidatePositions:
     return candidates(parse_position_set("S1+S3", 4))
 
 
-def searching(setting: DesignProblem, offered: CandidatePositions) -> ExchangeSearch:
-    return ExchangeSearch(offered, setting.prices(offered))
+def search_among(problem: DesignProblem, offered: CandidatePositions) -> ExchangeSearch:
+    return ExchangeSearch(offered, problem.prices(offered))
 
 
 def predicted(positions: tuple[Position, ...]) -> tuple[float, float]:
@@ -69,9 +69,9 @@ def test_the_criterion_is_the_predicted_vce_of_an_identification_of_the_set(chos
 
 
 def test_the_value_carried_along_through_a_search_is_that_of_the_identification():
-    setting = DesignProblem({case().settings.tool: case()}, 90.0)
+    problem = DesignProblem({case().settings.tool: case()}, 90.0)
     offered = of_s1_and_s3()
-    chosen = PositionCountGoal(6).select(searching(setting, offered))
+    chosen = PositionCountGoal(6).select(search_among(problem, offered))
     raw, aligned = predicted(tuple(offered.positions[index] for index in chosen))
     assert offered.vce(chosen).aligned_mm == pytest.approx(aligned, rel=1e-9)
     assert offered.vce(chosen).raw_mm == pytest.approx(raw, rel=1e-9)
@@ -80,7 +80,7 @@ def test_the_value_carried_along_through_a_search_is_that_of_the_identification(
 def test_the_search_finds_the_best_pair_of_real_positions():
     offered = candidates(parse_position_set("S1+S3", 4)[:10])
     job = case()
-    search = replace(searching(DesignProblem({job.settings.tool: job}, 90.0), offered), min_improvement=0.0)
+    search = replace(search_among(DesignProblem({job.settings.tool: job}, 90.0), offered), min_improvement=0.0)
     best = min(combinations(range(offered.count), 2), key=lambda pair: offered.vce(pair).aligned_mm)
     assert set(PositionCountGoal(2).select(search)) == set(best)
 
@@ -111,19 +111,17 @@ PASSED = [(0.0, 0.0), (45.0, 0.0), (90.0, 45.0), (-60.0, 0.0), (0.0, -75.0)]
 def test_vetting_gives_the_verdict_of_the_preflight_on_plain_ways():
     """Orientations at which the preflight was seen to stop, and some at which it passes."""
     job = without_optimisation(case())
-    vetting = FeasibilityCheck(job)
+    check = FeasibilityCheck(job)
     for azimuth, elevation in (*REFUSED, *PASSED):
         position = Position(1, azimuth, elevation)
-        assert (
-            bool(vetting.hit(position)) is (not _passes_preflight(job, position)) is ((azimuth, elevation) in REFUSED)
-        )
+        assert bool(check.hit(position)) is (not _passes_preflight(job, position)) is ((azimuth, elevation) in REFUSED)
 
 
 def test_ways_that_are_proved_pass_where_plain_ones_would_hit():
-    vetting = FeasibilityCheck(case())
+    check = FeasibilityCheck(case())
     for azimuth, elevation in (*REFUSED, *PASSED):
         position = Position(1, azimuth, elevation)
-        assert vetting.hit(position) == ""
+        assert check.hit(position) == ""
         assert _passes_preflight(case(), position)
 
 

@@ -72,10 +72,13 @@ def test_visits_divide_the_path(preview: Preview) -> None:
 def test_balls_stand_where_trigonometry_puts_them(at_two_stations: Job, preview: Preview) -> None:
     """Centre = foot + shaft along the holders + ball turned by elevation about the holders, then by azimuth about Z."""
     mount = at_two_stations.layout.mount
-    for placing in preview.placings:
-        azimuth, elevation = math.radians(placing.position.azimuth_deg), math.radians(placing.position.elevation_deg)
-        foot = at_two_stations.settings.stations.places_mm[placing.position.station - 1]
-        for ball, (u, v, w) in zip(placing.balls, at_two_stations.artefact.balls.tolist(), strict=True):
+    for placement in preview.placements:
+        azimuth, elevation = (
+            math.radians(placement.position.azimuth_deg),
+            math.radians(placement.position.elevation_deg),
+        )
+        foot = at_two_stations.settings.stations.places_mm[placement.position.station - 1]
+        for ball, (u, v, w) in zip(placement.balls, at_two_stations.artefact.balls.tolist(), strict=True):
             along, up = (
                 u * math.cos(elevation) - w * math.sin(elevation),
                 u * math.sin(elevation) + w * math.cos(elevation),
@@ -93,15 +96,15 @@ def test_the_tip_touches_the_balls_of_its_position(at_two_stations: Job, preview
         for point in preview.path[visit.first : visit.end]:
             if point.touch:
                 assert point.ball is not None
-                centre = preview.placings[visit.placing].balls[point.ball].centre_mm
+                centre = preview.placements[visit.placement].balls[point.ball].centre_mm
                 assert math.dist(point.tip_mm, centre) == pytest.approx(contact, abs=0.06)
 
 
 def test_a_ball_out_of_reach_says_which_axis_or_what_is_in_the_way(at_two_stations: Job, preview: Preview) -> None:
     layout = at_two_stations.layout
     reasons = set()
-    for placing in preview.placings:
-        for ball in placing.balls:
+    for placement in preview.placements:
+        for ball in placement.balls:
             axes = np.array(ball.centre_mm) - at_two_stations.tool_offset_mm
             names = [
                 name
@@ -109,11 +112,11 @@ def test_a_ball_out_of_reach_says_which_axis_or_what_is_in_the_way(at_two_statio
                 if axes[i] < layout.lower_mm[i] - 1e-9 or axes[i] > layout.upper_mm[i] + 1e-9
             ]
             if names:
-                assert ball.why_not.startswith("outside the travel: ")
-                assert re.findall(r"([XYZ]) ", ball.why_not) == names
+                assert ball.obstruction.startswith("outside the travel: ")
+                assert re.findall(r"([XYZ]) ", ball.obstruction) == names
                 reasons.add("outside")
             elif not ball.reachable:
-                assert re.fullmatch(r"no access: (tip|stem|probe body|ram) too close to .+", ball.why_not)
+                assert re.fullmatch(r"no access: (tip|stem|probe body|ram) too close to .+", ball.obstruction)
                 reasons.add("no access")
     assert reasons == {"outside", "no access"}
 
@@ -191,9 +194,9 @@ def test_the_numbers_come_back_to_a_twentieth_of_a_millimetre(preview: Preview) 
     assert np.array(seconds) / 100 == pytest.approx(np.array([point.ends_s for point in preview.path]), abs=0.00501)
     balls = [ball for ball, count in read["path"]["balls"] for _ in range(count)]
     assert balls == [-1 if point.ball is None else point.ball for point in preview.path]
-    for placing, raw in zip(preview.placings, read["placings"], strict=True):
-        assert [ball.why_not for ball in placing.balls] == [ball[3] for ball in raw["balls"]]
-        for body, (index, *numbers) in zip(placing.bodies, raw["bodies"], strict=True):
+    for placement, raw in zip(preview.placements, read["placings"], strict=True):
+        assert [ball.obstruction for ball in placement.balls] == [ball[3] for ball in raw["balls"]]
+        for body, (index, *numbers) in zip(placement.bodies, raw["bodies"], strict=True):
             assert read["names"][index] == body.name
             assert isinstance(body.shape, Capsule)
             expected = (*body.shape.a, *body.shape.b, body.shape.radius)
@@ -230,6 +233,8 @@ def test_the_picture_shows_a_refusal(at_two_stations: Job, preview: Preview) -> 
 
 def test_the_document_counts(preview: Preview) -> None:
     said = document(preview)
-    assert said["balls"] == sum(len(placing.balls) for placing in preview.placings) == 11 * len(preview.placings)
-    assert said["unreachable"] == sum(bool(b.why_not) for placing in preview.placings for b in placing.balls)
+    assert (
+        said["balls"] == sum(len(placement.balls) for placement in preview.placements) == 11 * len(preview.placements)
+    )
+    assert said["unreachable"] == sum(bool(b.obstruction) for placement in preview.placements for b in placement.balls)
     assert said["refusal"] is None
