@@ -17,7 +17,7 @@ from agent.errors import PlanRefused
 from agent.planning.preview.preview_files import PROGRAM
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "case-study.toml"
-PACKAGE = Path(__file__).resolve().parents[2] / "agent" / "preview"
+PACKAGE = Path(__file__).resolve().parents[2] / "agent" / "planning" / "preview"
 S1_AT_2 = ("plan", "--config", str(CONFIG), "--position-set", "S1", "--stations", "2")
 REFUSED_STEP = "measure/station-2/az0-el0/ball-05/touch-0/start"
 
