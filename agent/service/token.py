@@ -61,7 +61,7 @@ def read_token(path: Path) -> str:
         )
     if len(text) < MIN_LENGTH:
         raise ConfigurationError(
-            f"the token has {len(text)} characters, {MIN_LENGTH} are the least",
+            f"the token has {len(text)} characters, at least {MIN_LENGTH} are required",
             key="service.token_file",
             file=str(path),
         )
