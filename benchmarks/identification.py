@@ -27,8 +27,9 @@ from scipy.optimize import least_squares
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, ball_bar
+from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, is_reachable, mount_pose, parse_position_set, station_locations
+from twin.artefact.position_set import is_reachable, mount_pose, parse_position_set, station_locations
 from twin.identification import Estimate, Options, identify, identify_by_evidence
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis, exact_deviation

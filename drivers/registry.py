@@ -11,14 +11,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ValidationError
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError
 from drivers.options import find_former_key, rename_former_keys
-from drivers.roles import Device
+
+if TYPE_CHECKING:
+    from drivers.roles import Device
 
 ENTRY_POINT_GROUP = "volcal.drivers"
 

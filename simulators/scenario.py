@@ -17,8 +17,8 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from drivers.errors import ConfigurationError
 from simulators.temperatures import Coordinates, ThermalSettings
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import MountGeometry
-from twin.collision.bodies import ProbeGeometry
+from twin.artefact.mount_geometry import MountGeometry
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.machine_file import parse_machine

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.artefact.artefact import Artefact as Artefact
-    from twin.artefact.position_set import MountGeometry as MountGeometry
+    from twin.artefact.mount_geometry import MountGeometry as MountGeometry
     from twin.artefact.position_set import Position as Position
-    from twin.collision.bodies import ProbeGeometry as ProbeGeometry
+    from twin.collision.probe_geometry import ProbeGeometry as ProbeGeometry
     from twin.compensation.controllers.export_format import ControllerExport as ControllerExport
     from twin.compensation.table import CompensationTable as CompensationTable
     from twin.errors import DataError as DataError
@@ -80,8 +80,9 @@ _MODULES = {
     "volcal.figures": ("error_map",),
     "twin.machine.machine_description": ("MachineDescription",),
     "twin.artefact.artefact": ("Artefact",),
-    "twin.artefact.position_set": ("Position", "MountGeometry"),
-    "twin.collision.bodies": ("ProbeGeometry",),
+    "twin.artefact.position_set": ("Position",),
+    "twin.artefact.mount_geometry": ("MountGeometry",),
+    "twin.collision.probe_geometry": ("ProbeGeometry",),
     "twin.formats.ball_file": ("BallFile",),
     "twin.identification.options": ("Options",),
     "twin.identification.estimate": ("Estimate",),

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import MountGeometry, Position, parse_position_set
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position, parse_position_set
 from twin.artefact.touch_pattern import centre_covariance
 from twin.collision.accessibility import FIVE_TOUCHES
-from twin.collision.bodies import ProbeGeometry
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.procedure import Procedure
 from twin.errors import DataError
 from twin.machine.machine_description import MachineDescription

@@ -20,7 +20,7 @@ from agent.history.database_url import database_address
 from agent.history.export import as_csv, as_json, run_document
 from agent.history.schema import StoredRun
 from agent.history.store import HistoryStore
-from agent.history.sync import sync
+from agent.history.sync import sync, sync_ends
 from agent.settings.load import naming, read_settings
 from agent.settings.schema import Settings
 from drivers.errors import InputError
@@ -47,7 +47,7 @@ def history_group() -> None:
 def list_command(config: Path, machine: str | None, last: int, as_json_object: bool) -> None:
     """List the runs, the newest last."""
     with _opened(config) as (_, store):
-        runs = store.runs(machine or store.address.machine, last)
+        runs = store.runs(machine or store.address.machine, last, whole=False)
     if as_json_object:
         click.echo(json.dumps({"runs": [run_document(run, whole=False) for run in runs]}, allow_nan=False))
         return
@@ -138,7 +138,7 @@ def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
         settings = read_settings(config)
         with closing(HistoryStore(database_address(settings))) as store:
             try:
-                sync(settings.state_directory, store)
+                sync_ends(settings.state_directory, store)
             except InputError as error:
                 click.echo(f"note: {error}", err=True)
             yield settings, store

@@ -11,10 +11,9 @@ import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from agent.execution import journal_queries as queries
-from agent.execution.encoding import decode_table
 from agent.execution.journal_rows import (
     BallRow,
     DecisionRow,
@@ -29,7 +28,9 @@ from agent.execution.journal_rows import (
 )
 from agent.execution.journal_schema import FILE_NAME
 from drivers.errors import InputError, VolcalError
-from drivers.roles import TableImage
+
+if TYPE_CHECKING:
+    from drivers.roles import TableImage
 
 Row = TypeVar("Row")
 
@@ -239,7 +240,11 @@ class JournalReader:
 
     def _image(self, where: str, **values: int) -> TableImage | None:
         row = self._one(queries.IMAGE + where + " LIMIT 1", **values)
-        return None if row is None or row[-1] is None else decode_table(*row)
+        if row is None or row[-1] is None:
+            return None
+        from agent.execution.encoding import decode_table  # noqa: PLC0415  numpy is needed for whole tables only
+
+        return decode_table(*row)
 
     def _rows(self, row_type: Callable[..., Row], query: str, **values: str | int | None) -> tuple[Row, ...]:
         return tuple(row_type(*row) for row in self._all(query, **values))

@@ -14,6 +14,8 @@ from agent.execution.journal_schema import FILE_NAME
 from drivers.errors import InputError
 from twin.units import S_PER_MIN
 
+_NO_RUN = "check `state_directory`: no run has begun there"
+
 
 @dataclass(frozen=True)
 class OperatorQuestion:
@@ -68,6 +70,19 @@ class RunRecord:
 
 
 @dataclass(frozen=True)
+class RunHead:
+    """Row of a run with the text of its settings, without steps and results."""
+
+    row: RunRow
+    settings_text: str
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        document: dict[str, Any] = json.loads(self.settings_text)
+        return document
+
+
+@dataclass(frozen=True)
 class RunSteps:
     """`settings`: the document that the run was started with."""
 
@@ -77,14 +92,21 @@ class RunSteps:
 
 def run_ids(directory: Path) -> tuple[str, ...]:
     """Return all runs of the journal in the state directory in the order started. InputError as `read_record`."""
-    _require_journal(directory, "check `state_directory`: no run has begun there")
+    _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
         return reader.run_ids()
 
 
+def run_heads(directory: Path) -> tuple[RunHead, ...]:
+    """Return the heads of all runs of the journal in the order started. InputError as `read_record`."""
+    _require_journal(directory, _NO_RUN)
+    with open_journal(directory) as reader:
+        return tuple(RunHead(row, reader.settings_text(row.run)) for row in reader.runs())
+
+
 def read_record(directory: Path, run_id: str) -> RunRecord:
     """Return the record of a run. Raise InputError if there is no such journal or run, or it cannot be read."""
-    _require_journal(directory, "check `state_directory`: no run has begun there")
+    _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
         return _record(reader, reader.require_run(run_id))
 

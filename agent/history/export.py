@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from agent.history.schema import StoredRun
+from agent.history.schema import RUNS, StoredRun
 
-COLUMNS = tuple(column.key for column in StoredRun.__table__.columns if column.key != "digest")
+COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
 
 
 def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from agent.execution.encoding import to_json
 from agent.execution.run_record import RunRecord
 from agent.results.decision_kinds import IDENTIFIED, INPUTS, OUTCOME
 from twin.units import MICRO_UNITS
@@ -142,7 +141,12 @@ def _decisions(record: RunRecord) -> tuple[Mapping[str, Any], ...]:
             "place": place,
             "at": note.at,
             "kind": note.kind,
-            "record": to_json({name: value for name, value in note.record.items() if name not in _TOO_BIG}),
+            "record": _to_json({name: value for name, value in note.record.items() if name not in _TOO_BIG}),
         }
         for place, note in enumerate(kept)
     )
+
+
+def _to_json(record: Mapping[str, Any]) -> str:
+    """Write a record as the journal writes it. It came from JSON, so numpy is not needed."""
+    return json.dumps(record, separators=(",", ":"), allow_nan=False)

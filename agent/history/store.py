@@ -4,21 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import import_module
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, delete, event, insert, inspect, select, text
-from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy import (
+    Connection,
+    Engine,
+    Row,
+    Select,
+    Table,
+    create_engine,
+    delete,
+    event,
+    insert,
+    inspect,
+    select,
+    text,
+)
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
-from sqlalchemy.orm import Session, selectinload
 from sqlalchemy.pool import NullPool
 
 from agent.history.database_url import DatabaseAddress
 from agent.history.run_row import RunRows
 from agent.history.schema import (
+    DECISIONS,
+    METADATA,
+    PARAMETERS,
+    RUNS,
     SCHEMA_VERSION,
-    Base,
-    SchemaVersion,
+    TEMPERATURES,
+    VERSIONS,
     StoredDecision,
     StoredParameter,
     StoredRun,
@@ -28,7 +45,21 @@ from drivers.errors import ConfigurationError, LinkLost
 
 _LOCK = 7_283_001
 """Key of the PostgreSQL advisory lock held while creating or changing the tables."""
-_CHILDREN = (StoredParameter, StoredTemperature, StoredDecision)
+_CHILDREN: Mapping[str, tuple[Table, type, str]] = {
+    "parameters": (PARAMETERS, StoredParameter, "place"),
+    "temperatures": (TEMPERATURES, StoredTemperature, "sensor"),
+    "decisions": (DECISIONS, StoredDecision, "place"),
+}
+"""Lists of a run: table, class of its rows, and column by which they are ordered."""
+
+
+@dataclass(frozen=True)
+class RunEnd:
+    """Time of a run's end in UTC, None while it is under way; its state and the reason for it."""
+
+    ended: datetime | None
+    state: str
+    reason: str
 
 
 class HistoryStore:
@@ -45,9 +76,14 @@ class HistoryStore:
 
     def digests(self, machine: str) -> Mapping[str, str]:
         """Return the stored digest of each run of the machine."""
-        with self._translated_errors(), Session(self._engine) as session:
-            rows = session.execute(select(StoredRun.run_id, StoredRun.digest).where(StoredRun.machine == machine))
-            return {run_id: digest for run_id, digest in rows}  # noqa: C416  a Row is no pair
+        rows = self._read(select(RUNS.c.run_id, RUNS.c.digest).where(RUNS.c.machine == machine))
+        return {run_id: digest for run_id, digest in rows}  # noqa: C416  a Row is no pair
+
+    def ends(self, machine: str) -> Mapping[str, RunEnd]:
+        """Return the stored end of each run of the machine."""
+        query = select(RUNS.c.run_id, RUNS.c.ended, RUNS.c.state, RUNS.c.reason)
+        rows = self._read(query.where(RUNS.c.machine == machine))
+        return {run_id: RunEnd(utc_time(ended), state, reason) for run_id, ended, state, reason in rows}
 
     def put(self, rows: RunRows) -> None:
         """Insert or replace the rows of a run in one transaction."""
@@ -55,40 +91,49 @@ class HistoryStore:
         key = {name: values[name] for name in ("machine", "run_id")}
         with self._translated_errors(), self._engine.begin() as connection:
             connection.execute(_upsert(connection, values))
-            for table in _CHILDREN:
-                connection.execute(delete(table).where(table.machine == key["machine"], table.run_id == key["run_id"]))
             decisions = [{**row, "at": _parse_time(row["at"])} for row in rows.decisions]
-            for child, children in zip(_CHILDREN, (rows.parameters, rows.temperatures, decisions), strict=True):
+            for table, children in (
+                (PARAMETERS, rows.parameters),
+                (TEMPERATURES, rows.temperatures),
+                (DECISIONS, decisions),
+            ):
+                of_run = (table.c.machine == key["machine"]) & (table.c.run_id == key["run_id"])
+                connection.execute(delete(table).where(of_run))
                 if children:
-                    connection.execute(insert(child), [{**key, **row} for row in children])
+                    connection.execute(insert(table), [{**key, **row} for row in children])
 
     def machines(self) -> tuple[str, ...]:
-        with self._translated_errors(), Session(self._engine) as session:
-            return tuple(session.scalars(select(StoredRun.machine).distinct().order_by(StoredRun.machine)))
+        rows = self._read(select(RUNS.c.machine).distinct().order_by(RUNS.c.machine))
+        return tuple(machine for (machine,) in rows)
 
-    def runs(self, machine: str | None = None, last: int | None = None) -> Sequence[StoredRun]:
-        """Return the runs of a machine, or of all, oldest first, with all their rows; `last`: at most the latest so
-        many."""
-        query = select(StoredRun).options(
-            selectinload(StoredRun.parameters), selectinload(StoredRun.temperatures), selectinload(StoredRun.decisions)
-        )
+    def runs(self, machine: str | None = None, last: int | None = None, *, whole: bool = True) -> Sequence[StoredRun]:
+        """Return the runs of a machine, or of all, oldest first; `last`: at most so many, the newest.
+
+        `whole`: with parameters, temperatures and decisions; without it those are empty.
+        """
+        query = select(RUNS)
         if machine is not None:
-            query = query.where(StoredRun.machine == machine)
-        query = query.order_by(StoredRun.started.desc(), StoredRun.run_id.desc()).limit(last)
-        with self._translated_errors(), Session(self._engine) as session:
-            found = list(session.scalars(query))
-            session.expunge_all()
-            return found[::-1]
+            query = query.where(RUNS.c.machine == machine)
+        query = query.order_by(RUNS.c.started.desc(), RUNS.c.run_id.desc()).limit(last)
+        with self._translated_errors(), self._engine.connect() as connection:
+            found = [StoredRun(*row) for row in connection.execute(query)][::-1]
+            if whole:
+                _add_children(connection, query, found)
+        return found
+
+    def _read(self, query: Select[*tuple[Any, ...]]) -> Sequence[Row[*tuple[Any, ...]]]:
+        with self._translated_errors(), self._engine.connect() as connection:
+            return connection.execute(query).all()
 
     def _prepare(self) -> None:
         """Create the tables, or check that their version is supported."""
         with self._engine.begin() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
-            if not inspect(connection).has_table(SchemaVersion.__tablename__):
-                Base.metadata.create_all(connection)
-                connection.execute(insert(SchemaVersion), {"version": SCHEMA_VERSION})
-            found = connection.execute(select(SchemaVersion.version)).scalar_one()
+            if not inspect(connection).has_table(VERSIONS.name):
+                METADATA.create_all(connection)
+                connection.execute(insert(VERSIONS), {"version": SCHEMA_VERSION})
+            found = connection.execute(select(VERSIONS.c.version)).scalar_one()
         if found != SCHEMA_VERSION:
             raise ConfigurationError(
                 f"the history database has version {found}, this program supports version {SCHEMA_VERSION}",
@@ -131,11 +176,24 @@ def stored_run(rows: RunRows) -> StoredRun:
     """Return the row that `put` would store, without a database."""
     moments = {at: _parse_time(rows.run[at]) for at in ("started", "ended")}
     key = {name: rows.run[name] for name in ("machine", "run_id")}
-    run = StoredRun(**{**rows.run, **moments, "digest": rows.digest})
-    run.parameters = [StoredParameter(**key, **row) for row in rows.parameters]
-    run.temperatures = [StoredTemperature(**key, **row) for row in rows.temperatures]
-    run.decisions = [StoredDecision(**key, **{**row, "at": _parse_time(row["at"])}) for row in rows.decisions]
-    return run
+    return StoredRun(
+        **{**rows.run, **moments, "digest": rows.digest},
+        parameters=[StoredParameter(**key, **row) for row in rows.parameters],
+        temperatures=[StoredTemperature(**key, **row) for row in rows.temperatures],
+        decisions=[StoredDecision(**key, **{**row, "at": _parse_time(row["at"])}) for row in rows.decisions],
+    )
+
+
+def _add_children(connection: Connection, query: Select[Any], runs: Sequence[StoredRun]) -> None:
+    """Fill the lists of the runs that `query` has found, from the other tables."""
+    by_key = {(run.machine, run.run_id): run for run in runs}
+    found = query.with_only_columns(RUNS.c.machine, RUNS.c.run_id).subquery()
+    for name, (table, row_type, order) in _CHILDREN.items():
+        of_run = (table.c.machine == found.c.machine) & (table.c.run_id == found.c.run_id)
+        for row in connection.execute(select(table).join(found, of_run).order_by(table.c[order])):
+            run = by_key.get((row.machine, row.run_id))
+            if run is not None:  # else another process has stored the run since
+                getattr(run, name).append(row_type(*row))
 
 
 def _engine(address: DatabaseAddress) -> Engine:
@@ -165,14 +223,19 @@ def _begin_writing(connection: Connection) -> None:
 
 
 def _upsert(connection: Connection, values: Mapping[str, Any]) -> Any:
-    dialect: Any = postgresql if connection.dialect.name == "postgresql" else sqlite
+    dialect: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}")
     changed = {name: value for name, value in values.items() if name not in ("machine", "run_id")}
     return (
-        dialect.insert(StoredRun)
-        .values(**values)
-        .on_conflict_do_update(index_elements=["machine", "run_id"], set_=changed)
+        dialect.insert(RUNS).values(**values).on_conflict_do_update(index_elements=["machine", "run_id"], set_=changed)
     )
 
 
 def _parse_time(stamp: str | None) -> datetime | None:
     return None if stamp is None else datetime.fromisoformat(stamp)
+
+
+def utc_time(time: datetime | None) -> datetime | None:
+    """Return the time in UTC; one without a zone, as SQLite returns it, is in UTC already."""
+    if time is None:
+        return None
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)

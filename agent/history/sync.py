@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from datetime import datetime
 from pathlib import Path
 
-from agent.execution.run_record import read_record, run_ids
-from agent.history.run_row import run_rows
-from agent.history.store import HistoryStore
+from agent.execution.run_record import RunHead, read_record, run_heads, run_ids
+from agent.history.run_row import machine_name, run_rows
+from agent.history.store import HistoryStore, RunEnd, utc_time
 
 
 def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
@@ -15,13 +17,44 @@ def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
     May be repeated: runs that are stored and unchanged are skipped. Raise LinkLost if the connection to the database is
     lost; the next update continues from there.
     """
+    return _store_changed(directory, run_ids(directory), store)
+
+
+def sync_ends(directory: Path, store: HistoryStore) -> tuple[str, ...]:
+    """Store the runs that have not ended, and those whose end is not stored yet; return and raise as `sync`.
+
+    For commands that only show the history: of a run whose end is stored only the head is read, which saves about
+    50 ms per run with an estimate of 1.5 MB. `sync` follows every run and compares everything.
+    """
+    stored: dict[str, dict[str, RunEnd]] = {}
+    changed = []
+    for head in run_heads(directory):
+        machine = machine_name(head.settings)
+        if machine not in stored:
+            stored[machine] = dict(store.ends(machine))
+        end = _end_of(head)
+        if end is None or stored[machine].get(head.row.run_id) != end:
+            changed.append(head.row.run_id)
+    return _store_changed(directory, changed, store)
+
+
+def _store_changed(directory: Path, chosen: Iterable[str], store: HistoryStore) -> tuple[str, ...]:
     stored: dict[str, dict[str, str]] = {}
     written = []
-    for run_id in run_ids(directory):
+    for run_id in chosen:
         rows = run_rows(read_record(directory, run_id))
         machine = rows.run["machine"]
-        known = stored.setdefault(machine, dict(store.digests(machine)))
-        if known.get(run_id) != rows.digest:
+        if machine not in stored:
+            stored[machine] = dict(store.digests(machine))
+        if stored[machine].get(run_id) != rows.digest:
             store.put(rows)
             written.append(run_id)
     return tuple(written)
+
+
+def _end_of(head: RunHead) -> RunEnd | None:
+    """Return None while the run is under way or can be resumed."""
+    row = head.row
+    return (
+        None if row.ended is None else RunEnd(utc_time(datetime.fromisoformat(row.ended)), row.state, row.reason or "")
+    )

@@ -16,7 +16,7 @@ from drivers.errors import ConfigurationError
 from drivers.registry import has_several_mounts
 from twin.artefact.artefact import Artefact
 from twin.artefact.combined_artefact import combine_artefacts
-from twin.artefact.position_set import MountGeometry
+from twin.artefact.mount_geometry import MountGeometry
 from twin.collision.bodies import Body
 from twin.collision.neighbour_stations import neighbour_bodies
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, ReadClock, ReadTemperatures
-from twin.artefact.artefact import REFERENCE_TEMPERATURE_C
+from twin.units import REFERENCE_TEMPERATURE_C
 
 ARTEFACT, MACHINE = "artefact", "machine"
 

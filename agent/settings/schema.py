@@ -16,8 +16,8 @@ from agent.settings.opcua import OpcUaSettings
 from agent.settings.panel_gateway import GatewaySettings
 from agent.settings.service import ServiceSettings
 from agent.settings.temperature import TemperatureSettings
-from twin.artefact.position_set import MountGeometry
-from twin.collision.bodies import ProbeGeometry
+from twin.artefact.mount_geometry import MountGeometry
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.formats.toml_reading import StrictModel, forbid_unknown_keys, read_toml
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]

@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from twin.artefact.artefact import REFERENCE_TEMPERATURE_C
 from twin.formats.toml_reading import StrictModel
+from twin.units import REFERENCE_TEMPERATURE_C
 
 Sensor = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
 

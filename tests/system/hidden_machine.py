@@ -16,14 +16,8 @@ import numpy as np
 
 from agent.model_files import load_artefact, load_machine
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import (
-    MountGeometry,
-    Position,
-    is_reachable,
-    mount_pose,
-    parse_position_set,
-    station_locations,
-)
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position, is_reachable, mount_pose, parse_position_set, station_locations
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_description import MachineDescription

@@ -13,10 +13,9 @@ import numpy as np
 
 from twin.arrays import Array, as_points
 from twin.errors import DataError
+from twin.units import REFERENCE_TEMPERATURE_C
 
 STEEL_CTE_PER_K = 11.5e-6
-REFERENCE_TEMPERATURE_C = 20.0
-"""Standard reference temperature of ISO 1."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import MountGeometry, mount_pose
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import mount_pose
 from twin.artefact.touch_pattern import approach_directions
-from twin.collision.bodies import TIP, Body, ProbeGeometry, artefact_bodies, ball_name, mount_bodies
+from twin.collision.bodies import TIP, Body, artefact_bodies, ball_name, mount_bodies
 from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, Point, point, translate_point
+from twin.collision.probe_geometry import ProbeGeometry
 
 STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
 """Direction of the stylus; the probe geometry describes probes that point along +Y."""

@@ -11,9 +11,9 @@ from itertools import pairwise
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import MountGeometry, Pose
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Pose
 from twin.collision.geometry import Box, Capsule, Point, Shape, point, sphere
-from twin.errors import DataError
 
 TIP = "tip"
 TABLE = "table"
@@ -25,44 +25,6 @@ TABLE_SPAN_MM = 1e5
 class Body:
     name: str
     shape: Shape
-
-
-@dataclass(frozen=True)
-class ProbeGeometry:
-    """Lengths along the tool from the tip centre back to the ram face; mm.
-
-    `reach_mm` is the total length (the tool offset along Y); everything behind the stem is probe body. Square ram.
-    """
-
-    tip_radius_mm: float = 3.0
-    stem_radius_mm: float = 1.5
-    stem_length_mm: float = 100.0
-    body_radius_mm: float = 25.0
-    reach_mm: float = 250.0
-    ram_half_width_mm: float = 80.0
-    ram_length_mm: float = 1600.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0.0:
-                raise DataError(f"{name} must be positive, got {value}", key=f"probe.{name}")
-        if self.reach_mm < self.stem_length_mm + 2.0 * self.body_radius_mm:
-            raise DataError(
-                f"reach_mm {self.reach_mm} is too short for the stem and the body of the probe",
-                hint="reach_mm >= stem_length_mm + 2 * body_radius_mm",
-                key="probe.reach_mm",
-            )
-
-    def bodies(self) -> tuple[Body, ...]:
-        """Return tip, stem, probe body and ram relative to the tip centre."""
-        stem_end, ram_face, half = -self.stem_length_mm, -self.reach_mm, self.ram_half_width_mm
-        body_front, body_back = stem_end - self.body_radius_mm, ram_face + self.body_radius_mm
-        return (
-            Body(TIP, sphere((0.0, 0.0, 0.0), self.tip_radius_mm)),
-            Body("stem", Capsule((0.0, 0.0, 0.0), (0.0, stem_end, 0.0), self.stem_radius_mm)),
-            Body("probe body", Capsule((0.0, body_front, 0.0), (0.0, body_back, 0.0), self.body_radius_mm)),
-            Body("ram", Box((-half, ram_face - self.ram_length_mm, -half), (half, ram_face, half))),
-        )
 
 
 def ball_name(index: int) -> str:

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import MountGeometry, Position, is_reachable, mount_pose
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position, is_reachable, mount_pose
 from twin.collision.accessibility import FIVE_TOUCHES, accessible_balls, measuring_scene
-from twin.collision.bodies import Body, ProbeGeometry
+from twin.collision.bodies import Body
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.errors import DataError
 
 Mask = NDArray[np.bool_]

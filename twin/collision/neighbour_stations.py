@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import MountGeometry, mount_pose
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import mount_pose
 from twin.collision.bodies import TABLE, Body, artefact_bodies, mount_bodies
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import MountGeometry
-from twin.collision.bodies import ProbeGeometry
+from twin.artefact.mount_geometry import MountGeometry
 from twin.collision.geometry import Shape
+from twin.collision.probe_geometry import ProbeGeometry
 
 CELL_MM = 20.0
 STEP_DEG = 2.5

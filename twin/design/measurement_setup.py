@@ -9,8 +9,8 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact.position_set import Position
-from twin.collision.bodies import ProbeGeometry
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.procedure import PlannedMeasurement, Procedure
 from twin.identification import Estimate, Options, identify
 from twin.machine.error_model import ErrorModel

@@ -15,9 +15,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from twin.arrays import Array
-from twin.artefact.artefact import REFERENCE_TEMPERATURE_C, Artefact, bar_balls
+from twin.artefact.artefact import Artefact, bar_balls
 from twin.errors import DataError, FormatError
 from twin.formats.toml_reading import StrictModel, read_toml
+from twin.units import REFERENCE_TEMPERATURE_C
 
 ReadText = Callable[[str], str]
 """Function that returns the text of a file named in another file; the caller resolves relative paths."""

@@ -26,7 +26,7 @@ from agent.probing.paths.approach_points import (
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
-from twin.collision.bodies import TIP, ProbeGeometry, ball_name, post_name
+from twin.collision.bodies import TIP, ball_name, post_name
 from twin.collision.free_paths import (
     AxisDynamics,
     Clearances,
@@ -40,6 +40,7 @@ from twin.collision.free_paths import (
 from twin.collision.geometry import Point, Shape, point
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.motion_law import travel_times
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.collision.swept_volume import CELL_MM, SphereCover, TurnSweep, cover_turning_bodies, turn_sweep
 
 UNCERTAINTY_STEPS_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)

@@ -7,16 +7,31 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
 
 import click
 import pytest
 from click.testing import CliRunner
+from journaled import SETTINGS, journaled
 
 from agent.cli import main as program
 from agent.cli.main import LONGEST_HELP, OWN_COMMANDS, main
 
 SLOW = ("scipy", "matplotlib", "sqlalchemy", "fastapi", "pymodbus", "canopen")
 NOT_FOR_A_LIST = (*SLOW, "numpy", "pydantic", "structlog", "asyncio", "rich", "simulators.cli")
+NOT_FOR_THE_HISTORY = (
+    *(
+        "numpy",
+        "scipy",
+        "matplotlib",
+        "jinja2",
+        "structlog",
+        "fastapi",
+        "sqlalchemy.orm",
+        "sqlalchemy.dialects.postgresql",
+    ),
+    *("agent.planning", "twin.identification", "drivers.roles"),
+)
 
 
 def loaded_by(statement: str) -> list[str]:
@@ -75,8 +90,26 @@ def test_the_list_of_commands_imports_none_of_them() -> None:
 def test_the_list_of_runs_waits_for_no_mathematics() -> None:
     loaded = loaded_by("import agent.cli.history")
     assert "sqlalchemy" in loaded
-    unwanted = ("scipy", "matplotlib", "structlog", "fastapi", "agent.planning", "twin.identification")
-    assert [name for name in unwanted if name in loaded] == []
+    assert [name for name in NOT_FOR_THE_HISTORY if name in loaded] == []
+
+
+@pytest.mark.parametrize("fed", [False, True], ids=["to be fed", "fed"])
+def test_listing_the_runs_loads_no_mathematics(fed: bool, tmp_path: Path) -> None:
+    """Neither the settings nor the runs of the journal need it, whether or not the history has them already."""
+    state = tmp_path / "state"
+    journaled(state, 0)
+    config = tmp_path / "volcal.toml"
+    roles = "".join(f'{role} = "twin"\n' for role in ("machine", "probe", "store", "thermometer", "operator", "mount"))
+    config.write_text(
+        f'machine = "{SETTINGS["machine"]}"\nartefact = "{SETTINGS["artefact"]}"\nstate_directory = "{state}"\n'
+        f'[devices.twin]\ndriver = "simulated"\n[roles]\n{roles}[stations]\nplaces_mm = [[700.0, 1000.0, 750.0]]\n'
+    )
+    call = ["history", "list", "--config", str(config)]
+    if fed:
+        assert CliRunner().invoke(main, call).exit_code == 0
+    loaded = loaded_by(f"from agent.cli.main import main\nmain({call!r}, standalone_mode=False)")
+    assert (state / "history.sqlite").is_file()
+    assert [name for name in NOT_FOR_THE_HISTORY if name in loaded] == []
 
 
 @pytest.mark.parametrize("name", [name for name, command in OWN_COMMANDS.items() if not command.logs])

@@ -17,13 +17,14 @@ from agent.probing.paths.free_paths import (
     round_up_uncertainty,
 )
 from twin.artefact.artefact import ball_bar
-from twin.artefact.position_set import MountGeometry, Position
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position
 from twin.collision.accessibility import measuring_scene
-from twin.collision.bodies import ProbeGeometry
 from twin.collision.collision import Scene
 from twin.collision.free_paths import AxisDynamics
 from twin.collision.geometry import point
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_geometry import ProbeGeometry
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip

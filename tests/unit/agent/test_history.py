@@ -10,6 +10,7 @@ import sqlite3
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from agent.history.metrics import metrics_text
 from agent.history.overview import alarms_of, most_relevant, select_trends, trends_of
 from agent.history.series import ACTIVE, BARE, Series, nights_of
 from agent.history.store import HistoryStore
-from agent.history.sync import sync
+from agent.history.sync import sync, sync_ends
 from agent.history.trends import AlarmKind, trend_of
 from agent.settings.history import HistorySettings
 from agent.settings.schema import Settings
@@ -98,6 +99,26 @@ class TestFeeding:
         assert sync(state, store) == (run_id(0),)
         (run,) = store.runs()
         assert (run.state, run.reason, len(run.parameters)) == ("faulted", "mended", 3)
+
+    def test_a_reading_command_feeds_the_runs_whose_end_is_new(self, state: Path, store: HistoryStore) -> None:
+        journaled(state, 0)
+        journaled(state, 1)
+        assert sync_ends(state, store) == (run_id(0), run_id(1))
+        assert sync_ends(state, store) == ()
+        change_end(state, "faulted", "mended")
+        changed = sync_ends(state, store)
+        assert changed
+        assert {run.run_id for run in store.runs() if run.reason == "mended"} == set(changed)
+
+    def test_runs_without_what_belongs_to_them(self, state: Path, store: HistoryStore) -> None:
+        journaled(state, 0)
+        sync(state, store)
+        (whole,) = store.runs()
+        (run,) = store.runs(whole=False)
+        assert whole == replace(
+            run, parameters=whole.parameters, temperatures=whole.temperatures, decisions=whole.decisions
+        )
+        assert (run.parameters, run.temperatures, run.decisions) == ([], [], [])
 
     def test_a_run_that_was_gone_on_with_was_started_by_who_asked_first(self, state: Path, store: HistoryStore) -> None:
         journaled(state, 0)

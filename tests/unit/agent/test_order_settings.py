@@ -13,8 +13,9 @@ from agent.model_files import load_machine
 from agent.results.estimation import estimate_machine, order_text, scale_warnings
 from agent.settings.schema import IdentificationSettings, Order
 from twin.artefact.artefact import ball_bar
+from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, mount_pose, parse_position_set, station_locations
+from twin.artefact.position_set import mount_pose, parse_position_set, station_locations
 from twin.identification import Options
 from twin.machine.machine_description import MachineDescription
 

@@ -29,8 +29,9 @@ from agent.results.facts import ArtefactFacts, Quantity, TableFacts, triple
 from agent.results.gates import Gate
 from agent.results.volumetric_summary import volumetric_summary
 from twin.artefact.artefact import ball_bar
+from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, Position, mount_pose, parse_position_set
+from twin.artefact.position_set import Position, mount_pose, parse_position_set
 from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, predicted_vce
 from twin.machine.error_model import ErrorModel

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from twin.artefact.artefact import Artefact, ball_bar
+from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, is_reachable, mount_pose, parse_position_set, station_locations
+from twin.artefact.position_set import is_reachable, mount_pose, parse_position_set, station_locations
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from twin.artefact.artefact import ball_bar
-from twin.artefact.position_set import MountGeometry, parse_position_set
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import parse_position_set
 from twin.artefact.touch_pattern import QUALIFYING_RINGS, RINGS, approach_directions, ring_directions
 from twin.collision.accessibility import STYLUS_AXIS, accessible_balls, measuring_scene
-from twin.collision.bodies import TIP, Body, ProbeGeometry, ball_name
+from twin.collision.bodies import TIP, Body, ball_name
 from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, point, sphere
+from twin.collision.probe_geometry import ProbeGeometry
 
 PLACE = np.array([2000.0, 1000.0, 750.0])
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,

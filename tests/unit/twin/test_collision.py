@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from twin.artefact.artefact import ball_bar
-from twin.artefact.position_set import MountGeometry
+from twin.artefact.mount_geometry import MountGeometry
 from twin.collision.accessibility import accessible_balls, measuring_scene
-from twin.collision.bodies import Body, ProbeGeometry
+from twin.collision.bodies import Body
 from twin.collision.collision import Scene
 from twin.collision.geometry import Box, sphere
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.errors import DataError
 
 PLACE = np.array([2000.0, 1000.0, 750.0])

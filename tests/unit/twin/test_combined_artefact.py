@@ -10,10 +10,11 @@ import pytest
 
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.combined_artefact import combine_artefacts
-from twin.artefact.position_set import MountGeometry, Position
-from twin.collision.bodies import ProbeGeometry
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.neighbour_stations import neighbour_bodies
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.procedure import Procedure
 from twin.errors import DataError
 

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.artefact.artefact import ball_bar
-from twin.artefact.position_set import MountGeometry
+from twin.artefact.mount_geometry import MountGeometry
 from twin.collision.accessibility import measuring_scene
-from twin.collision.bodies import Body, ProbeGeometry
+from twin.collision.bodies import Body
 from twin.collision.collision import Scene
 from twin.collision.free_paths import (
     AxisDynamics,
@@ -25,6 +25,7 @@ from twin.collision.free_paths import (
 )
 from twin.collision.geometry import Box, Point, point, separation, sphere
 from twin.collision.motion_law import straight_path, travel_time_s, travel_times
+from twin.collision.probe_geometry import ProbeGeometry
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip

@@ -3,14 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from twin.artefact.position_set import (
-    MountGeometry,
-    Position,
-    is_reachable,
-    mount_pose,
-    parse_position_set,
-    station_locations,
-)
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position, is_reachable, mount_pose, parse_position_set, station_locations
 from twin.errors import DataError, TwinError
 
 PLACE = np.array([1000.0, 1000.0, 750.0])

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from twin.artefact.artefact import ball_bar
-from twin.artefact.position_set import MountGeometry, Position
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position
 from twin.artefact.touch_pattern import approach_directions, centre_covariance
-from twin.collision.bodies import ProbeGeometry
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.procedure import Procedure
 from twin.errors import DataError
 from twin.formats.position_set_file import format_positions, parse_positions

@@ -10,9 +10,10 @@ import pytest
 from plain_machine import deviations
 
 from twin.artefact.artefact import Artefact, ball_bar
-from twin.artefact.position_set import MountGeometry, Position, mount_pose
-from twin.collision.bodies import ProbeGeometry
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position, mount_pose
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.procedure import PlannedMeasurement, Procedure
 from twin.errors import ModelError
 from twin.identification import Options, identify

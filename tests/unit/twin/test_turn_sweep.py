@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from twin.artefact.artefact import ball_bar
-from twin.artefact.position_set import MountGeometry, mount_pose
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import mount_pose
 from twin.collision.accessibility import measuring_scene
-from twin.collision.bodies import ProbeGeometry, mount_bodies
+from twin.collision.bodies import mount_bodies
 from twin.collision.geometry import Shape, point
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.collision.swept_volume import TurnSweep, _least_around, cover_turning_bodies, turn_sweep
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,

@@ -11,9 +11,10 @@ import plain_machine
 import pytest
 from measured_set import RANGES, TOOL, bar, case_study
 
-from twin.artefact.position_set import MountGeometry, Position, parse_position_set, station_locations
-from twin.collision.bodies import ProbeGeometry
+from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.position_set import Position, parse_position_set, station_locations
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.identifiability import EvaluatedTool, Identifiability, assess_identifiability
 from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
 from twin.design.procedure import Procedure
