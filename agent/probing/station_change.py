@@ -39,7 +39,7 @@ class StationChange:
 
     @property
     def moves_artefact(self) -> bool:
-        """Whether an artefact that returns to a station may stand differently from before."""
+        """True if an artefact that returns to a station may stand differently from before."""
         return self.carried is not CarriedItem.NOTHING
 
 
