@@ -189,8 +189,8 @@ def test_the_end_of_the_service_withdraws_and_the_next_one_goes_on(tmp_path: Pat
             stopping = systemd.told_until("STOPPING")
             assert any("measuring" in message.get("STATUS", "") for message in stopping)
         assert not (tmp_path / "state" / "service.json").exists()
-        ending = [line for line in running.log() if line["event"] == "ending"]
-        assert ending[0]["asked_by"] == "SIGTERM"
+        stopped = [line for line in running.log() if line["event"] == "stopping"]
+        assert stopped[0]["asked_by"] == "SIGTERM"
         assert all("step" in line for line in running.log() if line.get("state") == "aborting")
         with service(config) as again:
             left = again.status()

@@ -112,7 +112,7 @@ class MainLoop:
 
     def _stop(self, name: str) -> None:
         within_s = self.owner.settings.service.stop_timeout_s
-        log.info("stopping", requested_by=name, within_s=within_s)
+        log.info("stopping", asked_by=name, within_s=within_s)
         self.notifier.send(
             STOPPING=1, STATUS="stopping: withdrawing the probe", EXTEND_TIMEOUT_USEC=int(US_PER_S * within_s)
         )

@@ -51,7 +51,7 @@ class Gateway:
         self.access.tick()
         status = self._status_or_none()
         if self.heartbeats.tick(service_alive=status is not None):
-            log.warning("panel heartbeat lost", reaction=self.on_panel_timeout)
+            log.warning("panel heartbeat lost", then=self.on_panel_timeout)
             ours = status is not None and status.run_id is not None and status.run_id == self.handler.latest_start
             if ours and self.on_panel_timeout == "hold":
                 self._hold()
