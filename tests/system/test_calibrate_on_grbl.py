@@ -90,7 +90,7 @@ def test_link_that_cannot_be_made_is_one_clear_line(tmp_path: Path) -> None:
     link = tmp_path / "absent" / "tty"
     ended = CliRunner().invoke(simulate, ["--config", str(scenario), "--serial", str(link)])
     assert (ended.exit_code, ended.stdout) == (2, "")
-    assert "no link to the pseudo-terminal" in ended.stderr
+    assert "the link to the pseudo-terminal cannot be created" in ended.stderr
 
 
 def test_the_zero_of_the_axes_is_the_one_shipped(case: Case) -> None:

@@ -144,7 +144,7 @@ def test_requests_that_name_nothing(tmp_path: Path) -> None:
         for request, words in (
             ({"do": "drive", "node": 9, "fault": "jam"}, "no drive at node 9"),
             ({"do": "drive", "node": 1, "fault": "sulk"}, "unknown fault 'sulk'"),
-            ({"do": "drive", "node": True, "fault": "jam"}, "whole number"),
+            ({"do": "drive", "node": True, "fault": "jam"}, "integer"),
             ({"do": "drive", "node": 1, "fault": "jam", "for": 3}, "unknown key 'for'"),
         ):
             assert words in over.due.say(request)["error"]

@@ -42,7 +42,7 @@ def test_doctor_on_a_serial_line_and_where_the_controller_really_answers() -> No
             wrong = {line.subject: line for line in examine(settings, CONFIG)["cnc"]}
     assert [line for line in good.values() if not line.ok] == []
     assert "a poll takes 49 ms of the line at 38400 baud 8N2" in good["line"].text
-    assert good["line faults"].text.startswith("0 requests repeated, 0 bytes")
+    assert good["line faults"].text.startswith("0 requests repeated, 0 stray bytes")
     assert not wrong["link"].ok
     assert "no answer within" in wrong["link"].text
     assert wrong["baud rate"].text.startswith("the controller answers at 38400 baud")

@@ -120,12 +120,13 @@ def test_a_file_may_say_which_tool_measures_what(more_tools: Path, tmp_path: Pat
     assert not any("EBY" in line for line in found["null_summary"])
 
 
-def test_distances_see_less_of_a_poor_set() -> None:
+def test_both_formulations_leave_the_same_field_unseen() -> None:
+    """Distances know no pose, so they are less precise; the directions that no ball centre shows are the same."""
     fields = [
         json.loads(said("--set", "S2", "--formulation", way, "--json", *COARSE))["fields"][0]
         for way in ("centres", "distances")
     ]
-    assert fields[0]["unseen_um"] < fields[1]["unseen_um"]
+    assert fields[0]["unseen_um"] == pytest.approx(fields[1]["unseen_um"], rel=1e-9)
 
 
 class TestWrongInput:
