@@ -23,7 +23,7 @@ OPTIONS = {
 
 pytestmark = [
     requires_linuxcnc,
-    pytest.mark.timeout(120),
+    pytest.mark.timeout(300),
 ]
 
 

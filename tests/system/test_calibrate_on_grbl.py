@@ -28,7 +28,7 @@ from simulators.world.world import World
 
 VOLCAL = [sys.executable, "-m", "agent.cli.main"]
 LINK = "/tmp/volcal-grbl"  # noqa: S108  the name in the shipped file; it is replaced
-END_WITHIN_S = 40.0
+END_WITHIN_S = 270.0
 
 
 @dataclass
@@ -107,7 +107,7 @@ def test_doctor_finds_nothing_wrong_and_says_where_the_tables_are(case: Case) ->
     assert "1.1h" in said
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 def test_the_machine_becomes_better(case: Case) -> None:
     ended = case.run("calibrate", "--json")
     assert ended.returncode == 0, ended.stderr
@@ -134,7 +134,7 @@ def test_a_corrected_program_goes_where_the_verification_was_measured(case: Case
     part.write_text(PART)
     command = [*VOLCAL, "gcode", "correct", str(part), "--table", str(table), "--max-chord-error", "2um"]
     options = ["--work-offset", "G54=0,0,0", "--start", "0,0,0"]
-    ended = subprocess.run([*command, *options], capture_output=True, text=True, timeout=55.0, check=False)
+    ended = subprocess.run([*command, *options], capture_output=True, text=True, timeout=270.0, check=False)
     assert ended.returncode == 0, ended.stderr
     moves = re.findall(r"X([-\d.]+) ?Y([-\d.]+) ?Z([-\d.]+)", ended.stdout)
     bank = case.banks.read(1)

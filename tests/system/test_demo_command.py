@@ -56,7 +56,7 @@ def demo(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
         cwd=directory,
         capture_output=True,
         text=True,
-        timeout=55.0,
+        timeout=270.0,
         check=False,
     )
 

@@ -36,7 +36,7 @@ from agent.planning.job import prepare_job
 from agent.settings.schema import Settings
 from drivers.errors import LinkLost
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 
 PASSWORD = "for-this-test-only"  # noqa: S105  of a server that lives as long as the test
 SWITCH = "VOLCAL_WITHOUT_POSTGRESQL"

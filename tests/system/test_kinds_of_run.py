@@ -29,7 +29,7 @@ from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.formats.estimate_file import parse_estimate
 
-pytestmark = pytest.mark.timeout(180)
+pytestmark = pytest.mark.timeout(300)
 
 COLLISION = {"night": 1, "collision_night": 1, "collision": {"B0Z": 120.0}}
 WIDE = {"slot_minutes": 30.0, "check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}

@@ -16,7 +16,7 @@ from agent.settings.load import load_settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SETTINGS, SCENARIO = CONFIG / "case-study.toml", CONFIG / "simulators" / "case-study.toml"
-pytestmark = pytest.mark.timeout(90)
+pytestmark = pytest.mark.timeout(300)
 
 
 def test_a_whole_run_over_a_serial_line(tmp_path: Path) -> None:

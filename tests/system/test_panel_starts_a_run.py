@@ -138,7 +138,7 @@ def give(client: ModbusClient, command: int) -> int:
     return read(client, RESULT)
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 def test_a_panel_starts_watches_and_aborts_a_run(serving):
     service, panel, hall = serving
     service.until(lambda: read(panel, STATE) == IDLE and read(panel, MAY) & 1)

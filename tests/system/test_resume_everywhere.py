@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 def test_breaks_leave_no_trace_in_any_figure() -> None:
     command = [sys.executable, "-m", "campaigns.resume", "--every", "277"]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=170, check=False)

@@ -59,7 +59,7 @@ def volcal(directory: Path, *arguments: str) -> subprocess.Popen[str]:
 
 def finished(agent: subprocess.Popen[str]) -> dict[str, Any]:
     try:
-        stdout, stderr = agent.communicate(timeout=50.0)
+        stdout, stderr = agent.communicate(timeout=270.0)
     finally:
         agent.kill()
     assert agent.returncode == 0, stderr
@@ -67,7 +67,7 @@ def finished(agent: subprocess.Popen[str]) -> dict[str, Any]:
     return document
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 def test_a_killed_calibration_goes_on_to_its_end(tmp_path: Path) -> None:
     scenario, positions = short_case(tmp_path)
     with simulated(scenario) as (_, ready):

@@ -30,7 +30,7 @@ from agent.execution.states import FINAL
 
 ENDS = {state.value for state in FINAL}
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from simulators.operator import PLUGIN, SimulatedOperator, SimulatedOperatorSett
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = ROOT / "config" / "simulators" / "case-study.toml"
-END_WITHIN_S = 40.0
+END_WITHIN_S = 270.0
 LINES = 20.0
 
 

@@ -18,7 +18,7 @@ from distributed import LocalCluster
 
 from agent.cli.main import main
 
-pytestmark = pytest.mark.timeout(180)
+pytestmark = pytest.mark.timeout(300)
 
 VOLCAL = [sys.executable, "-m", "agent.cli.main", "study"]
 SMALL = ["monte-carlo", "--machines", "5", "--stations", "2", "--set", "S3"]

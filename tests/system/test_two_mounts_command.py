@@ -17,7 +17,7 @@ from agent.cli.doctor import examine
 from agent.cli.simulator_process import SimulatorProcess
 from agent.settings.load import load_settings
 
-pytestmark = pytest.mark.timeout(200)
+pytestmark = pytest.mark.timeout(300)
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SETTINGS, SCENARIO = CONFIG / "two-mounts.toml", CONFIG / "simulators" / "two-mounts.toml"
 

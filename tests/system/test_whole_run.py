@@ -24,7 +24,7 @@ from drivers.roles import TableImage
 from twin.compensation.table_file import parse_table
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
-pytestmark = pytest.mark.timeout(180)
+pytestmark = pytest.mark.timeout(300)
 ACTING_KINDS = {step.__name__ for step in STEPS_WITH_EFFECT}
 
 

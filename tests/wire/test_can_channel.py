@@ -227,7 +227,7 @@ def test_two_processes_over_socketcand() -> None:
             [sys.executable, "-c", program, str(channel.options["port"])],
             capture_output=True,
             text=True,
-            timeout=30,
+            timeout=270.0,
             check=True,
         )
     assert result.stdout.strip() == "4006"

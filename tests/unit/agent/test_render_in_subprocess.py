@@ -20,7 +20,7 @@ WANTED_LATER = ("matplotlib", "sqlalchemy", "weasyprint", "dask", "scipy.stats",
 
 def test_the_service_starts_without_what_draws_or_speaks_to_databases() -> None:
     program = f"import sys, agent.service.daemon.serve; print([m for m in {WANTED_LATER} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50, check=True)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=270.0, check=True)
     assert done.stdout.strip() == "[]"
 
 
