@@ -126,6 +126,7 @@ def test_both_formulations_leave_the_same_field_unseen() -> None:
         json.loads(said("--set", "S2", "--formulation", way, "--json", *COARSE))["fields"][0]
         for way in ("centres", "distances")
     ]
+    # Equal but for rounding, which depends on the BLAS of the CPU: measured differences are at most 6e-13 um of 5 um.
     assert fields[0]["unseen_um"] == pytest.approx(fields[1]["unseen_um"], rel=1e-9)
 
 
