@@ -1,4 +1,4 @@
-"""How a test says that this computer lacks what it needs."""
+"""Skips of tests that this computer cannot run, reported aloud and counted."""
 
 NOT_HERE = "NOT EXERCISED HERE"
-"""How the reason of such a skip begins: said aloud at the end of all tests, and counted."""
+"""Prefix of the reason of such a skip."""

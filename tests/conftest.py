@@ -1,4 +1,4 @@
-"""What every test shares: one BLAS thread, and property tests that a check repeats exactly.
+"""Shared set-up of all tests: one BLAS thread, and property tests that a check repeats exactly.
 
 With `CI` set the examples of hypothesis are derived from the tests alone, so that a check that was green stays green
 on the same tree; at a desk they are drawn anew each time, to find what is left.

@@ -29,7 +29,7 @@ def change_start_of_measuring(state: Path, run: int, begun_at: str) -> None:
 
 
 def change_end(state: Path, final_state: str, reason: str) -> None:
-    """Of every run."""
+    """Overwrite the final state and the reason of every run."""
     operate(state, "UPDATE runs SET state = ?, reason = ?", final_state, reason)
 
 

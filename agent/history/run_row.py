@@ -76,7 +76,7 @@ def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any
 
 
 def _started_by(record: RunRecord) -> str:
-    """Who asked first: a run that is gone on with was asked for again."""
+    """Source of the first request; a resumed run has been requested again."""
     asked = [note.record for note in record.events if note.kind == "asked"]
     return str((asked[0] if asked else {}).get("source", "command line"))
 

@@ -1,4 +1,4 @@
-"""What breaks is seen at once: the machine's link, then the service itself."""
+"""The page shows at once that the machine link, and then the service, is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person does at the machine: an evening and a night by the page alone."""
+"""An evening and a night at the machine, operated from the page alone."""
 
 from __future__ import annotations
 

@@ -167,6 +167,6 @@ class OffsetClock:
 
 
 def memory_directory() -> tempfile.TemporaryDirectory[str]:
-    """Where a commit costs no disk: a night makes 18,000 of them, and durability is tested elsewhere."""
+    """Return a directory in memory: a night makes 18,000 commits, and durability is tested elsewhere."""
     shared = Path("/dev/shm")  # noqa: S108  a directory of its own inside, removed with the fixture
     return tempfile.TemporaryDirectory(prefix="volcal-", dir=shared if os.access(shared, os.W_OK) else None)

@@ -101,7 +101,7 @@ class Service:
         return found
 
     def until(self, condition: Callable[[dict[str, Any]], Any], what: str, within_s: float = PATIENCE_S) -> Any:
-        """What `condition` finds in the status; a run that ends on the way is a failure."""
+        """Wait until `condition` holds for the status and return its value; a run that ends before is a failure."""
 
         def there() -> Any:
             now = self.status()
@@ -169,7 +169,7 @@ class Systemd:
 
 @contextmanager
 def systemd_socket(name: str) -> Iterator[Systemd]:
-    """What systemd listens on, as NOTIFY_SOCKET names it; `@…` is an abstract one."""
+    """Listen as systemd does on the socket `name` of NOTIFY_SOCKET; `@…` is an abstract socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
         listening.bind(f"\0{name[1:]}" if name.startswith("@") else name)
         try:

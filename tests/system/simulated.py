@@ -69,7 +69,7 @@ def balls_in(state: Path) -> int:
 
 
 def wait_for(condition: Callable[[], Any], what: str, within_s: float = PATIENCE_S) -> Any:
-    """What `condition` finds in the end."""
+    """Wait until `condition` holds and return its value."""
     deadline = time.monotonic() + within_s
     while not (found := condition()):
         assert time.monotonic() < deadline, f"waited in vain for {what}"

@@ -73,7 +73,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
 
 
 def places(ready: dict[str, Any]) -> list[tuple[str, str]]:
-    """What the shipped settings name, and what there is."""
+    """Replacements of the shipped settings by the values of this test."""
     return [
         ('"../runs/grbl-banks"', '"banks"'),
         ('"../runs"', '"runs"'),

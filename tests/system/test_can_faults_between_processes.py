@@ -33,7 +33,7 @@ BOTH = pytest.mark.parametrize("kind", ["slcan", "socketcand"])
 
 @dataclass
 class Due:
-    """What the simulator is told once machine time has come to it."""
+    """Commands to the simulator that are due at given machine times."""
 
     clock: LockstepClock
     control: tuple[str, int]

@@ -166,7 +166,7 @@ def rigid(points: np.ndarray, wanted: np.ndarray) -> Callable[[np.ndarray], np.n
 
 
 def residual_field(machine: HiddenMachine, table: Path, points: np.ndarray) -> np.ndarray:
-    """What the table leaves of the machine at axis positions (n, 3): the file read by an own reader."""
+    """Return the error (n, 3) that the table leaves at axis positions (n, 3)."""
     rows = np.loadtxt(table, delimiter=",", skiprows=1)
     nodes = [np.unique(rows[:, axis]) for axis in range(3)]
     values = 1e-3 * rows[:, 3:].reshape(*map(len, nodes), 3)

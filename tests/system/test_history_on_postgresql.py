@@ -43,7 +43,7 @@ SWITCH = "VOLCAL_WITHOUT_POSTGRESQL"
 
 
 def programs() -> Path:
-    """Where initdb and pg_ctl are, the newest version first."""
+    """Return the directory of initdb and pg_ctl of the newest version."""
     found = shutil.which("pg_ctl")
     if found is not None:
         return Path(found).resolve().parent

@@ -163,7 +163,7 @@ LOBED = {"pretravel_um": 8.0, "lobing_um": 3.0, "touch_sigma_um": 0.1}
 
 @pytest.mark.parametrize("with_map", [False, True])
 def test_lobing_of_3_um_biases_centres_without_the_map_and_no_more_with_it(state: Path, with_map: bool) -> None:
-    """What all balls have in common cancels in differences in either case, since they share their vectors."""
+    """The bias common to all balls cancels in differences in either case, since all balls share their touch vectors."""
     machine = bench(state, LOBED, qualification={"pretravel_map": with_map})
     prepared = machine.prepared()
     off = machine.off_um(machine.measured(prepared, POSITIONS))

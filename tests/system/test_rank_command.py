@@ -121,7 +121,7 @@ def test_a_file_may_say_which_tool_measures_what(more_tools: Path, tmp_path: Pat
 
 
 def test_both_formulations_leave_the_same_field_unseen() -> None:
-    """Distances know no pose, so they are less precise; the directions that no ball centre shows are the same."""
+    """Distances and centres with free poses leave the same directions undetermined."""
     fields = [
         json.loads(said("--set", "S2", "--formulation", way, "--json", *COARSE))["fields"][0]
         for way in ("centres", "distances")

@@ -43,7 +43,7 @@ def test_a_whole_run_over_both_stations_without_an_operator(out: Path) -> None:
 
 
 def kinds_of_steps(state: Path) -> dict[str, object]:
-    """How often the operator was asked, and at which stations mounts were turned."""
+    """Return the number of questions to the operator, and the stations at which mounts were turned."""
     run = stored_run(state)
     asked = len(run.steps_of("AskOperator"))
     keys = [step.key for step in run.steps_of("OrientTo")]

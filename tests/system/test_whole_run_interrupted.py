@@ -231,7 +231,7 @@ def test_table_that_reads_back_differently_is_never_activated(broken: Broken, mo
 def test_full_disk_stops_the_run_and_the_table_is_as_it_was_all_the_same(
     broken: Broken, monkeypatch, place: tuple[str, int]
 ) -> None:
-    """What cannot be written down must not go on; the way out does not wait for the disk."""
+    """A run that cannot be journaled must not continue; the withdrawal does not wait for the disk."""
 
     def fill_disk() -> None:
         def full(*_: object) -> None:

@@ -15,7 +15,6 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("agent", "benchmarks", "campaigns", "drivers", "simulators", "twin", "volcal")
 MOST_MODULES = 25
 SMALL_LINES = 40
-MOST_RELATIVE_DOCSTRINGS = 0.05
 
 SMALL = {
     "one module a plugin, found by its entry point": (
@@ -50,11 +49,6 @@ SMALL = {
     "all bad plans, for the campaign and for its test": ("campaigns.bad_plans.catalogue",),
 }
 """Modules of under 40 lines with at most one importer, by the reason to stand alone."""
-
-SAME_NAME = {
-    "to be renamed": {"Body", "Orientation", "Place", "Question", "Session", "Table", "Verification"},
-}
-"""Public class names that two modules define, by the reason."""
 
 RELATIVE = re.compile(
     r"(What|Of|Where|Whether|Whose|When|Which|Who|How|Nothing|Those|The one|From where|By how)\b",
@@ -114,8 +108,7 @@ def test_a_public_class_name_has_one_meaning() -> None:
         for node in tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].append(name)
-    allowed = set().union(*SAME_NAME.values())
-    assert {name: where for name, where in places.items() if len(where) > 1 and name not in allowed} == {}
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
 def docstrings() -> Iterator[tuple[str, str]]:
@@ -129,9 +122,7 @@ def docstrings() -> Iterator[tuple[str, str]]:
 
 
 def test_docstrings_do_not_complete_the_name_as_a_relative_clause() -> None:
-    found = list(docstrings())
-    relative = [place for place, text in found if RELATIVE.match(text)]
-    assert len(relative) <= MOST_RELATIVE_DOCSTRINGS * len(found), relative
+    assert [place for place, text in docstrings() if RELATIVE.match(text)] == []
 
 
 @pytest.mark.parametrize(

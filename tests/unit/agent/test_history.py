@@ -56,7 +56,7 @@ def settings(state: Path, **history: object) -> Settings:
 
 @pytest.fixture
 def state() -> Iterator[Path]:
-    """Where a commit costs no disk; durability is tested elsewhere."""
+    """A state directory in memory; durability is tested elsewhere."""
     shared = Path("/dev/shm")  # noqa: S108  a directory of its own inside, removed with the fixture
     with tempfile.TemporaryDirectory(prefix="volcal-", dir=shared if os.access(shared, os.W_OK) else None) as directory:
         yield Path(directory) / "state"

@@ -1,4 +1,4 @@
-"""What the page asks for beyond the interface, against arithmetic of the test's own."""
+"""Documents that only the page requests, compared with independent arithmetic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What preflight says of a plan that cannot be carried out."""
+"""Refusals of the preflight for plans that cannot be carried out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a preview shows, against the preflight with physics, plain trigonometry and the numbers as embedded."""
+"""Contents of a preview, compared with the preflight, plain trigonometry and the embedded numbers."""
 
 from __future__ import annotations
 

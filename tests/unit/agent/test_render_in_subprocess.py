@@ -1,4 +1,4 @@
-"""What the service leaves to other processes."""
+"""Work that the service hands to other processes."""
 
 from __future__ import annotations
 

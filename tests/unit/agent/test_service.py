@@ -251,7 +251,7 @@ def test_notifications_are_lines_of_one_datagram(tmp_path: Path, abstract: bool)
 
 
 class Told(Notifier):
-    """What systemd would have been told."""
+    """Notifier that records its messages to systemd."""
 
     def __init__(self) -> None:
         super().__init__({"WATCHDOG_USEC": "3000000"})

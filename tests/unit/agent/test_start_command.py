@@ -1,4 +1,4 @@
-"""How `volcal start` ends where no run exists: a timer must tell "not now" from "somebody has to come"."""
+"""Exit codes of `volcal start` without a run: a timer must distinguish "not now" from "needs attention"."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a finished run teaches: latencies found again, from made-up steps and from a journal."""
+"""Latencies recovered from a finished run: from synthetic steps and from a journal."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class TouchedBall:
 
 
 def entry_mm(offset: np.ndarray, way: np.ndarray, radius: float) -> float | None:
-    """Where a ray from `offset` (from the centre) enters a sphere: the smaller root of |offset + t·way| = radius."""
+    """Return the distance to a sphere along a ray from `offset`: the smaller root of |offset + t·way| = radius."""
     along = sum(float(o) * float(w) for o, w in zip(offset, way, strict=True))
     missed_by = sum(float(o) ** 2 for o in offset) - along**2
     if missed_by >= radius**2:
