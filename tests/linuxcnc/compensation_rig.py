@@ -260,7 +260,7 @@ def trilinear(table: TableImage, position_mm: NDArray[np.float64]) -> NDArray[np
         nodes = table.origin_mm[axis] + table.step_mm[axis] * np.arange(table.shape[axis])
         inside = np.clip(position_mm[:, axis], nodes[0], nodes[-1])
         hats.append(np.maximum(0.0, 1.0 - np.abs(inside[:, None] - nodes) / table.step_mm[axis]))
-    return np.einsum("ni,nj,nk,ijkc->nc", *hats, table.counts * table.resolution_mm)
+    return np.asarray(np.einsum("ni,nj,nk,ijkc->nc", *hats, table.counts * table.resolution_mm))
 
 
 def smooth_table(seed: int, largest_mm: float = 0.024) -> TableImage:
