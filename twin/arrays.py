@@ -1,4 +1,4 @@
-"""Array type of the mathematics and validation of its arguments."""
+"""Array type used by `twin`, and checks of array arguments."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ Array = NDArray[np.float64]
 
 
 def as_points(values: ArrayLike, name: str) -> Array:
-    """Return `values` as finite float64 (n, 3); one point (3,) becomes (1, 3). DataError names the first bad row."""
+    """Return `values` as a finite float64 array (n, 3); one point (3,) becomes (1, 3).
+
+    Raises DataError, naming the first bad row, if `values` has another shape or is not finite.
+    """
     points = np.atleast_2d(np.asarray(values, dtype=np.float64))
     if points.ndim != 2 or points.shape[1] != 3:
         raise DataError(f"{name} has shape {points.shape}, expected (n, 3)")
@@ -22,7 +25,7 @@ def as_points(values: ArrayLike, name: str) -> Array:
 
 
 def as_vector(values: ArrayLike, size: int, name: str) -> Array:
-    """Return `values` as finite float64 (size,); DataError otherwise."""
+    """Return `values` as a finite float64 array (size,); raises DataError if this is not possible."""
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (size,):
         raise DataError(f"{name} has shape {vector.shape}, expected ({size},)")

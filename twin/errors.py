@@ -1,4 +1,4 @@
-"""Errors of the mathematics.
+"""Exceptions raised by `twin`, the mathematical part of the project.
 
 ::
 
@@ -8,8 +8,8 @@
     ├── FormatError    text of a neutral file; names file, key or row and column
     └── SingularSet    the measurements do not determine the requested quantities
 
-The shape is that of the device error tree (message, named locations, hint), but the tree is separate, so that the
-mathematics does not depend on the devices.
+The errors of device drivers have the same attributes (message, named locations, hint) but a base class of their own, so
+that `twin` does not depend on the drivers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ from typing import Self
 
 
 class TwinError(ValueError):
-    """Root of the tree. `where` maps names to locations (file, key, row, column, axis); `hint` says what to do."""
+    """Base class of the errors of `twin`.
+
+    `where` maps the kind of a location (file, key, row, column, axis) to its value; `hint` tells the user what to do.
+    """
 
     def __init__(self, message: str, *, hint: str = "", **where: str | int) -> None:
         super().__init__(message)
@@ -27,7 +30,9 @@ class TwinError(ValueError):
         self.where: dict[str, str] = {name: str(value) for name, value in where.items()}
 
     def at(self, **where: str | int) -> Self:
-        """Add locations known to the caller (a file, a key); existing entries are kept."""
+        """Add locations known to the caller (a file, a key) to `where` and return the error; existing entries are not
+        replaced.
+        """
         for name, value in where.items():
             self.where.setdefault(name, str(value))
         return self

@@ -1,4 +1,4 @@
-"""Factors between the units of the calculation (mm, rad, s) and those that people read; reference temperature."""
+"""Conversion factors from the units of calculation (mm, rad, s) to those of reports, and the reference temperature."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ S_PER_MIN = 60.0
 S_PER_DAY = 86400.0
 
 MICRO_UNITS: Mapping[str, tuple[str, float]] = {"mm": ("µm", 1e3), "rad": ("µrad", 1e6)}
-"""Unit of a parameter to the unit that people read, and the factor."""
+"""Map from the unit of a parameter to the unit in which it is reported and the conversion factor."""
 
 REFERENCE_TEMPERATURE_C = 20.0
 """Standard reference temperature of ISO 1."""

@@ -1,1 +1,1 @@
-"""The ball artefact: certificate, position sets, touches, sphere fit and observations."""
+"""Ball artefact: calibrated ball centres, positions on the machine, touch patterns, sphere fit and measured centres."""

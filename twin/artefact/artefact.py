@@ -1,7 +1,8 @@
 """Ball artefact: calibrated ball centres, and the effect of temperature and gravity on them.
 
-Artefact frame: origin in the middle of the bar on its axis, bar axis +X, holders (posts) along -Y, Z upwards at
-elevation 0. Any other ball artefact (plate, tetrahedron, cross) is just another list of centres.
+Artefact frame: the origin is the middle of the bar on its axis, +X is along the bar, the holders (posts) of the balls
+point along -Y, and Z points upwards at elevation 0. Any other ball artefact (plate, tetrahedron, cross) differs only in
+its list of ball centres.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ STEEL_CTE_PER_K = 11.5e-6
 
 @dataclass(frozen=True, eq=False)
 class Artefact:
-    """Calibrated ball artefact.
+    """Calibrated ball artefact with N balls.
 
-    `balls` (N, 3) mm at the reference temperature and free of gravity; `covariance` (3N, 3N) mm², ball by ball.
-    `sag_mm`: distance by which the ends hang below the middle with the bar horizontal. `members` (N,): if several
-    artefacts are combined in one estimate, the number of the artefact that each ball belongs to; empty for a single
-    artefact.
+    `balls` (N, 3) mm: ball centres at the reference temperature, without gravity sag. `covariance` (3N, 3N) mm²:
+    covariance of the centres, ordered ball by ball as x, y, z. `sag_mm`: distance by which the ends hang below the
+    middle if the bar is horizontal. `members` (N,): if several artefacts are combined in one estimate, the number of
+    the artefact that each ball belongs to; empty for a single artefact.
     """
 
     name: str
@@ -63,11 +64,14 @@ class Artefact:
 
     @property
     def half_length_mm(self) -> float:
-        """Largest distance of a ball from the middle along the bar in mm."""
+        """Largest distance in mm, along the bar, of a ball from the middle of the bar."""
         return float(np.abs(self.balls[:, 0]).max())
 
     def at(self, temperature_c: float, elevation_rad: float) -> Array:
-        """Return ball centres (N, 3) mm in the artefact frame, with thermal expansion and gravity sag."""
+        """Return ball centres (N, 3) mm in the artefact frame at this temperature and elevation.
+
+        They contain thermal expansion and gravity sag.
+        """
         # thermal expansion p (1 + α ΔT); gravity acts across the bar with cos(elevation)
         stretched = self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c))
         if self.sag_mm:
@@ -91,7 +95,7 @@ def ball_bar(
     cte_standard_uncertainty_per_k: float = 0.0,
     sag_mm: float = 0.0,
 ) -> Artefact:
-    """Return a bar of equally spaced balls; the length between the end balls does not depend on their number."""
+    """Return a bar of equally spaced balls; the distance between the end balls does not depend on their number."""
     return Artefact(
         name=name,
         certificate=certificate,
@@ -109,7 +113,8 @@ def ball_bar(
 def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: float) -> Array:
     """Return ball centres (balls, 3) mm; each ball is one holder length off the bar axis.
 
-    Tilting the holders by θ offsets the balls by holder·sin θ, in turn up (+Z), out (-Y), down (-Z) and in (+Y).
+    Holders tilted by θ displace successive balls by the holder length times sin θ, in turn up (+Z), out (-Y), down (-Z)
+    and in (+Y).
     """
     if balls < 2:
         raise DataError(f"a ball bar needs at least two balls, got {balls}")
@@ -125,8 +130,9 @@ def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: f
 
 
 def _droop(along: Array) -> Array:
-    """Return the shape of a uniformly loaded cantilever from the middle support (0) to its end (1), scaled to 1 at the
-    end.
+    """Return the deflection of a uniformly loaded cantilever, scaled to 1 at its end.
+
+    `along`: distance from the middle support (0) to the end (1).
     """
     return along**2 * (6.0 - 4.0 * along + along**2) / 3.0
 

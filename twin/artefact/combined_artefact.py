@@ -1,9 +1,11 @@
-"""Several artefacts of one kind in one estimate: one material, each with its own certificate.
+"""Combination of several artefacts of one kind, each with its own certificate, in one estimate.
 
-A position contains balls of one artefact only and has its own pose, so the artefacts are independent: their balls are
-listed one artefact after the other, each in its own frame, and their certificates are uncorrelated. The error of the
-expansion coefficient is common to all, as for bars from one melt. Even if it were not, the common error is the more
-cautious assumption for the scales: a common strain changes them, strains of both signs cancel.
+A position contains balls of one artefact only and has its own pose, so the artefacts are independent. Their balls are
+listed one artefact after the other, each in its own frame, and their certificates are uncorrelated.
+
+The artefacts are made of one material. The error of its expansion coefficient is assumed common to all, as for bars
+from one melt. If the errors differ, this assumption is still the cautious one for the scales of the machine: a common
+strain changes the scales, whereas strains of opposite sign cancel.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ KIND_FIELDS = (
 
 
 def combine_artefacts(artefacts: Sequence[Artefact]) -> Artefact:
-    """Combine the balls of all artefacts in the given order; DataError for none and for different kinds."""
+    """Combine the balls of all artefacts in the given order; DataError if there are none or their kinds differ."""
     if not artefacts:
         raise DataError("no artefact given")
     first = artefacts[0]

@@ -1,4 +1,4 @@
-"""Alignment of a predicted pose to the first two balls found."""
+"""Alignment of the predicted ball centres to the first two balls measured."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from twin.errors import DataError
 
 
 def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Array, found_last: Array) -> Array:
-    """Move `predicted` (N, 3) rigidly so that balls `first` and `last` coincide with their measured centres. Units: mm.
+    """Move `predicted` (N, 3) mm rigidly so that balls `first` and `last` agree with their measured centres.
 
-    The middle of the two is matched, and the line through them is rotated by the smallest rotation that makes it
-    parallel to the measured line (Rodrigues). Two balls do not determine the rotation about that line; it stays as
-    predicted. Raises DataError if the two predicted or the two measured balls coincide.
+    The midpoint of the two balls is matched, and the line through them is made parallel to the measured line by the
+    smallest rotation (Rodrigues). Two balls do not determine the rotation about that line, so the predicted one is
+    kept. Raises DataError if the two predicted or the two measured centres coincide.
     """
     line, found_line = predicted[last] - predicted[first], found_last - found_first
     length, found_length = np.linalg.norm(line), np.linalg.norm(found_line)
@@ -26,7 +26,10 @@ def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Arr
 
 
 def _smallest_rotation(source: Array, target: Array) -> Array:
-    """Return the rotation (3, 3) about source × target of unit vectors that are not opposite."""
+    """Return the rotation (3, 3) about source × target that turns unit vector `source` into `target`.
+
+    The two must not be opposite.
+    """
     # R = 1 + K + K² / (1 + cos), K the cross-product matrix of v = source × target (Rodrigues)
     v = np.cross(source, target)
     cosine = float(source @ target)

@@ -1,8 +1,9 @@
 """Comparison of held-out positions with the prediction of an estimate.
 
-The comparison does not depend on the pose: the best rigid placement of the calibrated artefact is subtracted from the
-ball centres of each position, and the residual is a deviation of the machine (plus noise). Its covariance is that of
-the estimate, of the stated misfit, of the certificate and of the touches.
+Held-out positions are measured but not used in the estimate. The comparison does not depend on the pose: at each
+position the calibrated artefact is fitted rigidly to the measured ball centres. The residual is a deviation of the
+machine (plus noise). Its covariance is the sum of those of the estimate, of the stated model misfit, of the certificate
+and of the touches.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class HeldOutResiduals:
-    """Residuals of held-out positions.
+    """Residuals of held-out positions with n measured balls.
 
-    `placed_mm` (n, 3): calibrated balls in their best placement; `residuals_mm` (n, 3): measured minus placed.
-    `rms_mm`: root of the mean squared residual of a ball, scaled for the degrees of freedom used by the poses.
+    `placed_mm` (n, 3): calibrated balls after the best rigid fit; `residuals_mm` (n, 3): measured minus placed.
+    `rms_mm`: root mean square residual of a ball, corrected for the degrees of freedom used by the poses.
     """
 
     placed_mm: Array
@@ -36,7 +37,7 @@ class HeldOutResiduals:
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """Result of the χ² test: rms expected from the covariance (`predicted_mm`), χ² per degree of freedom."""
+    """Result of the χ² test: rms expected from the covariance (`predicted_mm`), and χ² per degree of freedom."""
 
     predicted_mm: float
     chi2_normalised: float
@@ -46,8 +47,8 @@ class HeldOutTest:
 def held_out_residuals(observations: Observations, tool_points: Array, artefact: Artefact) -> HeldOutResiduals:
     """Fit the calibrated artefact to `tool_points` (n, 3) position by position and return the residuals.
 
-    `tool_points` mm, workpiece frame: stylus centre according to the controller, one for each row. Raises DataError for
-    a position with fewer than three balls.
+    `tool_points` mm, workpiece frame: stylus centre according to the controller, one for each row of `observations`.
+    Raises DataError for a position with fewer than three balls.
     """
     placed = np.zeros((observations.size, 3))
     freedom = 0
@@ -67,8 +68,8 @@ def held_out_test(
 ) -> HeldOutTest:
     """Compare `result` with the residuals expected from the covariance.
 
-    `field_covariance` (3n, 3n) mm², row by row x, y, z: covariance of the residual deviation at the observed points
-    (estimate and misfit). Touch noise and certificate are added here.
+    `field_covariance` (3n, 3n) mm², ordered point by point as x, y, z: covariance of the residual deviation at the
+    observed points from estimate and model misfit. The function adds touch noise and certificate.
     """
     n = observations.size
     total = field_covariance.copy()
@@ -96,21 +97,24 @@ def _by_position(observations: Observations) -> list[Indices]:
 
 
 def _balls(observations: Observations, artefact: Artefact, rows: Indices) -> Array:
-    """Return the calibrated centres (m, 3) in the artefact frame at the temperature and elevation of these rows."""
+    """Return calibrated centres (m, 3) mm in the artefact frame, at the temperature and elevation of these rows."""
     temperature = float(observations.temperature_c[rows].mean())
     balls: Array = artefact.at(temperature, float(observations.elevation_rad[rows[0]]))
     return balls[observations.ball[rows]]
 
 
 def _rotation(balls: Array, points: Array) -> Array:
-    """Return the best rotation (3, 3) from `balls` to `points`, both (m, 3) (Kabsch)."""
+    """Return the rotation (3, 3) that best turns `balls` into `points`, both (m, 3) (Kabsch)."""
     u, _, vt = np.linalg.svd((points - points.mean(axis=0)).T @ (balls - balls.mean(axis=0)))
     rotation: Array = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     return rotation
 
 
 def _pose_free_basis(placed: Array, rows: Indices, count: int) -> Array:
-    """Return orthonormal columns (3n, 3m - 6) orthogonal to every small rigid motion of the balls of one position."""
+    """Return orthonormal columns (3n, 3m - 6) orthogonal to all small rigid motions of the m balls of one position.
+
+    n (`count`) is the number of all observed balls; `rows` are those of the position.
+    """
     arms = placed - placed.mean(axis=0)
     motions = np.zeros((len(rows), 3, 6))
     motions[:, [0, 1, 2], [0, 1, 2]] = 1.0

@@ -1,4 +1,7 @@
-"""Geometry of the mount. A module of its own, because settings are read without numpy."""
+"""Geometry of the mount.
+
+This is a module of its own, because the settings import it without loading numpy.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,11 @@ from twin.errors import DataError
 
 @dataclass(frozen=True)
 class MountGeometry:
-    """Geometry of the mount and of the bar on it, for placing the bar and for collision checks; mm.
+    """Dimensions in mm of the mount and of the bar on it, for placing the bar and for collision checks.
 
-    `shaft_mm`: from the vertical azimuth axis to the middle of the bar axis, along the holders. The pedestal is under
-    the azimuth axis, from the table (`table_z_mm`, workpiece frame) to `head_mm` above the mount location.
+    `shaft_mm`: distance along the holders from the vertical azimuth axis to the bar axis, at the middle of the bar. The
+    pedestal is under the azimuth axis, from the table (`table_z_mm`, workpiece frame) to `head_mm` above the mount
+    location.
     """
 
     shaft_mm: float = 120.0

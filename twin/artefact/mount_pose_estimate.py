@@ -1,4 +1,4 @@
-"""Estimate of a mount's actual pose: a small rigid motion fitted to the balls found so far."""
+"""Estimate of a mount's actual pose: a small rigid motion fitted to the balls measured so far."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ _OBSERVABLE = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class MountPoseEstimate:
-    """Balls found so far: `expected` (n, 3) mm from the nominal mount location, `found` (n, 3) mm as measured.
+    """Pose estimate of a mount from the balls measured so far.
 
-    Without any ball the mount is assumed to be at its nominal location.
+    `expected` (n, 3) mm: their centres for the nominal mount location; `found` (n, 3) mm: measured centres. If no ball
+    has been measured, the mount is assumed to be at its nominal location.
     """
 
     expected: Array
@@ -29,7 +30,7 @@ class MountPoseEstimate:
         return cls(np.zeros((0, 3)), np.zeros((0, 3)))
 
     def with_found_balls(self, expected: Array, found: Array) -> MountPoseEstimate:
-        """Return the estimate with further balls (n, 3); earlier balls keep their weight."""
+        """Return the estimate from all earlier balls and these (n, 3) mm, all with equal weight."""
         return MountPoseEstimate(np.concatenate((self.expected, expected)), np.concatenate((self.found, found)))
 
     def transform(self, points: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Measurements of a run: axis positions at which the stylus centre coincided with each ball centre."""
+"""Measurements of a run: axis positions at which the stylus centre coincides with each ball centre."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from twin.errors import DataError
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Measured ball centres, one row each (n rows).
+    """Measured ball centres, n rows of one each.
 
-    `position` (n,): pose of the artefact, counted from 0; `ball` (n,): index into the artefact's list; `tool` (n,):
-    index into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm: machine coordinates without tool offset;
-    `covariance` (n, 3, 3) mm² of one fitted centre; `temperature_c` (n,) of the artefact; `elevation_rad` (n,) of the
-    mount; `thermal_regressors` (n, w) K: thermal change of the machine since the start of the run at the instant of
-    each row, one column per regressor (w = 0: the machine did not change).
+    `position` (n,): number from 0 of the artefact's position (its pose); `ball` (n,): index into the artefact's list of
+    balls; `tool` (n,): index into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm: machine coordinates without
+    tool offset; `covariance` (n, 3, 3) mm²: covariance of each fitted centre; `temperature_c` (n,): temperature of the
+    artefact; `elevation_rad` (n,): elevation of the mount; `thermal_regressors` (n, w) K: temperature change of the
+    machine from the start of the run to the measurement of each row, one column per regressor (w = 0 if the machine is
+    assumed not to drift).
 
     Raises DataError naming the row (from 0) if a value cannot be used.
     """
@@ -55,11 +56,11 @@ class Observations:
 
     @property
     def used_tool_offsets(self) -> Array:
-        """Offsets (U, 3) mm of the tools with which at least one ball was measured."""
+        """Offsets (U, 3) mm of the U tools with which at least one ball was measured."""
         return np.asarray(self.tool_offsets[np.unique(self.tool)])
 
     def select(self, mask: np.ndarray[Any, Any]) -> Observations:
-        """Return the rows selected by `mask` (n,), bool or index."""
+        """Return the rows selected by `mask`, a boolean array (n,) or an array of row indices."""
         rows = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "tool_offsets"}
         return Observations(**rows, tool_offsets=self.tool_offsets)
 
@@ -126,7 +127,10 @@ def _whole_numbers(name: str, values: ArrayLike) -> np.ndarray[Any, np.dtype[np.
 
 
 def _positive_definite(covariance: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Return (n,) bool, True if positive definite, from the leading minors (Sylvester) of the correlation matrix."""
+    """Return (n,) bool: True for each positive definite covariance matrix.
+
+    The criterion is that all leading minors of the correlation matrix are positive (Sylvester).
+    """
     diagonal = np.einsum("nii->ni", covariance)
     positive = (diagonal > 0.0).all(axis=1)
     deviation = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))

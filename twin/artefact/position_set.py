@@ -1,7 +1,7 @@
-"""Position sets of the artefact, the mount that holds it and the reach of the travel.
+"""Position sets of the artefact, poses of the bar on its mount, and the check that balls are within the travel.
 
-Azimuth is about Z from +X, elevation from the XY plane, both those of the mount. At (0, 0) the bar is parallel to X and
-its holders point along -Y, towards the approaching probe.
+Azimuth and elevation are the angles of the mount: azimuth about Z from +X, elevation from the XY plane. At (0, 0) the
+bar is parallel to X and its holders point along -Y, towards the approaching probe.
 """
 
 from __future__ import annotations
@@ -24,13 +24,16 @@ POSITION_SETS: dict[str, tuple[tuple[float, float], ...]] = {
     "S2": tuple((az, el) for el in (SPACE_DIAGONAL_DEG, -SPACE_DIAGONAL_DEG) for az in (45.0, -45.0)),
     "S3": ((45.0, 0.0), (-45.0, 0.0), (0.0, 45.0), (0.0, -45.0), (90.0, 45.0), (90.0, -45.0)),
 }
-"""Pairs (azimuth, elevation) in degrees: along the axes; along space diagonals; crossed in XY, ZX and YZ."""
+"""Pairs (azimuth, elevation) in degrees of each set: S1 along the axes, S2 along the space diagonals, S3 along the face
+diagonals (crossed in XY, ZX and YZ).
+"""
 
 
 @dataclass(frozen=True)
 class Position:
-    """One orientation of the artefact at one station (counted from 1), with the named tool; None: the tool of
-    the run.
+    """Orientation of the artefact at one station (counted from 1), measured with the named tool.
+
+    If the tool is None, the tool of the run is used.
     """
 
     station: int
@@ -50,7 +53,7 @@ class Position:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Transform from the artefact frame to the workpiece frame: p = centre + rotation @ b. mm."""
+    """Transform from the artefact frame to the workpiece frame: p = centre + rotation · b, in mm."""
 
     centre: Array
     rotation: Array
@@ -61,7 +64,10 @@ class Pose:
 
 
 def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
-    """Parse `S1`, `S1+S3`, … into positions at stations 1…n, station 1 first. TwinError for unknown names."""
+    """Parse an expression such as `S1` or `S1+S3` into positions at stations 1 to `stations`, station 1 first.
+
+    Raises TwinError for an unknown set name.
+    """
     if stations < 1:
         raise DataError(f"at least one station is needed, got {stations}")
     orientations = [pair for name in expression.split("+") for pair in _named_set(name, expression)]
@@ -70,9 +76,10 @@ def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
 
 
 def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, elevation_rad: float) -> Pose:
-    """Return the pose of the bar: axis along (cos az cos el, sin az cos el, sin el), holders along Rz(az)·(0, -1, 0).
+    """Return the pose of the bar on a mount at `location_mm`.
 
-    `location_mm` (3,): the point of the azimuth axis at the height of the bar's middle.
+    The bar points along (cos az cos el, sin az cos el, sin el), its holders along Rz(az)·(0, -1, 0). `location_mm`
+    (3,): point on the azimuth axis at the height of the bar's middle.
     """
     ca, sa = math.cos(azimuth_rad), math.sin(azimuth_rad)
     ce, se = math.cos(elevation_rad), math.sin(elevation_rad)
@@ -82,7 +89,10 @@ def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, 
 
 
 def station_locations(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:
-    """Return `count` locations (count, 3) mm evenly spaced along X, the outer ones `half_span_mm` inside the travel."""
+    """Return `count` station locations (count, 3) mm evenly spaced along X.
+
+    The outer ones are `half_span_mm` inside the ends of `x_range`.
+    """
     low, high = x_range[0] + half_span_mm, x_range[1] - half_span_mm
     if count < 1 or high < low:
         raise DataError(
@@ -93,8 +103,9 @@ def station_locations(count: int, x_range: tuple[float, float], half_span_mm: fl
 
 
 def is_reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_mm: Array) -> NDArray[np.bool_]:
-    """Return (n,) bool: axis positions (n, 3) that are at least `margin_mm` (3,) inside the travel (approach,
-    retract).
+    """Return (n,) bool: True for axis positions (n, 3) that are at least `margin_mm` (3,) inside the travel.
+
+    The margin is needed for approach and retract.
     """
     inside = (ball_axis_positions >= lower + margin_mm) & (ball_axis_positions <= upper - margin_mm)
     return np.asarray(inside.all(axis=1), dtype=np.bool_)

@@ -1,9 +1,10 @@
-"""Direction-dependent pretravel of a touch-trigger probe: harmonics about the stylus, from one densely touched ball.
+"""Direction-dependent pretravel of a touch-trigger probe, as harmonics about the stylus axis.
 
-A probe on three seats triggers later in some directions than in others (lobing). The part common to all directions is
-equivalent to a smaller stylus radius, the first harmonic to a displaced stylus centre. Touches of a ball cannot
-distinguish these two from the true radius and centre, and both are common to all balls. The map contains the remainder:
-it refers every touch to the sphere that was fitted through the whole qualification.
+The harmonics are fitted to one densely touched ball. A probe whose stylus rests on three seats triggers later in some
+directions than in others (lobing). The mean over all directions is equivalent to a smaller stylus radius, and the first
+harmonic to a displaced stylus centre. Touches of a ball cannot distinguish these two effects from the true radius and
+centre, and both are common to all balls. The map contains only the higher harmonics: it corrects every touch to the
+sphere fitted to all touches of the qualification.
 """
 
 from __future__ import annotations
@@ -18,15 +19,16 @@ from twin.artefact.touch_pattern import perpendiculars
 from twin.errors import DataError
 
 HIGHEST_ORDER = 3
-"""Highest harmonic about the stylus: three seats give three lobes; rings of eight touches resolve no more."""
+"""Highest harmonic about the stylus axis; three seats give three lobes, and rings of eight touches resolve no more."""
 
 
 @dataclass(frozen=True, eq=False)
 class PretravelMap:
-    """Pretravel by direction: `coefficients_mm` of centre (3), radius (1) and the harmonics about `stylus_axis` (3,).
+    """Pretravel as a function of the approach direction.
 
-    `noise_mm`: rms of the residuals left by the harmonics, per degree of freedom; it is touch noise if the harmonics
-    suffice. `largest_mm`: peak of the map over the touches it was fitted to.
+    `coefficients_mm` (18,): coefficients of centre (3), radius (1) and harmonics (14); `stylus_axis` (3,): unit vector
+    from the ram towards the tip. `noise_mm`: root mean square of the residuals of the fit, per degree of freedom; this
+    is the touch noise if the harmonics suffice. `largest_mm`: largest absolute value of the map at the fitted touches.
     """
 
     stylus_axis: Array
@@ -35,16 +37,16 @@ class PretravelMap:
     largest_mm: float
 
     def offsets_mm(self, directions: Array) -> Array:
-        """Return (k,) mm for approach directions (k, 3): distance outside the sphere at which a touch triggers."""
+        """Return the distances (k,) mm outside the sphere at which touches along directions (k, 3) trigger."""
         return np.asarray(_terms(directions, self.stylus_axis) @ self.coefficients_mm)
 
     def correct(self, points: Array, directions: Array) -> Array:
-        """Return latched points (k, 3) corrected to those of a probe without lobing."""
+        """Return latched points (k, 3) mm, corrected to the points that a probe without lobing would latch."""
         return np.asarray(points + self.offsets_mm(directions)[:, None] * directions)
 
 
 def fit_pretravel(directions: Array, residuals_mm: Array, stylus_axis: Array) -> PretravelMap:
-    """Fit harmonics to the residuals (k,) of a sphere fitted with free radius to touches along `directions` (k, 3).
+    """Fit a pretravel map to residuals (k,) of a sphere, fitted with free radius to touches along `directions` (k, 3).
 
     The harmonics are made orthogonal to centre and radius over these touches, so that the fitted sphere does not
     change. DataError if the touches are too few or on too few rings.
@@ -71,11 +73,11 @@ def fit_pretravel(directions: Array, residuals_mm: Array, stylus_axis: Array) ->
 
 
 def _terms(directions: Array, stylus_axis: Array) -> Array:
-    """Return (k, 18): outward normal, 1, and for each order 0 … 3 the two lowest harmonics independent of centre and
-    radius.
+    """Return the terms (k, 18) of the map: outward normal (3), constant 1, and 14 harmonics.
 
-    With h the height towards the ram, w the distance from the stylus axis and a the angle about it: wᵐ cos(ma) and wᵐ
-    sin(ma) times two powers of h.
+    The harmonics are wᵐ cos(ma) and wᵐ sin(ma), each times two powers of h: the two lowest powers, for each order m = 0
+    … 3, that are independent of centre and radius. h is the height towards the ram, w the distance from the stylus axis
+    and a the angle about it.
     """
     first, second = perpendiculars(stylus_axis)
     normals = -directions
@@ -91,8 +93,9 @@ def _terms(directions: Array, stylus_axis: Array) -> Array:
 
 
 def direction_at(stylus_axis: Array, latitude_rad: float, angle_rad: float) -> Array:
-    """Return the approach direction (3,) of a touch at a latitude above the equator (ram side) and an angle about the
-    stylus.
+    """Return the approach direction (3,) of a touch at this latitude and angle about the stylus axis.
+
+    The latitude is measured from the equator of the ball, positive towards the ram.
     """
     first, second = perpendiculars(stylus_axis)
     sideways = math.cos(angle_rad) * first + math.sin(angle_rad) * second

@@ -1,4 +1,4 @@
-"""Repeatability of readings, with the confidence interval of a standard deviation from few readings."""
+"""Repeatability of readings, with the confidence interval of their standard deviation."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from twin.errors import DataError
 class RepeatabilityEstimate:
     """Sample standard deviation `sigma` of `count` readings, in the unit of the readings.
 
-    The true one is between `lower` and `upper` with probability `confidence`, if the readings are normal and
-    independent.
+    The true standard deviation is between `lower` and `upper` with probability `confidence`, if the readings are normal
+    and independent.
     """
 
     sigma: float
@@ -31,8 +31,9 @@ class RepeatabilityEstimate:
 
 
 def estimate_repeatability(readings: Sequence[float], confidence: float = 0.95) -> RepeatabilityEstimate:
-    """Estimate the repeatability of two or more readings with its two-sided interval s·√(ν / χ²). DataError
-    for fewer.
+    """Estimate the repeatability of at least two readings, with the two-sided interval s·√(ν / χ²).
+
+    s is the sample standard deviation, ν its degrees of freedom, χ² the quantiles. Raises DataError for fewer readings.
     """
     count = len(readings)
     if count < 2:
@@ -45,5 +46,5 @@ def estimate_repeatability(readings: Sequence[float], confidence: float = 0.95) 
 
 
 def _factor(probability: float, freedom: int) -> float:
-    """Return √(ν / χ²) with χ² the quantile at `probability`."""
+    """Return √(ν / χ²) for ν (`freedom`) degrees of freedom, with χ² the quantile at `probability`."""
     return math.sqrt(freedom / (2.0 * float(gammaincinv(0.5 * freedom, probability))))

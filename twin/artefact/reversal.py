@@ -1,9 +1,9 @@
-"""Reversal value of a linear axis from touches of oblique points of one ball, the axis preloaded from either side.
+"""Reversal value of a linear axis from touches of oblique points of a ball, with the axis preloaded from either side.
 
-The tip is moved by another axis alone against a point whose normal leans towards the tested axis. If the tested axis is
-preloaded from the other side, it is displaced by its lost motion, so the ball is met earlier or later by the lost
-motion times the tangent of the slope. Losses of the touch itself (pretravel, play of the moving axis) are the same both
-times.
+Another axis alone moves the tip against a point whose normal leans towards the tested axis. If the tested axis is
+preloaded from the other side, it is displaced by its lost motion. The tip then meets the ball earlier or later by the
+lost motion times the tangent of the slope. Errors of the touch itself (pretravel, play of the moving axis) are equal in
+both cases and cancel.
 """
 
 from __future__ import annotations
@@ -19,14 +19,18 @@ from twin.errors import DataError
 
 AXIS_COUNT = 3
 SLOPE = math.sqrt(0.5)
-"""Component of the normals used: at 45° the moving axis shows the full lost motion (tangent 1)."""
+"""Components of the unit normals along the tested and the moving axis.
+
+At 45° the reading of the moving axis changes by the full lost motion (tangent 1).
+"""
 
 
 @dataclass(frozen=True)
 class ObliqueTouch:
-    """Point on the ball and its touch: `along` moves, `axis` was preloaded (0, 1, 2: X, Y, Z).
+    """Point on the ball and its touch; axes are numbered 0, 1, 2 for X, Y, Z.
 
-    `normal` (3,): from the ball's centre to the point; `direction` (3,): unit vector of the touch.
+    `axis`: tested axis, which is preloaded; `along`: axis that moves during the touch; `normal` (3,): unit vector from
+    the ball's centre to the point; `direction` (3,): unit vector of the touch.
     """
 
     axis: int
@@ -36,7 +40,7 @@ class ObliqueTouch:
 
     @property
     def ratio(self) -> float:
-        """Change of the latched position of `along` per mm of lost motion of `axis`, preloaded upwards instead of
+        """Change of the latched position of `along` per mm of lost motion if `axis` is preloaded upwards, not
         downwards.
         """
         return float(self.normal[self.axis] / self.normal[self.along])
@@ -46,8 +50,8 @@ class ObliqueTouch:
 class LostMotion:
     """Lost motion in mm, positive if the axis lags behind its drive, with its standard uncertainty `sigma_mm`.
 
-    It is the deviation after moving downwards minus that after moving upwards: the reversal value of ISO 230-2 with the
-    opposite sign.
+    `value_mm` is the deviation after moving downwards minus the deviation after moving upwards, which is the reversal
+    value of ISO 230-2 with the opposite sign.
     """
 
     value_mm: float
@@ -58,7 +62,8 @@ class LostMotion:
 def plan_oblique_touches(axis: int, stylus_axis: Array) -> tuple[ObliqueTouch, ObliqueTouch]:
     """Return two mirrored points sensitive to `axis`, both on the side of the ball that a straight stylus reaches.
 
-    `stylus_axis` (3,): unit vector along a machine axis, from the ram towards the tip. DataError if it is oblique.
+    `stylus_axis` (3,): unit vector along a machine axis, from the ram towards the tip. Raises DataError if it is not
+    along a machine axis.
     """
     ahead = int(np.argmax(np.abs(stylus_axis)))
     front = np.zeros(AXIS_COUNT)
@@ -80,9 +85,10 @@ def fit_lost_motion(
 ) -> LostMotion:
     """Fit the lost motion to all touches of an axis by least squares, with a separate level for each touched point.
 
-    `latched_mm`: positions of the moving axis; `upwards`: True if the preloaded axis came from below. The standard
+    Each touch has one entry in every list. `ratios`: `ObliqueTouch.ratio`; `upwards`: True if the preloaded axis moved
+    upwards last; `points`: number of the touched point; `latched_mm`: position of the moving axis. The standard
     uncertainty uses the larger of the observed repeatability and `floor_mm`, the known repeatability of the probe.
-    DataError if every point was touched from one side only.
+    Raises DataError if every point was touched with one preload direction only.
     """
     point = np.asarray(points)
     # reading_i = level(point) ± ½ ratio_i · lost motion; the levels are removed by centring per point

@@ -1,8 +1,9 @@
-"""Ball centre from touched points: least squares with a known or a free radius, with covariance.
+"""Ball centre from touched points by least squares with a known or a free radius, with its covariance.
 
-Gauss-Newton on the geometric distances, started from the algebraic sphere, so that two steps are enough. A ball has
-five to twenty-five points, and this runs once per ball, in dry runs too. Sums over so few points are faster in plain
-floats than as arrays (measured: 5 points in a quarter of the time); only the 3×3 or 4×4 solutions use LAPACK.
+Gauss-Newton iteration on the geometric distances. It starts from the algebraic sphere, so two steps are enough. A ball
+has five to twenty-five points, and the fit runs once per ball, also in a preflight. Sums over so few points are faster
+in plain floats than in arrays (measured: a quarter of the time for 5 points); only the 3×3 or 4×4 systems are solved by
+LAPACK.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ Points = list[list[float]]
 class SphereFit:
     """Fitted sphere: `centre` (3,) mm, `radius` mm, `residuals` (n,) mm, `form` mm.
 
-    `covariance` (3, 3) mm² of the centre, or (4, 4) with the radius last if it was free. Residuals are distance to the
-    centre minus radius; `form` is their peak-to-valley value.
+    `covariance` mm²: (3, 3) of the centre, or (4, 4) with the radius last if the radius was free. A residual is the
+    distance of a point from the centre minus the radius; `form` is the peak-to-valley value of the residuals.
     """
 
     centre: Array
@@ -48,9 +49,9 @@ class SphereFit:
 def fit_sphere(points: Array, sigma_mm: float, radius: float | None = None, near: Array | None = None) -> SphereFit:
     """Fit a sphere to `points` (n, 3) mm, each with the standard uncertainty `sigma_mm` along the surface normal.
 
-    `radius` mm if known, or None to estimate it. `near` (3,) mm, a guess of the centre, selects one of the two mirror
-    solutions if the points are coplanar (known radius only). Raises DataError for points that do not determine a
-    sphere.
+    `radius` mm if known, or None to estimate it. If the radius is known and the points are coplanar, there are two
+    mirror solutions; `near` (3,) mm, a guess of the centre, selects one of them. Raises DataError for points that do
+    not determine a sphere.
     """
     points = np.asarray(points, dtype=np.float64)
     _check(points, sigma_mm, radius)
@@ -90,7 +91,7 @@ def _check(points: Array, sigma_mm: float, radius: float | None) -> None:
 
 
 def _frame(points: Points) -> tuple[list[float], float]:
-    """Return the middle of the points (3 values) and their largest distance from it, mm."""
+    """Return the mean of the points (3 values) and their largest distance from it, in mm."""
     origin = [sum(values) / len(points) for values in zip(*points, strict=True)]
     spread = max(dist(p, origin) for p in points)
     if spread <= _ROUNDING * max(1.0, *map(abs, origin)):
@@ -101,7 +102,7 @@ def _frame(points: Points) -> tuple[list[float], float]:
 def _algebraic(points: Points) -> list[float]:
     """Return the centre of the algebraic sphere |p|² = 2 p·c + (r² - |c|²), exact for points without error.
 
-    The middle of the points is the origin, so the constant drops out of the normal equations.
+    The points are given relative to their mean, so the constant drops out of the normal equations.
     """
     xx = xy = xz = yy = yz = zz = bx = by = bz = 0.0
     for x, y, z in points:
@@ -114,7 +115,7 @@ def _algebraic(points: Points) -> list[float]:
 
 
 def _gauss_newton(points: Points, centre: list[float], radius: float | None) -> tuple[list[float], float, Array]:
-    """Return centre, radius and the Cholesky factor of the normal equations at the least-squares solution."""
+    """Return the least-squares centre and radius in mm, and the Cholesky factor of the normal equations."""
     free = radius is None
     current = sum(dist(p, centre) for p in points) / len(points) if radius is None else radius
     for _ in range(_MAX_STEPS):
@@ -151,7 +152,7 @@ def _step(points: Points, centre: list[float], radius: float, free: bool) -> tup
 
 
 def _solve(normal: list[list[float]], right: list[float]) -> tuple[list[float], Array]:
-    """Return the solution and the lower Cholesky factor; DataError if the equations are singular."""
+    """Return the solution of the normal equations and their lower Cholesky factor; DataError if they are singular."""
     factor, solution, info = dposv(normal, right, lower=1)
     pivots = [float(factor[i, i]) ** 2 for i in range(len(right))]
     if info != 0 or min(pivots) < _DEGENERATE * max(pivots):

@@ -1,4 +1,4 @@
-"""Thermal regressors of a run: time series in kelvin along which a machine may drift."""
+"""Thermal regressors of a run: time series in kelvin to which the thermal drift of a machine is proportional."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import numpy as np
 from twin.arrays import Array
 
 SECOND_REGRESSOR_SHARE = 0.4
-"""Share of the total temperature change that lagging parts may follow along the next power of time."""
+"""Size of the second regressor (for parts with a thermal lag) as a share of the total temperature change."""
 SMOOTHING_HALF_WINDOW_S = 150.0
 
 
 def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: float) -> Array:
-    """Return (n, w) K: thermal regressors at instants (n,), zero at the first instant.
+    """Return the thermal regressors (n, w) K at instants (n,) in s; both are zero at the first instant.
 
-    The first regressor is the reading of the machine's thermometer (n,), or `change_k` times the relative time if there
-    is none. The second is the next power of time, for parts with a thermal lag of their own.
+    The first regressor is the change of the reading of the machine's thermometer (n,), or `change_k` times the relative
+    time if there is no thermometer. The second is the next power of time, for parts with a thermal lag of their own.
     """
     first = int(np.argmin(instants_s))
     time = (instants_s - instants_s[first]) / max(float(np.ptp(instants_s)), 1.0)
@@ -28,7 +28,9 @@ def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: flo
 
 
 def smooth_readings(instants_s: Array, values: Array, half_window_s: float = SMOOTHING_HALF_WINDOW_S) -> Array:
-    """Return (n,) readings with most of their noise removed: a local straight-line fit at each instant."""
+    """Return the readings (n,) smoothed by a local straight-line fit at each instant, which removes most of their
+    noise.
+    """
     away = (instants_s[None, :] - instants_s[:, None]) / half_window_s
     # Epanechnikov weights 1 - t²; the value at t = 0 of the weighted line through the neighbours
     weight = np.clip(1.0 - away**2, 0.0, None)

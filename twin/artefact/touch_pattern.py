@@ -1,4 +1,4 @@
-"""Touch patterns on a ball and the uncertainty of the ball centre they give."""
+"""Touch patterns on a ball, and the uncertainty of the ball centre that each gives."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from twin.artefact.sphere_fit import fit_sphere
 from twin.errors import DataError
 
 Ring = tuple[float, int, float]
-"""Touches on one latitude: (latitude above the equator in degrees, touches, rotation about the stylus in degrees)."""
+"""Touches on one circle of latitude: latitude above the equator in degrees, number of touches, rotation about the
+stylus axis in degrees.
+"""
 
 # A touch on the equator within 30° of the holder would hit it. Touching the equator only at 45° avoids a holder along
 # a machine axis or in one plane with the stylus. Most touches are therefore at latitude 45° and above, which nothing
@@ -27,20 +29,23 @@ RINGS: dict[int, tuple[Ring, ...]] = {
 QUALIFYING_RINGS: tuple[Ring, ...] = ((60.0, 8, 0.0), (30.0, 8, 22.5), (0.0, 8, 0.0))
 """Rings for stylus qualification on one free-standing ball.
 
-Rings of eight separate lobed pretravel from a shift of the centre. Rings of four cannot, because the third harmonic
-looks like the first on four points.
+Rings of eight touches distinguish lobed pretravel from a shift of the centre. Rings of four do not, because on four
+points the third harmonic looks like the first.
 """
 
 LOCATING_RINGS: tuple[Ring, ...] = ((45.0, 4, 45.0),)
-"""Ring for locating a ball that may be off by some mm: well before its equator, where the holder begins."""
+"""Ring for locating a ball that may be displaced by some mm.
+
+The touches are well above the equator, because the holder begins near it.
+"""
 
 _NEGLIGIBLE = 1e-6
 
 
 def approach_directions(count: int, stylus_axis: Array) -> Array:
-    """Return approach vectors (count, 3) of the pattern with `count` touches, the pole first.
+    """Return approach directions (count, 3), unit vectors, of the pattern with `count` touches, the pole first.
 
-    `stylus_axis` (3,): unit vector from the ram towards the tip. DataError for a pattern other than 5, 9, 13, 25.
+    `stylus_axis` (3,): unit vector from the ram towards the tip. Raises DataError if `count` is not 5, 9, 13 or 25.
     """
     if count not in RINGS:
         raise DataError(f"no pattern of {count} touches", hint=f"available patterns: {sorted(RINGS)}")
@@ -48,7 +53,7 @@ def approach_directions(count: int, stylus_axis: Array) -> Array:
 
 
 def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
-    """Return approach vectors (1 + touches of all rings, 3): the pole, then ring by ring."""
+    """Return approach directions (1 + touches of all rings, 3), unit vectors: the pole, then ring by ring."""
     pole = stylus_axis / np.linalg.norm(stylus_axis)
     first, second = perpendiculars(pole)
     rows = [pole]
@@ -62,30 +67,33 @@ def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
 
 
 def centre_covariance(directions: Array, touch_sigma_mm: float) -> Array:
-    """Return the covariance (3, 3) mm² of a centre touched along `directions` (k, 3), with the radius estimated too."""
+    """Return the covariance (3, 3) mm² of a centre touched along `directions` (k, 3) if the radius is estimated too."""
     return fit_sphere(-directions, touch_sigma_mm).centre_covariance
 
 
 def known_radius_covariance(directions: Array, touch_sigma_mm: float, radius_sigma_mm: float) -> Array:
-    """Return the centre covariance (3, 3) mm² for a radius known to `radius_sigma_mm`; its error shifts the centre."""
+    """Return the covariance (3, 3) mm² of the centre if the radius is known with the uncertainty `radius_sigma_mm`.
+
+    An error of the radius shifts the centre.
+    """
     given = fit_sphere(-directions, touch_sigma_mm, 1.0, near=np.zeros(3)).centre_covariance
     moved = centre_shift_per_radius(directions)
     return given + radius_sigma_mm**2 * np.outer(moved, moved)
 
 
 def centre_shift_per_radius(directions: Array) -> Array:
-    """Return the shift (3,) of the centre per mm by which a known radius is too large.
+    """Return the shift (3,) of the centre, in mm per mm by which the known radius is too large.
 
-    Least-squares solution of u·δc = -δr over the outward normals u = -direction.
+    It is the least-squares solution δc of u·δc = -δr over the outward normals u = -direction.
     """
     return np.asarray(np.linalg.lstsq(directions, np.ones(len(directions)), rcond=None)[0])
 
 
 def redundancies(directions: Array) -> Array:
-    """Return (k,) in 0 … 1: the share of a touch's own error that appears in its residual, with the radius free.
+    """Return (k,) in 0 … 1: the share of each touch's own error that appears in its residual if the radius is free.
 
-    1 - hᵢ, with h the diagonal of the hat matrix (Baarda's redundancy numbers). 0 means that nothing checks this touch,
-    as for the pole of the five-point pattern.
+    It is 1 - hᵢ, with hᵢ the diagonal of the hat matrix (Baarda's redundancy numbers). 0 means that no other touch
+    checks this one, as for the pole of the five-point pattern.
     """
     jacobian = np.column_stack([-directions, np.ones(len(directions))])
     basis = np.linalg.qr(jacobian)[0]
@@ -94,7 +102,7 @@ def redundancies(directions: Array) -> Array:
 
 
 def perpendiculars(pole: Array) -> tuple[Array, Array]:
-    """Return two unit vectors perpendicular to the pole, along machine axes if the pole is one."""
+    """Return two unit vectors perpendicular to `pole`; if the pole is along a machine axis, so are they."""
     axis = np.eye(3)[np.argmin(np.abs(pole))]
     first = axis - pole * (axis @ pole)
     first /= np.linalg.norm(first)

@@ -1,4 +1,4 @@
-"""Gravity deflection of a machine as a grid of tool point displacements over the axis positions."""
+"""Gravity deflection of a machine as a grid of tool point displacements at axis positions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ROUNDING_MM = 1e-6  # a position computed to be on the border may miss it by it
 
 @dataclass(frozen=True)
 class DeflectionGrid:
-    """Node vectors `x`, `y`, `z` (mm, ascending), `values` (nx, ny, nz, 3): displacements in mm."""
+    """Grid of displacements `values` (nx, ny, nz, 3) in mm at the nodes `x`, `y`, `z` (mm, ascending)."""
 
     x: Array
     y: Array
@@ -40,8 +40,9 @@ class DeflectionGrid:
         return self.x, self.y, self.z
 
     def at(self, axis_positions: ArrayLike) -> Array:
-        """Return the displacement (n, 3) in mm by trilinear interpolation; ModelError names the first point outside the
-        grid.
+        """Return the displacement (n, 3) in mm by trilinear interpolation.
+
+        Raises ModelError naming the first point outside the grid.
         """
         points = as_points(axis_positions, "axis positions")
         self._check_inside(points)
@@ -80,8 +81,8 @@ class DeflectionGrid:
 class CantileverStructure:
     """Moving-column machine modelled as beams. Loads in N, lengths in mm, bending stiffness E I in N mm².
 
-    The ram overhangs the column by `overhang_mm` at the lower end of Y; travel in Y adds to the overhang. The ram axis
-    is `column_foot_mm` above the column foot at the lower end of Z. The column's saddle rides on two trucks
+    At the lower end of Y the ram overhangs the column by `overhang_mm`; travel in Y adds to the overhang. At the lower
+    end of Z the ram axis is `column_foot_mm` above the foot of the column. The column's saddle runs on two trucks
     `wheelbase_mm` apart, on a bed whose supports are `support_pitch_mm` apart.
     """
 
@@ -111,10 +112,10 @@ CASE_STUDY_NODES = (
 def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStructure | None = None) -> DeflectionGrid:
     """Return plausible deflections of a cantilever moving-column machine, from Euler-Bernoulli beams.
 
-    Four effects are added: bending of the column by the ram's moment (uy and a rotation about X that grow with height,
-    the cross-effect), bending of the ram under its own weight and the head, rotation of the ram joint and the column
-    foot joint under the moment, and local compliance of the bed and the column rails. The deflection is zero in the
-    middle of the grid, where the machine was levelled.
+    Four effects are added: bending of the column by the ram's moment (the cross-effect: a displacement along Y and a
+    rotation about X that grow with height); bending of the ram under the weight of ram and head; rotation of the ram
+    joint and of the column foot joint under the moment; and local compliance of the bed and the column rails. The
+    deflection is zero in the middle of the grid, where the machine was levelled.
     """
     parts = structure or CantileverStructure()
     x3, y3, z3 = np.meshgrid(x, y, z, indexing="ij")
@@ -146,14 +147,14 @@ def _ram_moment(parts: CantileverStructure, reach: Array) -> Array:
 
 
 def _ram_droop(parts: CantileverStructure, reach: Array) -> Array:
-    """Return the sag of the ram's end in mm under its own weight and the head: w L^4 / 8EI + P L^3 / 3EI."""
+    """Return the sag in mm of the ram's end under its own weight w per mm and the head P: w L⁴ / 8EI + P L³ / 3EI."""
     own = parts.ram_load_n_per_mm * reach**4 / (8.0 * parts.ram_stiffness_n_mm2)
     head: Array = parts.head_weight_n * reach**3 / (3.0 * parts.ram_stiffness_n_mm2)
     return own + head
 
 
 def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Array, Array]:
-    """Return sag (mm), pitch about Y and roll about -X (rad) of the saddle on a bed yielding between its supports."""
+    """Return sag (mm), pitch about Y and roll about -X (rad) of the saddle; the bed yields between its supports."""
     half = 0.5 * parts.wheelbase_mm
     front, rear = (np.sin(np.pi * (x + arm) / parts.support_pitch_mm) ** 2 for arm in (half, -half))
     sag = 0.5 * parts.bed_sag_mm * (front + rear)
@@ -169,7 +170,7 @@ def _column_rail_wave(parts: CantileverStructure, z: Array, moment: Array) -> Ar
 
 
 def _cell(nodes: Array, positions: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the index of the cell that contains each position and the fraction (0 … 1) of the cell before it."""
+    """Return for each position the index of its cell and its location in the cell as a fraction (0 … 1) of the cell."""
     inside = np.minimum(np.maximum(positions, nodes[0]), nodes[-1])
     cell = np.minimum(np.searchsorted(nodes, inside, side="right") - 1, nodes.size - 2)
     low = nodes[cell]

@@ -1,7 +1,8 @@
 """Random deflection fields of several structures that no Legendre series of one axis can represent.
 
-The misfit model of an identification consists of products of Legendre polynomials. None of these fields does: they are
-beams, sines of any pitch, exponentials and random waves. A coverage found with them is therefore meaningful.
+The misfit model of an identification consists of products of Legendre polynomials. None of these fields is such a
+product: they are beams, sines of any pitch, exponentials and random waves. A coverage found with them is therefore a
+meaningful test of the misfit model.
 """
 
 from __future__ import annotations
@@ -31,7 +32,10 @@ def portal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Deflection
 
 
 def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """Draw rails that wave between their screws: per axis and direction one sine with its own pitch and lever arm."""
+    """Draw rails that are wavy between their screws.
+
+    For each axis and direction the wave is one sine with its own pitch and lever arm.
+    """
     positions, shape = _normalised()
     field = np.zeros((*shape, 3))
     for axis in range(3):
@@ -44,7 +48,7 @@ def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGr
 
 
 def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """Draw a thermally bowed bed and a column warmer at its foot, with their effect on the parts they carry."""
+    """Draw a thermally bowed bed and a column that is warmer at its foot, with their effect on the parts they carry."""
     (x, y, z), shape = _normalised()
     bed, foot, nod, lean, sway, roll = rng.uniform(-3.0, 3.0, 6) * _UM
     field = np.zeros((*shape, 3))
@@ -55,7 +59,7 @@ def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Deflectio
 
 
 def smooth_random_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """Draw an unstructured random field: plane waves of one correlation length (0.2 to 0.8 of the axes)."""
+    """Draw an unstructured random field of plane waves with one correlation length (0.2 to 0.8 of the axis ranges)."""
     positions, shape = _normalised()
     flat = np.stack(positions, axis=-1).reshape(-1, 3)
     length = np.exp(rng.uniform(*np.log((0.4, 1.6))))

@@ -1,4 +1,4 @@
-"""Analytic basis of the tool point deviation, to first order in the parameters."""
+"""Derivatives of the tool point deviation with respect to the parameters of the error model, in closed form."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ def deviation_basis(
 ) -> Array:
     """Return the derivative (n, 3, p) of the deviation with respect to the parameters at zero; C-contiguous.
 
-    `scale` (p,) is the unit of each parameter; without it, mm and rad. Each parameter moves the tool point by one of
-    twelve effects (three translations, and three rotations of each axis) times a function of the axis positions.
+    `scale` (p,): unit of each parameter in mm or rad; without it, 1 mm and 1 rad. Each parameter displaces the tool
+    point by one of twelve effects (three translations, and three rotations of each of the three axes) times a function
+    of the axis positions.
     """
     points = as_points(axis_positions, "axis positions")
     arms = _nominal_arms(model, points, as_vector(tool_offset, 3, "tool offset"))
@@ -53,13 +54,15 @@ def linear_deviation(
 
 
 def cross_arguments(model: ErrorModel, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return the arguments v and w of the cross-effect: normalised positions of Y and Z in their ranges."""
+    """Return v and w, the positions of Y and Z as fractions of their ranges, on which the cross-effect depends."""
     (y_low, y_high), (z_low, z_high) = model.ranges_mm[_Y], model.ranges_mm[_Z]
     return (y - y_low) / (y_high - y_low), (z - z_low) / (z_high - z_low)
 
 
 def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple[Array, Array, Array]:
-    """Return for X, Y, Z the nominal vector (n, 3) from the centre of the axis' rotations to the tool point."""
+    """Return, for X, Y and Z, the nominal vector (n, 3) from the centre of the rotations of that axis to the tool
+    point.
+    """
     arms = {}
     arm = np.repeat(tool_offset[None, :], len(points), axis=0)
     for letter in model.chain.axes:
@@ -72,7 +75,11 @@ def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple
 
 
 def _effects(arms: tuple[Array, Array, Array]) -> Array:
-    """Return (n, 3, 12): unit translations along X, Y, Z, then for each axis unit rotations about X, Y, Z (e x arm)."""
+    """Return the twelve effects (n, 3, 12): unit translations along X, Y, Z, then unit rotations about X, Y, Z of each
+    axis.
+
+    A rotation about the unit vector e displaces the tool point by e × arm.
+    """
     effects = np.zeros((len(arms[0]), 3, 12))
     for axis, arm in enumerate(arms):
         for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -84,7 +91,10 @@ def _effects(arms: tuple[Array, Array, Array]) -> Array:
 
 
 def _functions(model: ErrorModel, points: Array) -> Array:
-    """Return (n, f): Legendre polynomials of X, of Y, of Z, then -z, z, -y of the squareness, then the cross-effect."""
+    """Return the functions (n, f) of the axis positions.
+
+    These are the Legendre polynomials of X, of Y and of Z, then -z, z, -y for the squareness, then the cross-effect.
+    """
     columns = [
         legendre_values(normalise_positions(points[:, axis], model.ranges_mm[axis]), model.highest_order[axis])
         for axis in range(3)

@@ -49,7 +49,11 @@ Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One coefficient. `error` is the ISO name or CROSS; `order` is the Legendre order, 0 for other terms."""
+    """Coefficient of the error model.
+
+    `error` is the ISO name of the error, or CROSS; `order` is the Legendre order, 0 for terms that are not Legendre
+    terms.
+    """
 
     name: str
     error: str
@@ -60,7 +64,11 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Kinematic chain, axis ranges, Legendre order of each error motion and active cross-effect terms."""
+    """Error model of a machine.
+
+    It consists of the chain, the axis ranges, the Legendre order of each error motion and the active cross-effect
+    terms.
+    """
 
     chain: Chain
     ranges_mm: Ranges
@@ -80,12 +88,12 @@ class ErrorModel:
         order: int = 5,
         cross_effect: tuple[str, ...] = DEFAULT_CROSS_EFFECT,
     ) -> ErrorModel:
-        """Return a model with the same order for all 18 error motions."""
+        """Return a model with the same Legendre order for all 18 error motions."""
         return cls(chain, ranges_mm, dict.fromkeys(ERROR_MOTIONS, order), cross_effect)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, in the order of every parameter vector (p,) and of every basis column."""
+        """Parameters in the order of every parameter vector (p,) and of the columns of every deviation basis."""
         series = [_term(error, k) for error in ERROR_MOTIONS for k in series_orders(error, self.orders[error])]
         squareness = [Parameter(name, name, 0, "rad", "squareness") for name in SQUARENESS]
         return (*series, *squareness, *(_cross_term(term) for term in self.cross_effect))
@@ -111,7 +119,7 @@ class ErrorModel:
 
     @cached_property
     def block(self) -> Mapping[str, slice]:
-        """Slice of the coefficients of each error motion in a parameter vector."""
+        """Slice of a parameter vector that contains the coefficients of each error motion, by ISO name."""
         blocks, start = {}, 0
         for error in ERROR_MOTIONS:
             count = len(series_orders(error, self.orders[error]))
@@ -121,7 +129,7 @@ class ErrorModel:
 
     @cached_property
     def highest_order(self) -> tuple[int, int, int]:
-        """Highest Legendre order of any error motion of X, Y, Z; at least 1."""
+        """Highest Legendre order of the error motions of each axis X, Y, Z; at least 1."""
         highest = [max(1, *(self.orders[f"E{direction}{axis}"] for direction in DIRECTIONS)) for axis in AXES]
         return highest[0], highest[1], highest[2]
 
@@ -147,12 +155,12 @@ class ErrorModel:
 
 
 def series_orders(error: str, highest: int) -> range:
-    """Return the Legendre orders of a series: 1 … N, for a straightness 2 … N."""
+    """Return the Legendre orders of the series of an error motion: 2 … N for a straightness, 1 … N otherwise."""
     return range(2 if error_motion_kind(error) == "straightness" else 1, highest + 1)
 
 
 def error_motion_kind(error: str) -> Literal["positioning", "straightness", "rotation"]:
-    """Return the kind of one of the 18 error motions."""
+    """Return the kind of the error motion with this ISO name."""
     if error[1] in "ABC":
         return "rotation"
     return "positioning" if error[1] == error[2] else "straightness"

@@ -1,7 +1,7 @@
-"""Tool point of a machine with errors: the exact product along the chain, and its linear field.
+"""Deviation of the tool point of a machine with errors, by the exact product of transforms and to first order.
 
-Both give the deviation of the tool centre point relative to the workpiece from its nominal position (axis positions +
-tool offset), in mm, in the axes of the machine.
+The deviation is that of the tool centre point, relative to the workpiece, from its nominal position (axis positions
+plus tool offset), in mm along the machine axes.
 
 From the workpiece to the tool the exact model is a product of homogeneous transforms. An axis q on the tool side
 contributes `Trans(q u) Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA)`, where u is its direction of travel rotated by the
@@ -37,10 +37,10 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class _UnpackedParameters:
-    """Parameter vector in the form that the evaluation needs.
+    """Parameter vector unpacked for the evaluation.
 
-    `series` (3, 6, order + 1): coefficients of powers per axis and error motion; `travel`: directions of travel minus
-    the nominal ones; `cross`: b0, b1, b2, c0, c1.
+    `series` (3, 6, order + 1): power series coefficients per axis and error motion; `travel`: actual minus nominal
+    direction of travel of each axis; `cross`: b0, b1, b2 (mm), c0, c1 (rad).
     """
 
     series: Array
@@ -49,9 +49,9 @@ class _UnpackedParameters:
 
 
 class _Workspace:
-    """Preallocated rows for `count` points, refilled for every chunk and axis.
+    """Preallocated arrays for `count` points, refilled for every chunk of points and every axis.
 
-    Allocating fresh memory pages would cost more than the arithmetic.
+    Allocating new memory each time would cost more than the arithmetic.
     """
 
     def __init__(self, count: int, terms: int) -> None:
@@ -70,9 +70,10 @@ class _Workspace:
 def exact_deviation(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
 ) -> Array:
-    """Return the deviation (n, 3) in mm by the exact product of transforms, for positions (n, 3), parameters (p,).
+    """Return the deviation (n, 3) in mm for axis positions (n, 3) and parameters (p,), by the exact product of
+    transforms.
 
-    Deviation and nominal arm are carried separately, so that no digits are lost over 4 m of travel.
+    The deviation and the nominal arm are computed separately, so that no digits are lost over 4 m of travel.
     """
     points = as_points(axis_positions, "axis positions")
     offset = as_vector(tool_offset, 3, "tool offset")
@@ -106,7 +107,10 @@ def _unpack(model: ErrorModel, values: Array) -> _UnpackedParameters:
 
 @lru_cache(maxsize=16)
 def _series_positions(model: ErrorModel) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return the indices of the leading (series) parameters in a flat (3, 6, highest order + 1) table."""
+    """Return the indices of the series parameters in a flattened table (3, 6, highest order + 1).
+
+    The series parameters come first in a parameter vector.
+    """
     terms = max(model.highest_order) + 1
     positions = []
     for row, error in enumerate(ERROR_MOTIONS):
@@ -116,7 +120,7 @@ def _series_positions(model: ErrorModel) -> np.ndarray[Any, np.dtype[np.int64]]:
 
 
 def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _UnpackedParameters, rows: _Workspace) -> None:
-    """Carry the tool point from frame to frame towards the workpiece; the result is left in `rows.deviation`."""
+    """Transform the tool point from frame to frame towards the workpiece; the result is stored in `rows.deviation`."""
     rows.arm[:] = tool_offset[:, None]
     rows.deviation[:] = 0.0
     for letter in model.chain.axes:
@@ -133,7 +137,7 @@ def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _UnpackedP
 
 
 def _fill_error_motions(axis: int, model: ErrorModel, numbers: _UnpackedParameters, rows: _Workspace) -> None:
-    """Fill `rows.motions` with EX, EY, EZ (mm), EA, EB, EC (rad) of one axis."""
+    """Fill `rows.motions` with EX, EY, EZ (mm) and EA, EB, EC (rad) of one axis."""
     low, high = model.ranges_mm[axis]
     powers = rows.powers
     powers[0] = 1.0
@@ -151,7 +155,10 @@ def _fill_error_motions(axis: int, model: ErrorModel, numbers: _UnpackedParamete
 
 
 def _fill_sines(rows: _Workspace) -> None:
-    """Fill sin and cos - 1 to double precision; small angles use their series, which is several times as fast."""
+    """Compute the sine and the cosine minus 1 of all angles to double precision.
+
+    Small angles use the power series, which is several times as fast.
+    """
     angles = rows.motions[3:]
     square = np.multiply(angles, angles, out=rows.cosine_minus_one)
     if square.max(initial=0.0) > _SMALL_ANGLE_RAD**2:
@@ -177,7 +184,7 @@ def _travel(axis: int, numbers: _UnpackedParameters, rows: _Workspace) -> None:
 def _rotate(rows: _Workspace) -> None:
     """Rotate arm + deviation by Rz(EC) Ry(EB) Rx(EA) and add the change to the deviation.
 
-    The cosines are stored minus one, so that nothing is subtracted from the long arm.
+    The cosines are stored minus one, so the change is computed directly, without the difference of two long arms.
     """
     x, y, z = np.add(rows.arm, rows.deviation, out=rows.point)
     change_y, change_z, last_z, change_x, last_x, last_y = rows.changes
@@ -196,7 +203,10 @@ def _rotate(rows: _Workspace) -> None:
 def _turn(
     components: tuple[Array, Array], angle: tuple[Array, Array], changes: tuple[Array, Array], product: Array
 ) -> None:
-    """Compute the changes of two components under a rotation (sine, cosine - 1) of the first towards the second."""
+    """Compute the changes of two vector components under a rotation from the first component towards the second.
+
+    `angle` contains the sine and the cosine minus 1.
+    """
     (first, second), (sine, cosine_minus_one) = components, angle
     np.multiply(cosine_minus_one, first, out=changes[0])
     np.subtract(changes[0], np.multiply(sine, second, out=product), out=changes[0])

@@ -1,9 +1,10 @@
 """Sums of polynomial fields over a grid of axis positions, computed from far fewer points.
 
-The columns of a deviation basis are polynomials in the axis positions, of degree d in one of them. Over the points of
-one axis a polynomial of degree 2 d + 1 is summed exactly by d + 1 Gauss nodes of the discrete measure that has weight 1
-at every point (Golub and Welsch 1969): 60×20×20 points reduce to 7×7×7. A field that is not a polynomial is projected
-onto the nodes with their Lagrange polynomials; its sum with columns of degree d is then the same as on the grid.
+The columns of a deviation basis are polynomials in the axis positions, of degree d in the position of one axis. The sum
+of a polynomial of degree 2 d + 1 over the grid points of that axis is computed exactly from d + 1 nodes: the Gauss
+nodes of the discrete measure that has weight 1 at every grid point (Golub and Welsch 1969). For example, 60×20×20
+points reduce to 7×7×7 nodes. A field that is not a polynomial is projected onto the nodes with their Lagrange
+polynomials; the sum of its products with columns of degree d is then the same as on the grid.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from twin.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class GridQuadrature:
-    """Quadrature rule Σ a(X)ᵀ b(X) = Σ `weights` a(`nodes`)ᵀ b(`nodes`) over `count` points, up to the given degrees.
+    """Quadrature rule Σ a(X)ᵀ b(X) = Σ `weights` a(`nodes`)ᵀ b(`nodes`), with the first sum over `count` points X.
 
-    `nodes` (m, 3) mm, `weights` (m,). `lagrange`: Lagrange polynomials of the nodes at the points, (points, nodes) for
-    each axis; None if the nodes are the points.
+    The rule is exact for polynomials a and b up to the given degrees. `nodes` (m, 3) mm, `weights` (m,). `lagrange`:
+    for each axis, the Lagrange polynomials of the nodes at the points, (points, nodes); None if the nodes are the
+    points.
     """
 
     count: int
@@ -30,9 +32,9 @@ class GridQuadrature:
 
     @classmethod
     def for_points(cls, points: Array, degrees: tuple[int, int, int]) -> GridQuadrature:
-        """Return the rule for points (n, 3) and columns of these degrees in x, y, z.
+        """Return the rule for points (n, 3) mm and polynomials of these degrees in x, y, z.
 
-        Points that do not form a grid are their own nodes.
+        If the points do not form a grid, they are the nodes.
         """
         lines = _lines(points)
         if lines is None:
@@ -43,7 +45,10 @@ class GridQuadrature:
         return cls(len(points), nodes, weights, tuple(rule[2] for rule in rules))
 
     def gather(self, field: Array) -> Array:
-        """Return a field (n, 3) at the points projected onto the nodes (m, 3): Σ a(X)ᵀ f(X) = Σ a(nodes)ᵀ gathered."""
+        """Project a field f (n, 3) at the points onto the nodes and return g (m, 3).
+
+        For columns a within the degrees of the rule, Σ a(X)ᵀ f(X) over the points is then Σ a(nodes)ᵀ g over the nodes.
+        """
         if self.lagrange is None:
             return field
         gathered = field.reshape(*(len(polynomials) for polynomials in self.lagrange), 3)
@@ -53,7 +58,9 @@ class GridQuadrature:
 
 
 def _lines(points: Array) -> tuple[Array, Array, Array] | None:
-    """Return the nodes along x, y, z of points (n, 3) on a grid, x slowest and z fastest; None if they form no grid."""
+    """Return the grid nodes along x, y, z of points (n, 3), ordered with x slowest and z fastest; None if there is no
+    grid.
+    """
     x, y, z = points.T
     deep = int(np.argmax(np.append(y != y[0], True) | np.append(x != x[0], True)))
     plane = int(np.argmax(np.append(x != x[0], True)))
@@ -69,7 +76,7 @@ def _lines(points: Array) -> tuple[Array, Array, Array] | None:
 def _gauss(line: Array, degree: int) -> tuple[Array, Array, Array]:
     """Return the Gauss rule of one axis: nodes (d + 1,), weights, Lagrange polynomials at the points (n, d + 1).
 
-    If the points are no more than d + 1, they are the nodes.
+    d is `degree`. If there are at most d + 1 points, they are the nodes.
     """
     if len(line) <= degree + 1:
         return line, np.ones(len(line)), np.eye(len(line))

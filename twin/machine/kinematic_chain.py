@@ -1,4 +1,4 @@
-"""Kinematic chain of a machine with three linear axes, written from the tool to the workpiece."""
+"""Kinematic chain of a machine with three linear axes, listed from the tool to the workpiece."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Chain:
 
 
 def parse_chain(text: str) -> Chain:
-    """Parse a chain such as `tool-Y-Z-X-bed-workpiece`, in either case; ModelError otherwise."""
+    """Parse a chain such as `tool-Y-Z-X-bed-workpiece` in upper or lower case; raises ModelError if it is not valid."""
     links = [link.strip().lower() for link in text.split("-")]
     for word, link, where in (("tool", links[0], "begin"), ("workpiece", links[-1], "end")):
         if link != word:

@@ -11,7 +11,9 @@ from twin.arrays import Array
 
 
 def normalise_positions(positions: Array, axis_range: tuple[float, float]) -> Array:
-    """Map axis positions (n,) in mm linearly so that `axis_range` becomes [-1, 1]; positions outside map beyond it."""
+    """Map axis positions (n,) in mm linearly from `axis_range` to [-1, 1]; positions outside the range map outside [-1,
+    1].
+    """
     low, high = axis_range
     return (positions - 0.5 * (low + high)) * (2.0 / (high - low))
 
@@ -34,8 +36,9 @@ def legendre_values(argument: Array, order: int) -> Array:
 def to_power_series(coefficients: Array) -> Array:
     """Convert Legendre series (m, order + 1) to series in powers of the argument.
 
-    Powers cost one product each to evaluate. On [-1, 1] the loss of precision is set by the largest power coefficient
-    (8 at order 5, 1e5 at order 15). For errors of tens of micrometres it is under 1e-12 mm.
+    Evaluating a power series takes one multiplication per power. On [-1, 1] the loss of precision is proportional to
+    the largest power coefficient (8 at order 5, 1e5 at order 15). For errors of tens of micrometres the loss is below
+    1e-12 mm.
     """
     series: Array = coefficients @ _to_powers(coefficients.shape[-1])
     return series

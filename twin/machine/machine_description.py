@@ -1,4 +1,4 @@
-"""Machine as described by a machine file, as used by the twin, the planner and the simulator."""
+"""Description of a machine, as read from a machine file, for the model, the planner and the simulator."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ Triple = tuple[float, float, float]
 class MachineDescription:
     """Complete description of one machine.
 
-    `model` contains the chain and axis ranges; `limits` (mm) are the travel limits, which contain the ranges. `tools`
-    are tool offsets (3,) in mm from the ram reference to the stylus centre. `amplitudes` are the family's half-widths
-    as written in the file, so that a machine of another order can be drawn from them.
+    `model` contains the kinematic chain and the axis ranges; `limits` (mm) are the travel limits, which contain the
+    ranges. `tools` are tool offsets (3,) in mm from the ram reference to the stylus centre. `amplitudes` are the
+    half-widths of the machine family as written in the file, so that the family can also be built for another Legendre
+    order.
     """
 
     name: str
@@ -53,8 +54,9 @@ class MachineDescription:
             raise ModelError(message, hint=hint, key="deflection.grid")
 
     def with_order(self, order: int) -> MachineDescription:
-        """Return the same machine with one Legendre order for all 18 error motions, its family taken from the
-        amplitudes.
+        """Return the same machine with one Legendre order for all 18 error motions.
+
+        Its family is computed from `amplitudes` for that order.
         """
         orders = dict.fromkeys(ERROR_MOTIONS, order)
         return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))

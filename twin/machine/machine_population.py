@@ -1,4 +1,4 @@
-"""Family of machines: each coefficient is drawn from a uniform distribution around zero."""
+"""Family of machines: the coefficients of its machines are distributed uniformly around zero."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ DEFAULT_DECAY = 0.6
 
 @dataclass(frozen=True)
 class Family:
-    """Distribution of machines: parameter i of `model` is uniform in ±a_i, with a = `half_widths` (p,) in mm or rad."""
+    """Distribution of machines in which parameter i of `model` is uniform in ±a_i.
+
+    a = `half_widths` (p,), in mm or rad.
+    """
 
     model: ErrorModel
     half_widths: Array
@@ -45,9 +48,9 @@ def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | S
     """Return the family with the given half-widths per kind of error.
 
     `positioning_um`, `straightness_um`, `rotation_urad`: one value per Legendre order, starting at the lowest order of
-    that kind (order 1, for a straightness order 2), or a single value for the lowest order. Higher orders continue from
-    the last value by the factor `decay` (default 0.6) per order. `squareness_urad`, `cross_displacement_um`,
-    `cross_rotation_urad`: one value each. A kind that is left out is zero.
+    that kind (order 2 for a straightness, otherwise 1), or a single value for the lowest order. Beyond the last value
+    given, the half-widths decrease by the factor `decay` (default 0.6) per order. `squareness_urad`,
+    `cross_displacement_um`, `cross_rotation_urad`: one value each. A kind that is left out is zero.
     """
     known = (*SERIES_KINDS, *SINGLE_KINDS, "decay")
     for name in amplitudes:

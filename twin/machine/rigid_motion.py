@@ -1,6 +1,6 @@
-"""Fields of small rigid motions.
+"""Displacement fields of small rigid motions.
 
-A free artefact cannot observe them, and they are not counted as machine errors.
+Measurements of a free artefact cannot observe them, and they are not counted as machine errors.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from twin.arrays import Array
 def rigid_fields(points: Array, middle: Array, size_mm: float) -> Array:
     """Return six rigid motion fields (n, 3, 6) at points (n, 3) mm: three translations, three rotations.
 
-    The rotations are about `middle` (3,) and scaled to unit length at the distance `size_mm`.
+    The rotations are about `middle` (3,) and are scaled so that the displacement at the distance `size_mm` is 1.
     """
     x, y, z = ((points - middle) / size_mm).T
     fields = np.zeros((len(points), 3, 6))

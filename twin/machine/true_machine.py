@@ -1,7 +1,7 @@
-"""True machine of a simulation: richer than the model that is identified.
+"""True machine of a simulation, which has effects that the identified model cannot represent.
 
-It has effects that the identified model cannot represent: a higher Legendre order and a deflection grid. Simulators are
-built on one true machine, and studies draw many.
+These are Legendre terms of higher order and a deflection grid. A simulator is built on one true machine, and studies
+draw many.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ class TrueMachine:
     deflection: DeflectionGrid | None
 
     def deviation(self, bare_positions: Array) -> Array:
-        """Return the deviation (n, 3) mm of the tool centre point at uncorrected axis positions (n, 3)."""
+        """Return the deviation (n, 3) mm of the tool centre point at axis positions (n, 3) mm; no correction is
+        applied.
+        """
         total = np.zeros_like(bare_positions)
         if self.model is not None:
             total += exact_deviation(self.model, bare_positions, self.tool_offset, self.parameters)
@@ -52,7 +54,9 @@ def draw_machine(
     with_deflection: bool,
     rng: np.random.Generator,
 ) -> TrueMachine:
-    """Draw one machine of the family extended to Legendre `order`; its amplitudes decay as those of the family do."""
+    """Draw one machine of the family, extended to Legendre `order`; the amplitudes of the higher orders decay as in the
+    family.
+    """
     offset = description.tool(tool)
     nominal = description.model
     model = ErrorModel.uniform(nominal.chain, nominal.ranges_mm, order, nominal.cross_effect)

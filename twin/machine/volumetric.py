@@ -1,8 +1,8 @@
-"""Volumetric error: rms length of the deviation over a grid, raw and after the best rigid motion.
+"""Volumetric error: rms length of the deviation over a grid, raw and after the best rigid motion is removed.
 
-A rigid motion of the whole workspace is not a machine error and no free artefact can observe it, so every volumetric
-error is given twice. For a field that is linear in its parameters the mean square is the quadratic form E^T (B^T B / n)
-E, so the grid has to be evaluated only once.
+A rigid motion of the whole workspace is not a machine error, and a free artefact cannot observe it. Every volumetric
+error is therefore given both raw and aligned. For a field that is linear in its parameters E, with basis B at n points,
+the mean square is the quadratic form Eᵀ (Bᵀ B / n) E, so the grid has to be evaluated only once.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _END_TOLERANCE = 1e-9  # relative to the range
 
 @dataclass(frozen=True)
 class VolumetricRms:
-    """Rms deviation in mm: `raw_mm` as it is, `aligned_mm` after the best rigid motion of the workspace."""
+    """Rms deviation in mm: `raw_mm` unchanged, `aligned_mm` after the best rigid motion of the workspace is removed."""
 
     raw_mm: float
     aligned_mm: float
@@ -53,8 +53,8 @@ def evaluation_grid(ranges_mm: Ranges, shape: tuple[int, int, int] = (60, 20, 20
 def covering_grid(ranges_mm: Ranges, nodes: tuple[ArrayLike, ArrayLike, ArrayLike]) -> Array:
     """Return the axis positions (n, 3) of the grid with these nodes (mm) along X, Y, Z; x slowest, z fastest.
 
-    Raises ModelError naming the axis if the nodes do not ascend from one end of the range to the other: an rms over
-    less than the workspace is not a volumetric error.
+    Raises ModelError naming the axis if the nodes do not ascend from one end of the range to the other, because an rms
+    over a part of the workspace is not a volumetric error.
     """
     lines = [np.asarray(line, dtype=np.float64) for line in nodes]
     for axis, line, (low, high) in zip(AXES, lines, ranges_mm, strict=True):
@@ -79,10 +79,11 @@ def rms(deviation: Array) -> float:
 
 
 def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
-    """Return the residual (n, 3) of `deviation` (n, 3) at tool points (n, 3) after the best small rigid motion.
+    """Return the residual (n, 3) of `deviation` (n, 3) at tool points (n, 3) after the best small rigid motion is
+    removed.
 
-    Translation and small rotation by least squares with equal weights. A rotation that the tool points do not determine
-    (too few, or collinear) is not used.
+    The translation and the small rotation are fitted by least squares with equal weights. A rotation that the tool
+    points do not determine (because they are too few or collinear) is not fitted.
     """
     field = as_points(deviation, "deviation")
     motions = _rigid_motions(as_points(points, "points"))
@@ -91,8 +92,8 @@ def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
 
 
 def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) -> Array:
-    """Fit the best small rigid motion to a deviation (n, 3) at tool points (n, 3) and return it at other
-    points (m, 3).
+    """Fit the best small rigid motion to `deviation` (n, 3) at tool points (n, 3), and return it at points `elsewhere`
+    (m, 3).
     """
     at, field, other = (as_points(each, "points") for each in (points, deviation, elsewhere))
     middle, size_mm = at.mean(axis=0), max(float(np.ptp(at, axis=0).max()), 1.0)
@@ -109,10 +110,10 @@ def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> VolumetricRms:
 
 @dataclass(frozen=True)
 class QuadraticForm:
-    """Mean square over a grid of the linear field (plus a fixed field) as a function of the parameters.
+    """Mean square, over a grid, of a linear field plus an optional fixed field, as a function of the parameters.
 
-    `raw`, `aligned` (p, p) in mm² per unit of parameters; `raw_linear`, `aligned_linear` (p,) and `raw_constant`,
-    `aligned_constant` belong to the fixed field and are zero without one.
+    `raw`, `aligned` (p, p): quadratic coefficients in mm² per product of two parameter units. `raw_linear`,
+    `aligned_linear` (p,) and `raw_constant`, `aligned_constant` come from the fixed field and are zero without one.
     """
 
     model: ErrorModel
@@ -167,7 +168,7 @@ class QuadraticForm:
         )
 
     def values(self, parameters: ArrayLike) -> tuple[Array, Array]:
-        """Return raw and aligned rms (m,) in mm of m machines with parameters (m, p)."""
+        """Return raw and aligned rms, (m,) each, in mm of m machines with parameters (m, p)."""
         vectors = np.asarray(parameters, dtype=np.float64)
         if vectors.ndim != 2 or vectors.shape[1] != self.model.size:
             raise ModelError(f"parameters have shape {vectors.shape}, expected (m, {self.model.size})")
@@ -176,13 +177,19 @@ class QuadraticForm:
         return np.sqrt(raw), np.sqrt(aligned)
 
     def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> VolumetricRms:
-        """Return the volumetric error of one machine (p,). For many machines with one field use `with_field` once."""
+        """Return the volumetric error of one machine with parameters (p,).
+
+        For many machines with the same fixed field, call `with_field` once instead.
+        """
         form = self if field is None else self.with_field(field)
         raw, aligned = form.values(as_vector(parameters, self.model.size, "parameters")[None, :])
         return VolumetricRms(float(raw[0]), float(aligned[0]))
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Return the root of the expected mean square for a covariance P (p, p): sqrt(trace(Q P) + fixed field)."""
+        """Return the root of the expected mean square for parameters of mean zero and covariance P (p, p).
+
+        This is sqrt(trace(Q P) + c), with Q the quadratic coefficients and c the mean square of the fixed field.
+        """
         raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
         aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
@@ -205,7 +212,8 @@ def _basis_chunks(model: ErrorModel, points: Array, offset: Array) -> Iterator[t
 def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
     """Return an orthonormal basis (3n, r) of the small rigid motions of points (n, 3); r = 6 unless they are collinear.
 
-    `weights` (n,) are those of the points in a sum of squares; the fields are then multiplied by their square roots.
+    `weights` (n,): weights of the points in a sum of squares; if given, the fields are multiplied by their square
+    roots.
     """
     middle = points.mean(axis=0)
     size = max(float(np.sqrt(np.mean((points - middle) ** 2))), 1e-12)
@@ -218,6 +226,8 @@ def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
 
 
 def _degrees(model: ErrorModel) -> tuple[int, int, int]:
-    """Return the highest powers of x, y, z in a basis column: a series or the cross-effect, times a lever arm."""
+    """Return the highest powers of x, y, z in any basis column, which is a series or cross-effect term times a lever
+    arm.
+    """
     x, y, z = (max(order, 2) + 1 for order in model.highest_order)
     return x, y, z
