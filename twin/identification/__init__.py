@@ -1,4 +1,4 @@
-"""Identification of the compensation model C from ball centres."""
+"""Identification of the compensation model from ball centres."""
 
 from twin.identification.drift import DriftEstimate, DriftPrior, MachineDrift
 from twin.identification.estimate import Estimate, Misfit

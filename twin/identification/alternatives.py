@@ -1,11 +1,13 @@
 """Uncertainty of the estimated scales, and its effect on the estimate.
 
-The measurements determine some scales poorly, above all those of misfit that they hardly observe, so what is stated
-must not depend on the likeliest values alone. The log scales are taken as normal about these values, with covariance
-the inverse of the Fisher information plus that of their priors (Laplace approximation). The k free scales are
-represented by k + 1 points of equal weight with exactly this mean and covariance (spherical simplex; Julier, Proc. ACC
-2003). With V = σ²I + A D⁻¹Aᵀ the Fisher information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V', which
-follows from the posterior alone.
+The measurements determine some scales poorly, above all the scales of kinds of misfit that they hardly observe. The
+stated result must therefore not depend on the likeliest scales alone. The logarithms of the scales are assumed to be
+normally distributed about their likeliest values; their precision is the sum of the Fisher information and the
+precision of their priors (Laplace approximation). The k free scales are represented by k + 1 points of equal weight
+with exactly this mean and covariance (spherical simplex; Julier, Proc. ACC 2003). The data have the covariance V = σ²I
++ A D⁻¹Aᵀ (touch noise σ, design A, prior precision D). The Fisher information of two log variances is half the trace of
+V⁻¹ ∂V V⁻¹ ∂V', where ∂V and ∂V' are the derivatives of V with respect to each of them; it can be computed from the
+posterior alone.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from twin.identification.normal import Posterior, PriorPrecision, Scales
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Scales that are also plausible, and the resulting posterior mean `z` (P,) and `covariance` (P, P)."""
+    """Plausible scales near the likeliest ones, and posterior mean `z` (P,) and `covariance` (P, P) at these scales."""
 
     scales: Scales
     z: Array
@@ -32,9 +34,9 @@ class Alternative:
 def alternatives(
     matrix: Array, precision: PriorPrecision, posterior: Posterior, z: Array, scales: Scales, rows: int
 ) -> tuple[Alternative, ...]:
-    """Return equally weighted alternatives about the likeliest `scales`.
+    """Return equally weighted alternatives, distributed about the likeliest `scales`.
 
-    `matrix` (P, P) is the normal matrix of `rows` equations; `posterior` and its mean z (P,) are those at `scales`.
+    `matrix` (P, P) is the normal matrix of `rows` equations; `posterior` and its mean `z` (P,) hold for `scales`.
     """
     free = np.array(free_scales(precision))
     spread = np.zeros((int(free.sum()), len(free)))
@@ -61,7 +63,7 @@ def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
 
 
 def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Scales, rows: int) -> Array:
-    """Return the covariance (6, 6) of the log scales; scales that are not free have their prior variance."""
+    """Return the covariance (6, 6) of the log scales; a scale without unknowns has its prior variance."""
     prior = precision.matrix(scales)
     # C D: share of each unknown that comes from the prior; 1 - C D is the share that comes from the measurements
     kept = posterior.covariance @ prior

@@ -1,8 +1,8 @@
 """Formulation `centres`: ball centres with a free pose per position, eliminated by projection.
 
 The covariance of each centre whitens its three equations. The effect of the six pose increments of a position on its
-whitened equations spans a space with an orthonormal basis of 3·balls × 6, so projecting it out is one small product per
-position (variable projection; Golub and Pereyra 1973).
+whitened equations spans a space with an orthonormal basis Q of shape (3·balls, 6), so projecting it out is one small
+product per position (variable projection; Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _POSITIONS = 16  # positions whitened at a time: few enough for the cache, enoug
 
 @dataclass(frozen=True, eq=False)
 class CentreEquations:
-    """Whitened equations of the ball centres.
+    """Whitened equations of the ball centres of K positions with `width` slots for balls each.
 
-    `weight` (K, width, 3, 3): whitening W of each slot, zero in empty slots; `parts` (K·6, P): QᵀWA of the design A.
-    The whitened design W A is as large as the design itself and is computed piecewise when needed, because allocating
-    memory for it costs more than the products.
+    `weight` (K, width, 3, 3): whitening matrix W of each slot, zero in empty slots; `parts` (K·6, P): QᵀWA for the
+    design A and the basis Q of the effects of pose increments. The whitened design W A is as large as the design itself
+    and is computed piecewise when needed, because allocating memory for it costs more than the products.
     """
 
     problem: IdentificationProblem
@@ -57,7 +57,8 @@ class CentreEquations:
         )
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Return Aᵀy (P,), |y|² and the best-fitting poses for the exact `sides` at z."""
+        """Return Aᵀy (P,), |y|² and the best-fitting poses for the exact `sides` at z, where A is the whitened design
+        and y the whitened right side."""
         layout = self.problem.layout
         left, local = sides
         white = self._whitened(left - poses.to_workpiece(layout, local))
@@ -79,7 +80,7 @@ class CentreEquations:
         return self.projector.remove(white[:, :, None])[:, :, 0]
 
     def projected(self, size: int) -> Array:
-        """Return the whitened design (n, 3, size) of the first unknowns after removing the effect of pose
+        """Return the whitened design (n, 3, size) of the first `size` unknowns after removing the effect of pose
         increments."""
         layout = self.problem.layout
         white = weighted(self.weight, self.problem.design[..., :size]).reshape(layout.positions, -1, size)
@@ -101,7 +102,8 @@ class CentreEquations:
 
 
 def _whitening(covariance: Array, unit_weights: bool) -> Array:
-    """Return W (n, 3, 3) with WᵀW = covariance⁻¹; with unit weights the same multiple of 1 for all rows."""
+    """Return W (n, 3, 3) with WᵀW = covariance⁻¹; with unit weights W is the same multiple of the unit matrix for all
+    rows."""
     variance = np.einsum("nii->ni", covariance)
     if unit_weights:
         return np.broadcast_to(np.eye(3) / np.sqrt(np.median(variance.mean(axis=1))), covariance.shape)

@@ -1,10 +1,12 @@
-"""Formulation `distances`, the published method: all pairwise ball distances of a position against the calibrated ones.
+"""Formulation `distances`, the published method: compare all pairwise ball distances of a position with the calibrated
+ones.
 
     |p_i - p_j| = |b_i(T) - b_j(T)|,   p = X + t + d(X; E)
 
-Distances that share a ball are correlated, and there are more of them than independent ones. With full weights the
-distances of each position are whitened with the pseudo-inverse of their covariance (generalised least squares); with
-unit weights all count equally, as published.
+Here X is the axis position of a ball, t the tool offset, d the deviation of the model with parameters E, and b(T) the
+calibrated ball centre at temperature T. Distances that share a ball are correlated, and there are more of them than
+independent ones. With full weights the distances of each position are whitened with the pseudo-inverse of their
+covariance (generalised least squares); with unit weights all count equally, as published.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class PositionPairs:
-    """Ball pairs of one position: sorted rows `first`, `second` (m,); `whitening` (r, m)."""
+    """The m ball pairs of one position. `first` and `second` (m,): rows of both balls, with rows sorted by position;
+    `whitening` (r, m): matrix that whitens the distances."""
 
     first: Rows
     second: Rows
@@ -36,8 +39,8 @@ class PositionPairs:
 
 @dataclass(frozen=True, eq=False)
 class DistanceEquations:
-    """Whitened distance equations: `white` (M, P) of all positions; `noise`: their noise covariances, one (r, r) per
-    position."""
+    """Whitened distance equations. `white` (M, P): whitened design of all positions; `noise`: noise covariance (r, r)
+    of the equations of each position."""
 
     problem: IdentificationProblem
     pairs: tuple[PositionPairs, ...]
@@ -80,7 +83,7 @@ class DistanceEquations:
         return gram, float(sum(np.trace(covariance) for covariance in self.noise))
 
     def _remaining(self, sides: Sides) -> Array:
-        """Return the whitened exact distance errors (M,), measured less calibrated."""
+        """Return the whitened exact distance errors (M,), measured minus calibrated."""
         left, local = sides
         errors = []
         for pair in self.pairs:
@@ -93,9 +96,10 @@ class DistanceEquations:
 def _position(
     problem: IdentificationProblem, points: Array, ends: tuple[int, int], design: Array, unit: float | None
 ) -> tuple[PositionPairs, Array, Array]:
-    """Return the pairs of one position, their whitened rows and the noise covariance of these.
+    """Return the pairs of one position, the whitened rows of their design, and the noise covariance of these rows.
 
-    `ends` delimits the sorted rows of the position; `design` (m, 3, P) is their design.
+    `ends`: first row of the position and first row after it; `design` (balls, 3, P): design of these rows; `unit`:
+    standard deviation of every distance in mm, or None for full weights.
     """
     start, end = ends
     first, second = (index + start for index in np.triu_indices(end - start, k=1))
@@ -122,6 +126,7 @@ def _whitening(covariance: Array) -> Array:
 
 
 def _unit_deviation(problem: IdentificationProblem) -> float:
-    """Return one standard deviation for all distances: that of the difference of two typical coordinates."""
+    """Return the standard deviation in mm of the difference of two typical coordinates, which is used for all
+    distances."""
     variances = np.einsum("nii->n", problem.observations.covariance) / 3.0
     return float(np.sqrt(2.0 * np.median(variances)))

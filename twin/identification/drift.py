@@ -3,11 +3,11 @@ regressors.
 
 The drift of a warming machine is smooth in space: scales expand, guides and columns bend, squareness changes, the tip
 moves. It is also smooth in time. Expansion follows one thermometer; bending follows the difference of two temperatures
-and may also have a time lag of its own, for which there are further regressors. Together they form a small block of
-unknowns, `field = Σ regressor · form`, with a prior stated per kelvin. A row's regressors are zero in the state to
-which the prior of the machine (family or earlier estimate) refers: at the start. The estimate usually refers to a later
-state, most often the last one: its parameters are those at the start plus the drift until then, and their covariance
-includes the uncertainty of the drift.
+and may also have its own time lag, which further regressors describe. Together they form a small block of unknowns,
+`field = Σ regressor · form`, with a prior stated per kelvin. The regressors are zero at the start, which is the state
+to which the prior of the machine (family or earlier estimate) refers. The estimate usually refers to a later state,
+most often the last one: its parameters are those at the start plus the drift until then, and their covariance includes
+the uncertainty of the drift.
 
 A rigid motion of the artefact or of the whole machine between two positions is absorbed by the poses, so the drift of
 the tip is observed only within a position.
@@ -33,8 +33,9 @@ _OTHER_ORDER = 1  # lowest order of a scale and of a rotation
 class DriftPrior:
     """Standard deviations of the drift per kelvin.
 
-    `strain_per_k`: scales (1/K), driven by the full temperature rise; `bending_per_k`: angles (rad/K) and bows over
-    half the travel, driven by the difference of two temperatures; `tip_mm_per_k`: tip (mm/K).
+    `strain_per_k`: scale errors (1/K), driven by the full temperature rise; `bending_per_k`: angles (rad/K) and
+    straightness bows (in units of half the travel, 1/K), driven by the difference of two temperatures; `tip_mm_per_k`:
+    tip (mm/K).
     """
 
     strain_per_k: float = 12e-6
@@ -51,8 +52,9 @@ class DriftPrior:
 class MachineDrift:
     """Drift unknowns of a machine.
 
-    `parameter_indices` (f,): parameters that drift; `deviations` (f,): their prior standard deviations in mm/K or
-    rad/K; `regressor_count`: number of thermal regressors. Scales and tip depend on the first regressor only.
+    `parameter_indices` (f,): indices of the parameters that drift; `deviations` (f,): their prior standard deviations
+    in mm/K or rad/K; `regressor_count`: number of thermal regressors. Scales and tip depend on the first regressor
+    only.
     """
 
     names: tuple[str, ...]
@@ -65,7 +67,7 @@ class MachineDrift:
     def of(
         cls, model: ErrorModel, prior: DriftPrior, regressor_count: int, free: np.ndarray[Any, np.dtype[np.bool_]]
     ) -> MachineDrift:
-        """Return the drift of a model; `free` (p,) bool marks the parameters that are not held at zero."""
+        """Return the drift unknowns of a model; `free` (p,) bool marks the parameters that are not held at zero."""
         drifting = [(index, one) for index, one in enumerate(model.parameters) if _drifts(one) and free[index]]
         deviations = [_per_k(prior, one) * _lever_mm(model, one) for _, one in drifting]
         names, indices = tuple(one.name for _, one in drifting), tuple(index for index, _ in drifting)
@@ -86,9 +88,10 @@ class MachineDrift:
         return self.forms + (self.regressor_count - 1) * len(self.bending)
 
     def columns(self, basis: Array, course: Array) -> Array:
-        """Return the design columns (n, 3, size) in mm per unit.
+        """Return the design columns (n, 3, size) in mm per unit of z.
 
-        `basis` (n, 3, p): fields of the model's parameters at the rows; thermal regressors (n, w) in K.
+        `basis` (n, 3, p): fields of the model's parameters at the rows; `course` (n, w): thermal regressors of the rows
+        in K.
         """
         forms = np.empty((len(basis), 3, self.forms))
         forms[:, :, :-3] = basis[:, :, self.parameter_indices] * self.deviations
@@ -98,13 +101,15 @@ class MachineDrift:
         return np.concatenate((course[:, 0, None, None] * forms, *further), axis=2)
 
     def change_matrix(self, course: Array) -> Array:
-        """Return the derivative (f + 3, size) of `change` with respect to z."""
+        """Return the derivative (f + 3, size) of `change` with respect to z, at thermal regressors `course` (w,) in
+        K."""
         units = np.diag(np.append(self.deviations, np.full(3, self.tip_mm_per_k)))
         further = [share * units[:, self.bending] for share in course[1:].tolist()]
         return np.concatenate((course[0] * units, *further), axis=1)
 
     def change(self, z: Array, course: Array) -> Array:
-        """Return the change (f + 3,) of parameters and tip for unknowns z (size,) at thermal regressors (w,) in K."""
+        """Return the change (f + 3,) of drifting parameters (mm or rad) and tip (mm) for unknowns z (size,) at thermal
+        regressors `course` (w,) in K."""
         return np.asarray(self.change_matrix(course) @ z)
 
 
@@ -117,10 +122,8 @@ class DriftEstimate:
     covariance: Array
 
     def change(self, course: Array) -> dict[str, tuple[float, float]]:
-        """Return, by name (``EXX[1]``, ``tip X``), the change in mm or rad at thermal regressors (w,) in K and its
-        uncertainty.
-
-        The uncertainty is a standard uncertainty.
+        """Return the change and its standard uncertainty, in mm or rad, at thermal regressors `course` (w,) in K. Keys
+        are names such as ``EXX[1]`` and ``tip X``.
         """
         values = self.drift.change(self.z, course)
         matrix = self.drift.change_matrix(course)
@@ -145,7 +148,8 @@ def _per_k(prior: DriftPrior, parameter: Parameter) -> float:
 
 
 def _lever_mm(model: ErrorModel, parameter: Parameter) -> float:
-    """Return the factor from strain or angle to the parameter: half the travel for a displacement, 1 for an angle."""
+    """Return the factor that converts a strain or angle to the parameter: half the travel for a displacement, 1 for an
+    angle."""
     if parameter.unit == "rad":
         return 1.0
     low, high = model.ranges_mm[AXES.index(parameter.error[2])]

@@ -26,8 +26,8 @@ class Misfit:
     """Estimated fields that the model cannot represent.
 
     `coefficients` (q,) of the modes, their `covariance` (q, q) and `cross_covariance` (p, q) with the parameters; a
-    field in mm is `amplitude_mm` · modes · coefficients. `unresolved_mm2`: variance per direction of the misfit that is
-    too short in wavelength for the modes.
+    field in mm is `amplitude_mm` · modes · coefficients. `unresolved_mm2`: variance per direction of the part of the
+    misfit whose wavelength is too short for the modes.
     """
 
     modes: MisfitModes
@@ -46,14 +46,15 @@ class Misfit:
 class Estimate:
     """Parameters (p,) in mm or rad of the compensation model with their covariance (p, p).
 
-    The covariance is marginal over poses, certificate, thermal strain and misfit. `residuals_mm` (n, 3): in the order
-    of the observations, including rejected rows; `chi2_normalised`: squared residuals in units of the stated noise per
-    degree of freedom; `rejected`: (position, ball, tool) of rejected rows; `scales`: estimated for noise, prior and
-    misfit; `misfit`: None if it was switched off; `information` (p, p): of the measurements alone, in units of
-    `prior_scale`; `z` (P,), `z_covariance` (P, P): of all `unknowns` jointly; `alternatives`: equally weighted results
-    under other scales that the measurements allow; `order_evidence`: evidence of each Legendre order if the order was
-    chosen by it; `drift`: drift of the machine during the measurement if it was estimated; everything else is marginal
-    over it.
+    The covariance is marginal over poses, certificate, thermal strain and misfit. `residuals_mm` (n, 3): residuals of
+    all rows, including rejected ones, in the order of the observations. `chi2_normalised`: sum of squared residuals in
+    units of the stated noise, divided by the degrees of freedom. `rejected`: (position, ball, tool) of each rejected
+    row. `scales`: estimated scales of noise, prior and misfit. `misfit`: None if the misfit was switched off.
+    `information` (p, p): information matrix of the measurements alone, with parameters in units of `prior_scale`. `z`
+    (P,) and `z_covariance` (P, P): values and covariance of all `unknowns` together. `alternatives`: equally weighted
+    results for other scales that the measurements allow. `order_evidence`: evidence of each Legendre order; empty if
+    the order was given. `drift`: drift of the machine during the measurement, None if it was not estimated; all other
+    results are marginal over the drift.
     """
 
     model: ErrorModel
@@ -76,7 +77,7 @@ class Estimate:
     drift: DriftEstimate | None = field(default=None, repr=False)
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
-        """Return the estimate as the prior of a later one, `nights` later.
+        """Return this estimate as the prior of an estimate made `nights` nights later.
 
         `process_noise` (p,): standard deviations (mm or rad) by which each parameter may have changed per night.
         """
@@ -85,7 +86,7 @@ class Estimate:
 
     @property
     def prior_scale(self) -> Array:
-        """Unit of each parameter (p,) in mm or rad: its standard deviation in the family."""
+        """Unit of each parameter (p,) in mm or rad: its prior standard deviation."""
         return self.unknowns.scale
 
     @property
@@ -105,13 +106,13 @@ class Estimate:
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
-        """Directions that the measurements leave undetermined, size - rank of them."""
+        """Parameter directions that the measurements leave undetermined; their number is `model.size` - `rank`."""
         return self._seen.null_directions
 
     @property
     def conditioning(self) -> float:
-        """Ratio of the largest to the smallest singular value of the determined part, parameters in units of their
-        prior."""
+        """Ratio of the largest to the smallest singular value of the determined part, with parameters in units of their
+        prior standard deviation."""
         return self._seen.conditioning
 
     @property

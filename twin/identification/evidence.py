@@ -4,8 +4,9 @@ With the poses projected out and z integrated out, twice the negative log margin
 
     rows ln σ² + |y|²/σ² - rᵀ H⁻¹ r/σ⁴ + ln det H - ln det D,   H = N/σ² + D
 
-(MacKay 1992; Rasmussen and Williams 2006, 5.4). The gradient needs only the diagonal of H⁻¹. Each log scale has a weak
-normal prior and bounds, so that a small set cannot drive it to extreme values.
+(MacKay 1992; Rasmussen and Williams 2006, 5.4), where N = AᵀA and r = Aᵀy are matrix and right side of the normal
+equations of A z = y, σ is the touch noise and D the prior precision of z. The gradient needs only the diagonal of H⁻¹.
+Each log scale has a weak normal prior and bounds, so that a small set cannot drive it to extreme values.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True)
 class OrderEvidence:
-    """Log evidence of a Legendre order, zero for the likeliest of those compared, and the scales at which it was
-    reached."""
+    """Evidence of a Legendre order. `relative_log`: log evidence minus that of the likeliest order compared; `scales`:
+    likeliest scales for this order."""
 
     order: int
     relative_log: float
@@ -36,7 +37,8 @@ class OrderEvidence:
 
 @dataclass(frozen=True)
 class ScalePrior:
-    """Log-normal prior of a scale: median 1, one standard deviation `factor`, bounds `low` and `high`."""
+    """Log-normal prior of a scale with median 1; `factor` is the geometric standard deviation, `low` and `high` are
+    bounds."""
 
     factor: float
     low: float
@@ -64,7 +66,7 @@ _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01
 
 
 def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
-    """Return the scales at the maximum of the marginal likelihood times their priors."""
+    """Return the scales that maximise the product of the marginal likelihood and their priors."""
     free = free_scales(precision)
     log_start: Logs = np.log(start.values)[free]
     cost = _cost(normal, precision, start)
@@ -81,8 +83,8 @@ def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start
 
 
 def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> float:
-    """Return the log marginal likelihood times the scales' priors, without terms that depend only on rows and
-    covariances."""
+    """Return the logarithm of the marginal likelihood times the priors of the scales. Terms that depend only on the
+    rows and their covariances are omitted."""
     logs = np.log(scales.values)[free_scales(precision)]
     return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
 
@@ -98,14 +100,14 @@ def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
 
 
 def free_scales(precision: PriorPrecision) -> list[bool]:
-    """Return flags for noise, prior and kinds of misfit: true if the scale is free, false if a carried-over prior fixes
-    it."""
+    """Return a flag for the scale of noise, prior and each kind of misfit: False if a carried-over prior fixes the
+    scale or if it has no unknowns, otherwise True."""
     found = [True, *(precision.has_free_scale(block) for block in scaled_blocks(precision.blocks))]
     return found + [False] * (len(SCALE_PRIORS) - len(found))
 
 
 def scaled_blocks(blocks: UnknownBlocks) -> tuple[slice, ...]:
-    """Return the blocks that have a scale, in the order of `Scales.values`."""
+    """Return the blocks of z that have a scale, in the order of `Scales.values` after the noise."""
     return blocks.parameters, *blocks.kinds
 
 
@@ -129,8 +131,8 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
 
 
 def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:
-    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives by the log scales
-    (6,)."""
+    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (6,) with respect to the
+    log scales."""
     blocks, variance = precision.blocks, scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.information_vector
@@ -152,13 +154,14 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
 
 
 def _log_scale_derivative(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
-    """Return the derivative by the log variance of a block: unknowns - trace of their share - weighted square."""
+    """Return half the derivative with respect to the log scale of a block: number of unknowns - trace of their prior
+    share - weighted square."""
     size = block.stop - block.start
     return float(size - taken[block].sum() - weighted_z[block] @ z[block])
 
 
 def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
-    """Return ln det of the prior precision, without the constant part of a carried-over prior."""
+    """Return the log determinant of the prior precision, without the constant part of a carried-over prior."""
     diagonal = np.log(precision.diagonal(scales))
     if precision.known is not None:
         diagonal[precision.known.members] = 0.0

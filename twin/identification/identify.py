@@ -46,10 +46,11 @@ def identify(
     family: Family,
     options: Options | None = None,
 ) -> Estimate:
-    """Estimate the parameters of `model` from ball centres measured on `artefact`; `family` is the prior and sets the
-    units.
+    """Estimate the parameters of `model` from ball centres measured on `artefact`; `family` is the prior, and its
+    standard deviations are the units of the parameters.
 
-    Raise SingularSet for a set that determines nothing, and DataError for balls that the artefact does not have.
+    Raise SingularSet if the positions determine nothing, and DataError if the family belongs to another model or the
+    artefact does not have a measured ball.
     """
     options = options or Options()
     if family.model != model:
@@ -79,7 +80,7 @@ def identify_accepted(
 
 
 def _check_set(observations: Observations) -> None:
-    """Check conditions that no prior can replace: enough positions and enough different balls."""
+    """Raise SingularSet if the set has too few positions or too few different balls, which no prior can replace."""
     counts = np.unique(observations.position, return_counts=True)[1]
     useful = int((counts >= 2).sum())
     if useful < 2:
@@ -102,7 +103,8 @@ def _select_rows(whole: IdentificationProblem, options: Options) -> _RowSelectio
 
 
 def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSelection:
-    """Reject and refit, always on ball centres with the prior, until no ball contradicts the others."""
+    """Reject outliers and fit again until no ball contradicts the others; these fits always use ball centres and the
+    prior."""
     screening = replace(options, formulation="centres", weights="full", use_prior=True)
     accepted = np.ones(whole.observations.size, dtype=bool)
     problem = whole
@@ -160,8 +162,8 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
 
 
 def _state(whole: IdentificationProblem, options: Options) -> Array | None:
-    """Return the matrix (Q, P) from all unknowns at the start to the lasting ones in the state that the estimate
-    describes.
+    """Return the matrix (Q, P) that converts all P unknowns, which refer to the start, to the Q unknowns without the
+    drift, which refer to the state that the estimate describes.
 
     Return None if drift is not estimated.
     """
@@ -205,14 +207,14 @@ def _misfit(whole: IdentificationProblem, solution: Solution, z: Array, covarian
 
 
 def _unresolved(misfit_mm: float, modes: MisfitModes, solution: Solution) -> float:
-    """Return the variance left out by the modes, expected over the plausible scales."""
+    """Return the variance in mm² per direction that the modes leave out, averaged over the plausible scales."""
     likely = [one.scales for one in solution.alternatives] or [solution.scales]
     squares = np.mean([np.square(scales.kinds) for scales in likely], axis=0)
     return float(misfit_mm**2 * (modes.left_out @ squares))
 
 
 def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution: Solution) -> Array:
-    """Return the residuals (n, 3) in mm in the order of the given observations, each position at its pose of the
+    """Return the residuals (n, 3) in mm in the order of the given observations; each position has the pose found by the
     solution."""
     accepted, poses = selection.accepted, solution.poses
     left, local = solution.sides if accepted.all() else whole.sides(solution.z)

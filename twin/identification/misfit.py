@@ -27,12 +27,12 @@ from twin.machine.legendre import legendre_values, normalise_positions
 from twin.machine.rigid_motion import rigid_fields
 
 MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1 / 6, "waves along Z": 1 / 6}
-"""Kinds of misfit in their order, with the share of the prior variance of each."""
+"""Kinds of misfit in their fixed order, and the share of each in the prior variance."""
 
 _MIXED_DEGREE = 6
 _ORDERS_BEYOND = 8
-_MIXED_DECAY = 0.75  # prior standard deviation per degree
-_WAVE_DECAY = 0.85  # prior standard deviation per order; rail waves decay more slowly than the series
+_MIXED_DECAY = 0.75  # factor on the prior standard deviation per degree
+_WAVE_DECAY = 0.85  # factor on the prior standard deviation per order; rail waves decay more slowly than the series
 _LEVER_AMPLITUDE = 0.4  # amplitude of a wave with a lever relative to one without
 _MAX_MODES = (24, 12, 12, 12)  # by kind; the remainder is small enough to be treated as uncorrelated
 _CHUNK = 1000  # points whose basis is held in memory at a time
@@ -46,10 +46,10 @@ Weights = dict[Degrees, float]
 class MisfitModes:
     """Modes with unit-normal coefficients: field = candidates · `mixing` - model · `removed` - rigid motions · `rigid`.
 
-    `degrees`: Legendre degrees in x, y, z of each candidate (c); `mixing` (3, c, q) in mm; `removed` (p, q) and `rigid`
-    (6, q): part of each mode that the model or a rigid motion represents; `sizes`: number of modes of each kind, in
-    consecutive blocks; `left_out` (kinds,): variance per direction, mean over the workspace, that the modes of a kind
-    leave out. Modes and remainder together have a prior rms of 1.
+    `degrees`: Legendre degrees in x, y, z of each of the c candidates; `mixing` (3, c, q) in mm; `removed` (p, q) and
+    `rigid` (6, q): part of each mode that the model or a rigid motion represents; `sizes`: number of modes of each
+    kind, in consecutive blocks; `left_out` (kinds,): variance per direction, mean over the workspace, that the modes of
+    a kind leave out. Modes and remainder together have a prior rms of 1.
     """
 
     model: ErrorModel
@@ -66,8 +66,8 @@ class MisfitModes:
         return int(self.mixing.shape[2])
 
     def at(self, axis_positions: Array, basis: Array | None = None) -> Array:
-        """Return the modes (n, 3, q) in mm at axis positions (n, 3). `basis`: basis of the model there for this tool,
-        if available."""
+        """Return the modes (n, 3, q) in mm at axis positions (n, 3). `basis` (n, 3, p): basis of the model at these
+        positions for the tool of the modes, if already computed."""
         if basis is None:
             basis = deviation_basis(self.model, axis_positions, self.tool_offset)
         candidates = _candidates(self.degrees, self.model.ranges_mm, axis_positions)
@@ -80,7 +80,8 @@ class MisfitModes:
 
 @lru_cache(maxsize=16)
 def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> MisfitModes:
-    """Return the modes for a model and the tool offset (mm) at which model and misfit are separated."""
+    """Return the misfit modes for `model`. Their part that the model can represent is removed as it is for a tool with
+    `tool_offset` (mm)."""
     offset = np.array(tool_offset)
     kinds = _kinds(model)
     degrees = tuple(degree for kind in kinds for degree in kind)
@@ -106,10 +107,11 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Represented:
-    """Part of the candidates that model and rigid motions can represent, averaged over the workspace.
+    """Part of the candidates that the k known fields (of model parameters and rigid motions) can represent, averaged
+    over the workspace.
 
-    `inverse` (k, k): pseudo-inverse of the products of the known fields; `common` (3, k, c): products with the
-    candidates, by direction; `squares` (c,): mean square of each candidate.
+    `inverse` (k, k): pseudo-inverse of the Gram matrix of the known fields; `common` (3, k, c): products of known
+    fields and candidates for each direction; `squares` (c,): mean square of each candidate.
     """
 
     inverse: Array
@@ -134,13 +136,14 @@ class _Represented:
         return cls(_pseudo_inverse(gram), common, squares)
 
     def share(self, mixing: Array) -> Array:
-        """Return the known fields (k, q) contained in combinations (3, c, q) of the candidates."""
+        """Return the coefficients (k, q) of the known fields contained in combinations `mixing` (3, c, q) of the
+        candidates."""
         contained = np.tensordot(self.common, mixing, axes=((0, 2), (0, 1)))
         return np.asarray(self.inverse @ contained)
 
     def left(self, chosen: slice, deviations: Array) -> Array:
-        """Return the Gram matrix (3c, 3c) of the chosen candidates, times deviations (c,), less the represented
-        part."""
+        """Return the Gram matrix (3m, 3m) of the m `chosen` candidates, multiplied by `deviations` (m,), after the
+        represented part has been removed."""
         common = np.concatenate([part[:, chosen] * deviations for part in self.common], axis=1)
         own = np.tile(self.squares[chosen] * deviations**2, 3)
         # residual of a least-squares projection on the known fields G: CᵀC - CᵀG (GᵀG)⁻¹ GᵀC
@@ -149,7 +152,8 @@ class _Represented:
 
 @dataclass(frozen=True, eq=False)
 class _KindModes:
-    """Leading modes of one kind: `mixing` (3, c, q) of all candidates, and the variance that they leave out."""
+    """Leading modes of one kind: `mixing` (3, c, q) of all candidates, and variance per direction that the modes leave
+    out."""
 
     mixing: Array
     left_out: float
@@ -218,7 +222,7 @@ def _pseudo_inverse(gram: Array) -> Array:
 
 
 def _candidates(degrees: tuple[Degrees, ...], ranges_mm: Ranges, points: Array) -> Array:
-    """Return products of Legendre polynomials (n, c)."""
+    """Return the candidates (n, c) at points (n, 3): products of Legendre polynomials."""
     tables = []
     for axis in range(3):
         argument = normalise_positions(points[:, axis], ranges_mm[axis])

@@ -1,4 +1,5 @@
-"""Normal equations of the shared unknowns, with the poses already projected out, their prior and their posterior."""
+"""Normal equations of the shared unknowns z (the poses have already been projected out), and prior and posterior of
+z."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Normal equations of Σ|A z - y|² over `rows` independent equations of unit noise: AᵀA (P, P), Aᵀy (P,), |y|²."""
+    """Normal equations for minimising |A z - y|² over `rows` independent equations with unit noise. `matrix` AᵀA (P,
+    P), `right` Aᵀy (P,), `square` |y|²."""
 
     matrix: Array
     right: Array
@@ -73,7 +75,7 @@ class JointPrior:
 
     @classmethod
     def at_zero(cls, blocks: UnknownBlocks, precision: Array) -> JointPrior:
-        """Return a prior that holds the parameters at zero with precision (p, p)."""
+        """Return a prior of the parameters with mean zero and the given `precision` (p, p)."""
         members, full = np.zeros(blocks.size, dtype=bool), np.zeros((blocks.size, blocks.size))
         members[blocks.parameters] = True
         full[blocks.parameters, blocks.parameters] = precision
@@ -124,8 +126,8 @@ class PriorPrecision:
 class Posterior:
     """Posterior of z, represented by its precision: `factor` (P, P) is the lower Cholesky factor, in Fortran order.
 
-    In unit-prior coordinates the precision is at least 1 in every direction that the measurements leave open, so the
-    explicit inverse, where it is needed, is numerically safe.
+    Since z is in units of its prior, the precision is of order 1 or larger in every direction, even in those that the
+    measurements leave open. An explicit inverse is therefore numerically safe.
     """
 
     factor: Array

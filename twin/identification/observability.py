@@ -1,8 +1,9 @@
-"""Observability of a model by a set-up, with null directions described in words.
+"""Observability of a model's parameters by a measuring set-up; null directions are described in words.
 
 Information matrices are taken in unit-prior coordinates (each parameter in units of its prior standard deviation), so
 that mm and rad are comparable. A null direction is a combination of parameters that leaves all measurements unchanged.
-Some also leave the whole field at the tool point unchanged (they do no harm with a single tool), others do not.
+Some null directions also leave the whole error field at the tool point unchanged; these are harmless with a single
+tool.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class NullDirection:
 
 @dataclass(frozen=True)
 class Observability:
-    """Rank of the parameters, the undetermined directions (p - rank of them) and the conditioning of the rest."""
+    """Rank of the information about p parameters, the p - rank undetermined directions, and the conditioning of the
+    others."""
 
     rank: int
     null_directions: tuple[NullDirection, ...]
@@ -51,7 +53,8 @@ class Observability:
 
 
 def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool = False) -> Observability:
-    """Return the best possible observability, with the field measured everywhere with tools (T, 3).
+    """Return the best possible observability: that of the error field measured everywhere with tool offsets (T, 3) in
+    mm.
 
     Parameters are in units of `scale` (p,). If `aligned`, a rigid motion of the workspace does not count as a change.
     """
@@ -62,7 +65,8 @@ def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, al
 def observability(
     model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, observer: str = "by this set"
 ) -> Observability:
-    """Return rank and named null space of an information matrix (p, p) in units of `scale` (p,)."""
+    """Return rank and named null space of an information matrix (p, p) of parameters in units of `scale` (p,).
+    `observer`: phrase that states in the descriptions what does not see a direction."""
     values, vectors = np.linalg.eigh(information)
     open_ = values <= _NULL_EIGENVALUE * max(float(values[-1]), 1e-300)
     used = values[~open_]
@@ -79,7 +83,8 @@ def null_space(information: Array) -> Array:
 
 
 def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool) -> Array:
-    """Return the mean square field (p, p) in mm² over the workspace and the tools, in units of `scale`.
+    """Return the quadratic form (p, p) in mm² of the mean square field over the workspace and the tools. Parameters are
+    in units of `scale` (p,).
 
     If `aligned`, the best rigid motion common to all tools is removed.
     """
@@ -131,7 +136,8 @@ def _directions(
 
 
 def _parts(direction: Array, pivot: int) -> list[int]:
-    """Return the pivot and the other parameters involved, in model order, or by falling size if there are many."""
+    """Return the pivot and the other parameters involved, in model order, or by decreasing loading if there are
+    many."""
     size = np.abs(direction)
     others = [int(part) for part in np.flatnonzero(size > _MIN_LOADING * size.max()) if part != pivot]
     if len(others) > _MAX_PARTNERS:

@@ -21,29 +21,30 @@ class Options:
 
     `formulation`: ball centres with free poses, or pairwise distances (the published method).
 
-    `use_prior`: use the family as Gaussian prior; otherwise directions that the data leave open stay zero.
+    `use_prior`: use the family as Gaussian prior; otherwise directions that the data leave open are held at zero.
 
-    `prior_standard_deviation` (p,) in mm or rad: replaces that of the family.
+    `prior_standard_deviation` (p,) in mm or rad: replaces the standard deviations of the family.
 
     `carried_over`: posterior of machine, artefact and misfit from an earlier estimate, replacing family and
     certificate.
 
-    `weights`: the observations' covariances, or equal weights of all coordinates or distances (without nuisance
-    unknowns).
+    `weights`: "full" weights the observations by their covariances; "unit" gives all coordinates or distances the same
+    weight and omits the nuisance unknowns.
 
     `estimate_scales`: estimate the scales of touch noise, prior and misfit by maximum marginal likelihood; otherwise
     all are 1.
 
-    `outliers`: reject and refit by studentised residuals, or accept all rows.
+    `outliers`: "reject" removes outliers by their studentised residuals and fits again; "none" accepts all rows.
 
-    `false_alarm`: probability that a set without outliers loses a ball.
+    `false_alarm`: probability that any ball is rejected from a set without outliers.
 
-    `misfit_mm`: prior rms over the workspace of the errors that the model cannot represent; 0 switches them off. A
-    carried-over estimate keeps its own value.
+    `misfit_mm`: prior rms over the workspace of the errors that the model cannot represent; 0 switches the misfit off.
+    A carried-over estimate keeps its own value.
 
-    `temperature_standard_uncertainty_k`: of the artefact's thermometer, common to all rows.
+    `temperature_standard_uncertainty_k`: standard uncertainty of the artefact's thermometer, whose error is common to
+    all rows.
 
-    `drift`: prior of a drift along the thermal regressors of the observations; None if the machine does not drift.
+    `drift`: prior of a drift along the thermal regressors of the observations; None if drift is not estimated.
     `state_regressors` (w,) in K: thermal regressors of the state that the estimate describes; None for all zero.
     """
 

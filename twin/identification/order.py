@@ -1,13 +1,13 @@
 """Choice of the Legendre order by evidence.
 
-The evidence of an order is its marginal likelihood: poses projected out; parameters, certificate, strain and misfit
-integrated out; scales at their likeliest values, times their priors. All orders are compared on the same ball centres,
-so factors common to all are omitted; the determinants balance the size of a model against what it explains. Outliers
-are therefore rejected once, with the highest order, before any comparison.
+The evidence of an order is its marginal likelihood, multiplied by the priors of the scales. The poses are projected
+out; parameters, certificate, strain and misfit are integrated out; the scales have their likeliest values. All orders
+are compared on the same ball centres, so factors common to all are omitted; the determinants balance the size of a
+model against what it explains. Outliers are therefore rejected once, with the highest order, before any comparison.
 
-The misfit explains what a low order leaves almost as well as a higher order does, but a compensation table contains the
-parameters and not the misfit. So the highest order against which there is no very strong evidence is chosen: its prior
-keeps it from following noise.
+The misfit can explain the errors beyond a low order almost as well as a higher order can, but a compensation table
+contains the parameters and not the misfit. Therefore the highest order without very strong evidence against it is
+chosen; its prior prevents it from following noise.
 """
 
 from __future__ import annotations

@@ -26,7 +26,8 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 
 def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
-    """Return the sorted rows to reject now: in each position at most the worst row beyond the limit."""
+    """Return the rows to reject in this round (indices of rows sorted by position): in each position the worst row, if
+    it is beyond the limit."""
     square = studentised_squares(solution)
     limit = 3.0 * float(fdtri(3.0, solution.degrees_of_freedom, 1.0 - false_alarm / len(square)))
     limit = max(limit, _COMPARABLE_SHARE * float(square.max()))
@@ -36,8 +37,8 @@ def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
 
 
 def studentised_squares(solution: Solution) -> Array:
-    """Return t² (n,) of the sorted rows of a solution in `centres`, scaled to the median of χ² with three degrees of
-    freedom."""
+    """Return t² (n,) of the rows (sorted by position) of a solution in the formulation `centres`, scaled to the median
+    of χ² with three degrees of freedom."""
     equations = solution.equations
     if not isinstance(equations, CentreEquations):
         raise DataError("studentised residuals require the formulation 'centres'")
@@ -47,7 +48,7 @@ def studentised_squares(solution: Solution) -> Array:
     rows = equations.projected(size)
     spread_root = solution.posterior.whiten(rows.reshape(-1, size)).reshape(rows.shape)
     spread = spread_root @ spread_root.transpose(0, 2, 1)
-    # covariance of the residual: noise, less the part taken up by the pose, less the part taken up by the unknowns
+    # covariance of the residual: noise minus the parts taken up by the pose and by the unknowns
     covariance = variance * (np.eye(3) * (1.0 + _RIDGE) - q @ q.transpose(0, 2, 1)) - spread
     residuals = layout.unpad(equations.remaining(solution.sides, solution.poses).reshape(layout.positions, -1, 3))
     solved = np.linalg.solve(covariance, residuals[:, :, None])[:, :, 0]

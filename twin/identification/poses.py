@@ -1,4 +1,4 @@
-"""Poses of the artefact: rigid fit per position, small increments, and their projection out of the equations."""
+"""Poses of the artefact: rigid fit per position, small increments, and elimination of the poses from the equations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _UNDETERMINED = 1e-10  # relative eigenvalue of the 6x6 normal equations below w
 
 @dataclass(frozen=True, eq=False)
 class RowLayout:
-    """Rows sorted by position and laid out as (positions, width), with empty slots at the end of short positions.
+    """Rows sorted by position and laid out as (K positions, width), with empty slots at the end of positions with fewer
+    balls.
 
     `order` (n,) sorts the given rows by position; `counts` (K,): number of balls of each position.
     """
@@ -100,7 +101,8 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseArms:
-    """Middle of the balls of each position (K, 3) in the artefact's frame, and half their extent (K,) in mm."""
+    """Middle of the balls of each position (K, 3) in the artefact's frame, and largest distance (K,) of a ball from it,
+    in mm."""
 
     middle: Array
     length: Array
@@ -117,8 +119,8 @@ class PoseArms:
 def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
     """Fit the rigid pose of each position by Kabsch's method: artefact points (n, 3) onto measured points (n, 3).
 
-    If the balls of a position lie on one line, their roll cannot be determined and that of the mount is used, which
-    keeps the artefact's Y axis horizontal.
+    If the balls of a position lie on one line, the roll about this line cannot be determined. The roll of the mount is
+    used instead, which keeps the artefact's Y axis horizontal.
     """
     counts = layout.counts[:, None]
     here, there = layout.pad(local), layout.pad(found)
@@ -148,8 +150,8 @@ class PoseProjector:
 
     @classmethod
     def of(cls, layout: RowLayout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
-        """Build the projector; `weight` (K, width, 3, 3): W of each slot, WᵀW the inverse covariance, zero in empty
-        slots."""
+        """Build the projector. `weight` (K, width, 3, 3): matrix W of each slot, where WᵀW is the inverse covariance;
+        zero in empty slots."""
         lever = (layout.pad(local) - arms.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
         lever /= arms.length[:, None, None]
         # derivative of a point: the unit matrix for the shift, ω × lever for the rotation ω
@@ -183,7 +185,8 @@ class PoseProjector:
 
 
 def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
-    """Return W A for rows (..., 3, m); a diagonal W, as for one sigma per ball, only scales."""
+    """Return W A for rows A (..., 3, m) and matrices W `weight`; if all W are diagonal, as with one sigma per ball, the
+    rows are only scaled."""
     diagonal = np.einsum("...ii->...i", weight)
     if np.count_nonzero(weight) == np.count_nonzero(diagonal):
         return np.asarray(np.multiply(rows, diagonal[..., None], out=out))
@@ -208,7 +211,8 @@ def _recompose(left: Array, right: Array, handedness: Array) -> Array:
 
 
 def _upright_frame(axis: Array) -> Array:
-    """Return axes (3, 3) with `axis` as first and a horizontal second column; the Y axis if `axis` is vertical."""
+    """Return a rotation (3, 3) with `axis` as first column and a horizontal second column (the Y axis if `axis` is
+    vertical)."""
     azimuth = np.arctan2(axis[1], axis[0]) if np.hypot(axis[0], axis[1]) > 1e-9 else 0.0
     lateral = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     return np.column_stack((axis, lateral, np.cross(axis, lateral)))

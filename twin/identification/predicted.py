@@ -21,7 +21,7 @@ _CHUNK = 500  # points whose basis is held in memory at a time
 
 
 class FieldKnowledge(Protocol):
-    """Properties of an estimate needed to predict the residual field; a stored estimate has them too."""
+    """Properties of an estimate, computed or stored, that are needed to predict the residual field."""
 
     @property
     def model(self) -> ErrorModel: ...
@@ -34,8 +34,8 @@ class FieldKnowledge(Protocol):
 def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricRms:
     """Return the predicted volumetric compensated error at axis positions (n, 3), raw and after the best rigid motion.
 
-    It is the root of the expected mean square, over the posterior, of machine less model, and includes the covariance
-    of the parameters and the expected value and covariance of the misfit.
+    The result is the root of the posterior expectation of the mean square of machine minus model. It includes the
+    covariance of the parameters, and the expected value and the covariance of the misfit.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -47,7 +47,7 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
 def field_uncertainty(
     estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike, aligned_over: ArrayLike | None = None
 ) -> Array:
-    """Return the posterior rms (n, 3) in mm of machine less model at axis positions (n, 3), per direction.
+    """Return the posterior rms (n, 3) in mm, per direction, of machine minus model at axis positions (n, 3).
 
     If `aligned_over` (m, 3) is given, the best rigid motion over these axis positions is removed first.
     """
@@ -65,8 +65,8 @@ def field_uncertainty(
 
 
 def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
-    """Return the expected outer product (3n, 3n) in mm² of machine less model at axis positions (n, 3), in x, y, z
-    order."""
+    """Return the expected outer product (3n, 3n) in mm² of machine minus model at axis positions (n, 3); rows and
+    columns run point by point, in the order x, y, z."""
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
     columns = field_columns(estimate, grid, offset).reshape(-1, len(moments))
@@ -76,7 +76,8 @@ def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset
 def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:
     """Return the quadratic forms (p + q, p + q) in mm² of the mean square field over axis positions (n, 3).
 
-    The first form is raw, the second after the best rigid motion.
+    The forms apply to p parameters and q misfit coefficients. The first form is raw, the second after the best rigid
+    motion.
     """
     sums = _sums(estimate, points, offset)
     # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
@@ -115,7 +116,8 @@ def _sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> _Sums:
 
 
 def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
-    """Return the highest powers of x, y, z in a column: a series or cross-effect with a lever, or a misfit mode."""
+    """Return upper bounds of the powers of x, y, z in the columns, which are series or cross-effects with a lever, or
+    misfit modes."""
     modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
     x, y, z = (
         max(max(order, 2) + 1, *(degrees[axis] for degrees in modes), 0)
@@ -131,7 +133,8 @@ def _motions_about(grid: Array, offset: Array) -> Callable[[Array], Array]:
 
 
 def _second_moments(estimate: FieldKnowledge) -> Array:
-    """Return the expected outer product of (true less estimated parameters, true misfit coefficients)."""
+    """Return the expected outer product (p + q, p + q) of the vector of true minus estimated parameters, followed by
+    the true misfit coefficients."""
     misfit = estimate.misfit
     if misfit is None:
         return estimate.covariance
@@ -140,8 +143,8 @@ def _second_moments(estimate: FieldKnowledge) -> Array:
 
 
 def unresolved_variance(estimate: FieldKnowledge) -> float:
-    """Return the variance (mm²) per direction of the misfit that is too short in wavelength for the modes; it is
-    uncorrelated."""
+    """Return the variance (mm²) per direction of the part of the misfit whose wavelength is too short for the modes; it
+    is uncorrelated between points."""
     return 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2
 
 

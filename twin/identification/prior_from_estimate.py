@@ -27,8 +27,8 @@ _WALK_GRID = (20, 10, 10)
 
 @dataclass(frozen=True, eq=False)
 class CarriedOverPrior:
-    """Mean (P,) and covariance (P, P) of z, in the units of `unknowns`; `scales`: scales of the estimate they come
-    from.
+    """Mean (P,) and covariance (P, P) of z, in the units of `unknowns`; `scales`: scales of the estimate from which
+    mean and covariance come.
 
     Raise DataError, naming the unknown, for a covariance that is singular or invalid.
     """
@@ -59,10 +59,10 @@ class CarriedOverPrior:
         object.__setattr__(self, "covariance", covariance)
 
     def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOverPrior:
-        """Return the prior some nights later: each parameter's random walk adds `process_noise` (p,) (mm or rad) per
-        night.
+        """Return the prior `nights` nights later, with the random walk of each parameter added.
 
-        `process_noise` holds standard deviations. A parameter that the family holds at zero (no unit) stays there.
+        `process_noise` (p,): standard deviations of the walk per night, in mm or rad. A parameter that the family holds
+        at zero (scale 0) stays at zero.
         """
         noise = as_vector(process_noise, self.unknowns.model.size, "process noise")
         if (noise < 0.0).any():
@@ -78,7 +78,8 @@ class CarriedOverPrior:
 
 
 def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Array:
-    """Return standard deviations (p,) (mm or rad) of a change shaped like the family.
+    """Return standard deviations (p,), in mm or rad, of a parameter change; they are proportional to those of the
+    family.
 
     The field of the change has an expected rms of `field_mm` over the workspace after the best rigid motion.
     """
@@ -108,7 +109,7 @@ def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior
 
 
 def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
-    """Yield pairs of blocks of z, before and now, with the same meaning."""
+    """Yield pairs of slices with the same meaning: one of the old z, one of the new z."""
     before, now = old.blocks, new.blocks
     yield before.parameters, now.parameters
     if old.artefact.certificate is new.artefact.certificate:

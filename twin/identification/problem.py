@@ -34,13 +34,14 @@ Sides = tuple[Array, Array]  # sides of the exact equations: workpiece points (n
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
-    """Errors of the artefact at the rows; `strain_rows` (n, s): strain of each row per unit of each thermal unknown."""
+    """Errors of the artefact, and their effect on the rows; `strain_rows` (n, s): strain of each row per unit of each
+    thermal unknown."""
 
     errors: ArtefactErrors
     strain_rows: Array
 
     def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
-        """Return the change (n, 3) of the artefact's points in its own frame."""
+        """Return the change (n, 3) in mm of the artefact's points in its own frame."""
         change = np.zeros((len(ball), 3))
         if z_certificate.size:
             change += (self.errors.certificate @ z_certificate).reshape(-1, 3)[ball]
@@ -54,8 +55,8 @@ class IdentificationProblem:
     """Quantities that stay fixed while the poses and z are refined. Rows (n) are sorted by position.
 
     `local` (n, 3) in mm: nominal artefact points at the rows' temperature and elevation; `design` (K, width, 3, P):
-    derivative of the left less the right side with respect to z, at `poses`, laid out by position; an empty slot
-    repeats another row of its position.
+    derivative of left minus right side with respect to z, at `poses`, laid out by position; an empty slot repeats
+    another row of its position.
     """
 
     unknowns: Unknowns
@@ -70,7 +71,7 @@ class IdentificationProblem:
     design: Array
 
     def sides(self, z: Array) -> Sides:
-        """Return both sides at z; the artefact points are not yet placed by a pose."""
+        """Return both sides of the exact equations at z; the artefact points are still in the artefact's frame."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
         if blocks.size > blocks.misfit.start:
@@ -87,7 +88,7 @@ class IdentificationProblem:
         return left + moved, local + change
 
     def change(self, z: Array) -> Array:
-        """Return A z (n, 3) in mm: left less right side to first order."""
+        """Return A z (n, 3) in mm: left minus right side to first order."""
         # one flat product, since numpy multiplies stacked small matrices one at a time
         changes = self.design.reshape(-1, len(z)) @ z
         return self.layout.unpad(changes.reshape(self.design.shape[:3]))
@@ -193,7 +194,7 @@ def _artefact_points(artefact: Artefact, seen: Observations) -> Array:
 
 
 def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:
-    """Return each tool in use with its rows; for a single tool a slice, which avoids a copy."""
+    """Return each tool in use with its rows. If there is a single tool, its rows are a slice, which avoids a copy."""
     if (tools == tools[0]).all():
         return [(int(tools[0]), slice(None))]
     return [(int(tool), np.flatnonzero(tools == tool)) for tool in np.unique(tools)]

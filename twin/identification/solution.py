@@ -30,8 +30,9 @@ class Solution:
     """Solution z (P,) with poses, both sides of the exact equations at z, and the equations and prior it was derived
     from.
 
-    `covariance` (P, P): of z about the truth, valid for parameters and misfit; `scales_estimated`: the scales come from
-    the data; `alternatives`: solutions for other plausible scales, once their uncertainty has been included.
+    `covariance` (P, P): covariance of true minus estimated z, valid for parameters and misfit; `scales_estimated`: True
+    if the scales were estimated from the data; `alternatives`: solutions for other plausible scales; empty until the
+    uncertainty of the scales has been included.
     """
 
     equations: Equations
@@ -89,8 +90,8 @@ def average_over_scales(solution: Solution) -> Solution:
 
 
 def log_evidence_and_scales(problem: IdentificationProblem, options: Options) -> tuple[float, Scales]:
-    """Return the log evidence of ball centres with full weights, up to terms of the rows only, and the likeliest
-    scales."""
+    """Return the log evidence of ball centres with full weights, up to terms that depend only on the rows, and the
+    likeliest scales."""
     equations = _equations(problem, "centres", unit_weights=False)
     normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
     precision = _precision(problem, equations.matrix, options)
@@ -114,7 +115,7 @@ def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[NormalEquatio
 
 
 def _start_scales(options: Options) -> Scales:
-    """Return initial scales: all one, except those that belong to a carried-over estimate."""
+    """Return initial scales: those of a carried-over estimate, but 1 for the noise; otherwise all 1."""
     carried = options.carried_over
     return Scales() if carried is None else replace(carried.scales, noise=1.0)
 
@@ -153,7 +154,8 @@ def _iterate(
 
 
 def _precision(problem: IdentificationProblem, matrix: Array, options: Options) -> PriorPrecision:
-    """Return the unit prior; with the prior off, only directions that the measurements leave open are held at zero."""
+    """Return the prior precision; if the prior is off, only directions that the measurements leave open are held at
+    zero."""
     if options.use_prior:
         return PriorPrecision(problem.blocks, problem.known)
     block = problem.blocks.parameters
@@ -209,7 +211,7 @@ def _null_projector(information: Array) -> Array:
 
 
 def _sandwich(equations: Equations, posterior: Posterior, problem: IdentificationProblem) -> tuple[Array, float]:
-    """Return the covariance (P, P) of truth less estimate for the gain H⁻¹ Aᵀ, and the expected square of the
+    """Return the covariance (P, P) of truth minus estimate for the gain H⁻¹ Aᵀ, and the expected square of the
     residuals.
 
     The truth follows the prior, the noise its stated covariance and the nuisance unknowns the full model.

@@ -21,7 +21,8 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class UnknownBlocks:
-    """Index slices of each kind of unknown in z; `kinds`: consecutive slices within the misfit; the drift is last."""
+    """Slice of each kind of unknown in z. `kinds`: consecutive slices within the misfit; `drifting`: number of drift
+    unknowns, which are last."""
 
     parameters: slice
     certificate: slice
@@ -52,8 +53,8 @@ class UnknownBlocks:
 class ArtefactErrors:
     """Uncertain quantities of one artefact, and its identity.
 
-    `balls` (N, 3) in mm and `cte_per_k` as certified; `certificate` (3N, m): factor of the certificate's covariance, m
-    = 0 for a perfect one; standard uncertainties of the CTE (1/K) and of the thermometer (K), 0 for none.
+    `balls` (N, 3) in mm and `cte_per_k` as certified; `certificate` (3N, m): factor of the certificate's covariance,
+    with m = 0 for a perfect certificate. A standard uncertainty of 0 means that CTE or thermometer are exact.
     """
 
     balls: Array
@@ -133,5 +134,5 @@ class Unknowns:
         return np.asarray(self.scale * z[self.blocks.parameters])
 
     def physical_covariance(self, unit: Array) -> Array:
-        """Return the covariance (p, p) of the parameters from that of their z."""
+        """Return the covariance (p, p) of the parameters from the covariance `unit` (p, p) of their z."""
         return np.asarray(unit * np.multiply.outer(self.scale, self.scale))
