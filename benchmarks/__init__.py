@@ -1,4 +1,4 @@
-"""Benchmarks: figures as ratios measured side by side in one run; never asserted in tests."""
+"""Benchmarks. Their results are ratios of times measured side by side in one run; no test asserts them."""
 
 import os
 

@@ -1,8 +1,9 @@
 """Design search on a 15° grid at four stations to 24 positions, compared with direct evaluation of the criterion.
 
-Direct evaluation: for every candidate at every step, the whole covariance of all unknowns with that candidate, and its
-trace. It is timed on a sample of candidates and extrapolated to all candidates of all steps. Both start from the same
-factors; building them and computing the candidates' cycle times are timed separately.
+Direct evaluation computes, for every candidate at every step, the full covariance of all unknowns with that candidate
+added, and the criterion as a trace. It is timed on a sample of candidates and extrapolated to all candidates of all
+steps. Search and direct evaluation start from the same information factors of the candidates; building these factors
+and computing the candidates' cycle times are timed separately.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ def plain_value(candidates: CandidatePositions, precision: np.ndarray, index: in
 
 
 def plain_seconds(candidates: CandidatePositions, chosen: tuple[int, ...]) -> float:
-    """Return the mean time in s of one direct evaluation, and assert that it gives the same value for the set found."""
+    """Return the mean time in s of one direct evaluation.
+
+    Asserts that direct evaluation of the chosen set gives the same criterion value as the search.
+    """
     precision = candidates.precision.copy()
     sample = np.linspace(0, candidates.count - 1, SAMPLE).astype(int)
     start = perf_counter()

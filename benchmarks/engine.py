@@ -1,4 +1,4 @@
-"""Cost of a step beyond the device: with two durable journal commits, and in a preflight without a journal."""
+"""Time that a step takes in addition to the device's: with two durable journal commits, and without a journal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEPS = 2000
 
 
 def moves(count: int, stamps: list[float]) -> Plan[None]:
-    """Yield a plan of moves, noting the time at which each next step is requested."""
+    """Yield a plan of `count` moves, and append to `stamps` the time at which each next step is requested."""
     for number in range(count):
         yield MoveTo(f"station-1/az090-el045/ball-{number:04d}/touch-2/above", (1.0, 2.0, 3.0 + number))
         stamps.append(perf_counter())

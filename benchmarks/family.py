@@ -1,9 +1,10 @@
-"""VE and VCE of 10,000 machines of the family by quadratic forms, compared with evaluating the 60×20×20 grid for each.
+"""VE and VCE of 10,000 machines of the family by quadratic forms, compared with evaluating each on the 60×20×20 grid.
 
 Two direct evaluations, each timed on a sample of the machines and extrapolated per machine: `exact` multiplies the
-transforms at every point of the grid, which defines VE; `linear` has the basis of the field ready, so that a machine
-costs one product, and the form must agree with it to 1e-9. Both remove the best rigid motion with a basis computed
-once. The form's own preparation (grid, basis, rigid motions) is timed as well and included in one ratio.
+transforms at every point of the grid, which defines VE; `linear` starts from a precomputed basis of the field, so that
+each machine costs one product, and the quadratic form must agree with it to 1e-9. Both remove the best rigid motion
+with a basis computed once. The preparation of the quadratic form (grid, basis, rigid motions) is timed as well, and one
+of the ratios includes it.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ ROUNDS = 5
 
 
 class PlainGrid:
-    """Raw and aligned rms of single machines, from all points of the grid."""
+    """Raw and rigidly aligned rms errors of single machines, computed from all points of the grid."""
 
     def __init__(self) -> None:
         self.grid = evaluation_grid(RANGES)
@@ -73,7 +74,9 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the medians over the rounds; the alternatives take turns, so that other load affects all of them."""
+    """Return the medians over the rounds, in each of which all alternatives run, so that other load affects all of
+    them.
+    """
     rng = np.random.default_rng(1)
     machines = FAMILY.draw(rng, MACHINES)
     # models that leave a tenth of every error: VCE is the same form, applied to the difference
@@ -108,7 +111,7 @@ def run() -> dict[str, float]:
 
 
 def largest_difference(plain: PlainGrid, form: QuadraticForm, machines: Array) -> float:
-    """Return the largest relative difference of raw and aligned rms from those of the linear field, on a sample."""
+    """Return the largest relative difference, on a sample, between the rms errors of the form and of the linear field."""
     wanted = np.array([plain.by_linear(machine) for machine in machines[:SAMPLE]])
     found = np.stack(form.values(machines[:SAMPLE]), axis=1)
     return float(np.abs(found / wanted - 1.0).max())

@@ -1,7 +1,7 @@
-"""Exact field on 24,000 points, compared with a plain loop of 4x4 matrices and with the quadratic form.
+"""Exact deviation field on 24,000 points, compared with a plain loop of 4x4 matrices and with the quadratic form.
 
-The loop is the obvious implementation: for each point and axis the Legendre series, the transforms as 4x4 arrays, and
-their product with `@`. It is timed on a sample of the same points and extrapolated per point.
+The loop is the obvious implementation: for each point and axis it evaluates the Legendre series, builds the transforms
+as 4x4 arrays and multiplies them with `@`. It is timed on a sample of the same points and extrapolated per point.
 """
 
 from __future__ import annotations
@@ -40,8 +40,10 @@ def legendre(order: int, argument: float) -> list[float]:
 
 
 def axis_transform(axis: int, point: list[float], series: Array, lean: list[float]) -> Array:
-    """Return Trans(q u) Trans(E) Rz Ry Rx of one axis as a 4x4 array; `lean` holds the bending
-    terms of column and ram.
+    """Return the transform Trans(q u) Trans(E) Rz Ry Rx of one axis as a 4x4 array.
+
+    q is the axis position, u the unit vector of the axis and E its translational error; `lean` holds the bending terms
+    of column and ram.
     """
     low, high = RANGES[axis]
     values = legendre(series.shape[1] - 1, 2.0 * (point[axis] - low) / (high - low) - 1.0)
@@ -64,7 +66,7 @@ def axis_transform(axis: int, point: list[float], series: Array, lean: list[floa
 
 
 def plain_loop(points: Array, parameters: Array) -> Array:
-    """Return the deviation (n, 3), computed by one product of 4x4 matrices per point."""
+    """Return the deviations (n, 3) in mm at `points`, computed by one product of 4x4 matrices per point."""
     series = [MODEL.coefficients(axis, parameters) for axis in range(3)]
     lean = list(MODEL.cross_terms(parameters).values())
     a0z, b0z, c0y = MODEL.squareness(parameters)
@@ -91,7 +93,9 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the medians over the rounds; the alternatives take turns, so that other load affects all of them."""
+    """Return the medians over the rounds, in each of which all alternatives run, so that other load affects all of
+    them.
+    """
     grid, parameters = evaluation_grid(RANGES), machine()
     lengths = np.array([high for _, high in RANGES])
     scattered = np.random.default_rng(2).uniform(0.0, 1.0, grid.shape) * lengths

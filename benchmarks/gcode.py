@@ -1,8 +1,8 @@
 """Correction of a part program of a million lines: time, and memory compared with a program of a hundredth of the
 length.
 
-For comparison, the same correction one block at a time, as a program would do that looks up the table for every line;
-it is timed on a sample and compared per line. Ends with one line of JSON.
+For comparison, the same correction is made one block at a time, as by a program that looks up the table for every line;
+this is timed on a sample and compared per line. The output ends with one line of JSON.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SAMPLE = 20_000
 
 
 def table() -> CompensationTable:
-    """Return a smooth table of some tens of µm, with nodes as close as a controller's."""
+    """Return a smooth table with corrections of some tens of µm, with nodes as close as in a controller's table."""
     nodes = regular_nodes(((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0)), (100.0, 100.0, 100.0))
     x, y, z = np.meshgrid(*nodes, indexing="ij")
     waves = (np.sin(x / 900.0 + y / 700.0), np.cos(y / 500.0 - z / 800.0), np.sin(z / 600.0 + x / 1500.0))
@@ -52,7 +52,9 @@ def program(lines: int) -> Iterator[str]:
 
 
 def from_file_to_file(lines: int) -> tuple[float, float, int, float]:
-    """Return wall and CPU seconds, lines written, and the peak resident memory of this process in MB."""
+    """Correct a program file; return wall and CPU time in s, lines written, and peak resident memory of the process in
+    MB.
+    """
     with tempfile.TemporaryDirectory() as folder:
         part, out = Path(folder) / "part.nc", Path(folder) / "out.nc"
         with part.open("w") as file:
@@ -70,7 +72,9 @@ def in_own_process(lines: int) -> tuple[float, float, int, float]:
 
 
 def one_by_one(lines: Iterable[str], field: CompensationTable) -> float:
-    """Return the CPU seconds for the same look-ups line by line: split words, look up one point, format words."""
+    """Return the CPU time in s for the same correction line by line: split the words, look up one point, format the
+    words.
+    """
     here, work = {"X": 0.0, "Y": 0.0, "Z": 0.0}, SETUP.work_offsets["G54"]
     start = process_time()
     for line in lines:

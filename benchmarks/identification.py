@@ -1,19 +1,21 @@
-"""Identification of S1+S2+S3, 11 balls, 4 stations, order 5, compared with scipy least_squares and with its bare core.
+"""Identification from position sets S1+S2+S3, compared with scipy's least_squares and with its own linear algebra
+alone.
 
-The choice of one of seven orders by evidence is timed against the default identification with one order.
+The case has 11 balls, 4 stations and Legendre order 5. Choosing one of seven orders by evidence is timed against the
+default identification with one order.
 
-The reference solves the same maximum-a-posteriori problem (exact model, poses, prior population, no nuisance) with
-`scipy.optimize.least_squares` and its own finite differences.
+The reference solves the same maximum-a-posteriori problem (exact model, poses, prior population, no nuisance
+parameters) with `scipy.optimize.least_squares` and its own finite differences.
 
 The bare core projects the poses out, forms the normal equations, factorises and solves once. It is timed twice:
 `bare_core` starts from a ready whitened Jacobian arranged by position; `core_with_basis` starts from axis positions and
-poses, evaluates the basis of the field there, whitens it and arranges it. The second is the fair baseline, since no
-identification can project poses out of a matrix that does not exist. Neither finds the poses, evaluates the exact
-model, takes a second step, gives a covariance or checks its input; `identify` does all of that.
+poses, evaluates the basis of the field there, whitens it and arranges it. The second is the fair baseline, since every
+identification must first build the matrix from which it projects the poses out. Neither finds the poses, evaluates the
+exact model, takes a second step, returns a covariance or checks its input; `identify` does all of that.
 
-Times are medians of rounds taken in turns, ratios medians of the ratios within a round, so that other load affects all
-alternatives alike. Run with OPENBLAS_NUM_THREADS=1 if other programs share the cores: threads that wait for a busy core
-cost more than these small matrices.
+Every round times all alternatives in turn. Times are medians over the rounds, and ratios are medians of the ratios
+within a round, so that other load affects all alternatives alike. Run with OPENBLAS_NUM_THREADS=1 if other programs
+share the cores: threads that wait for a busy core cost more than these small matrices.
 """
 
 from __future__ import annotations
@@ -54,7 +56,9 @@ FIXED = Options(estimate_scales=False, outliers="none", misfit_mm=0.0)
 
 @dataclass(frozen=True)
 class Case:
-    """One simulated set; `rotation` (K, 3, 3) and `centre` (K, 3) in mm of its poses are the reference's start."""
+    """One simulated set of K positions; the reference starts from its poses, `rotation` (K, 3, 3) and `centre` (K, 3)
+    in mm.
+    """
 
     model: ErrorModel
     family: Family
@@ -100,8 +104,9 @@ def build_case(seed: int = 1) -> Case:
 
 
 def reference(case_: Case) -> Array:
-    """Return the parameters (p,) found by scipy with finite differences; unknowns in prior units, poses in mm and
-    rad·m.
+    """Return the parameters (p,) found by scipy with finite differences.
+
+    The unknowns are scaled: parameters by their prior standard deviations, poses in mm and rad·m.
     """
     seen, scale, size = case_.observations, case_.family.prior_standard_deviation, case_.model.size
     balls = case_.artefact.balls[seen.ball]
@@ -120,7 +125,7 @@ def reference(case_: Case) -> Array:
 
 
 def jacobian(case_: Case) -> tuple[Array, Array]:
-    """Return whitened columns of the parameters (K, 3 width, p) and of the poses (K, 3 width, 6), zero-padded."""
+    """Return the whitened Jacobian of the parameters (K, 3 width, p) and of the poses (K, 3 width, 6), zero-padded."""
     seen, counts = case_.observations, np.bincount(case_.observations.position)
     shape = (len(counts), int(counts.max()), 3)
     basis = deviation_basis(case_.model, seen.axis_positions, TOOL) * (case_.family.prior_standard_deviation / NOISE_MM)
@@ -134,7 +139,9 @@ def jacobian(case_: Case) -> tuple[Array, Array]:
 
 
 def core(design: Array, poses: Array, target: Array) -> Array:
-    """Return the parameters (p,) in prior units: poses projected out, one Cholesky factorisation, one solution."""
+    """Return the parameters (p,) in units of their prior standard deviations: project the poses out, factorise and
+    solve.
+    """
     q, _ = np.linalg.qr(poses)
     # Project the poses out, then solve the normal equations (JᵀJ + I) x = Jᵀ r of the prior-scaled unknowns.
     free = (design - q @ (q.transpose(0, 2, 1) @ design)).reshape(-1, design.shape[2])
@@ -143,7 +150,7 @@ def core(design: Array, poses: Array, target: Array) -> Array:
 
 
 def by_evidence(case_: Case) -> Estimate:
-    """Run the default identification with one of seven orders, chosen by evidence."""
+    """Run the default identification, but with one of seven Legendre orders chosen by evidence."""
 
     def family_of(order: int) -> Family:
         return family_from_amplitudes(ErrorModel.uniform(case_.model.chain, RANGES, order), AMPLITUDES)
@@ -152,7 +159,7 @@ def by_evidence(case_: Case) -> Estimate:
 
 
 def seconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, Array]:
-    """Return the times (rounds,) of each alternative, taken in turns."""
+    """Return the times (rounds,) in s of each alternative; every round times all of them in turn."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
         for name, work in works.items():
@@ -163,8 +170,9 @@ def seconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, Ar
 
 
 def run() -> dict[str, float]:
-    """Return median times in ms and ratios, all measured in this process. `fixed`: no scales, outlier search or misfit
-    block.
+    """Return median times in ms, and ratios, all measured in this process.
+
+    Figures named `fixed` are of an identification without scale estimation, outlier search and misfit block.
     """
     prepared = build_case()
     everything = (prepared.model, prepared.observations, prepared.artefact, prepared.family)

@@ -2,8 +2,9 @@
 
     .venv/bin/python benchmarks/linuxcnc_compensation.py
 
-Needs root, linuxcnc-uspace and linuxcnc-uspace-dev. A table of 11 × 6 × 5 nodes with corrections up to 24 µm over 800 ×
-400 × 320 mm; servo period 1 ms; positions from HAL's sampler, the table's values by independent arithmetic.
+Needs root, linuxcnc-uspace and linuxcnc-uspace-dev. The table has 11 × 6 × 5 nodes with corrections up to 24 µm over
+800 × 400 × 320 mm; the servo period is 1 ms. Positions come from HAL's sampler, and the table's values are computed
+here by independent arithmetic.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ COMPONENT = {"external-offsets": "volcal-eoffset", "kinematics": "volcal-kins"}
 
 
 def at_rest_mm(controller: Controller) -> float:
-    """Return the largest difference of the motor positions from commanded position plus table, over 30 positions."""
+    """Return the largest difference between motor position and commanded position plus table, over 30 positions."""
     worst = 0.0
     for place in np.random.default_rng(7).uniform([-50, -50, -50], [799, 399, 319], (30, 3)):
         controller.at(*place)
@@ -62,7 +63,7 @@ def off_line(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def largest_table_s(store: LinuxCncStore) -> float:
-    """Return the seconds needed to write, load and read back 262,144 nodes."""
+    """Return the time in s needed to write, load and read back a table of 262,144 nodes."""
     counts = np.random.default_rng(3).integers(-200, 200, (64, 64, 64, 3)).astype(np.int32)
     begun = time.perf_counter()
     store.stage(2, TableImage((0.0, 0.0, 0.0), (12.0, 6.0, 5.0), 1e-4, counts))

@@ -1,9 +1,9 @@
-"""Service at real speed: time from abort to stop command, overhead of a step, CPU share, memory. Writes one JSON line.
+"""Service at real speed: time from abort to stop command, overhead per step, CPU share and memory, as one JSON line.
 
 `volcal serve` and `volcal simulate` run as separate processes on the wall clock; four clients poll the status and one
-receives the events. Requests are timed from before their connection is made, STOP when it passes between agent and
-controller. The cost of a step is the time from a result to the next step that moves; gaps that contain a reading are
-omitted, because a reading takes the device's time.
+receives the events. The time of a request is taken before its connection is made, and that of STOP when it passes
+between agent and controller. The overhead of a step is the time from a result to the start of the next step that moves;
+intervals that contain a reading are omitted, because the device itself takes time for a reading.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
 
 
 def early_abort_ms(running: Service) -> float:
-    """Return the time in ms from an abort during the preflight until the state shows it."""
+    """Return the time in ms from an abort during the preflight until the service's state shows the abort."""
     running.start()
     running.until(lambda now: now["state"] == "preflight", "the preflight")
     began = ask_abort(running)
@@ -112,8 +112,9 @@ def early_abort_ms(running: Service) -> float:
 
 
 def ask_abort(running: Service) -> float:
-    """Send an abort and return the instant before the connection was made; raw, so that no client's preparation is
-    included.
+    """Send an abort and return the instant before the connection was made.
+
+    Uses a plain socket, so that the time does not include the preparations of an HTTP client.
     """
     host, _, port = running.url.removeprefix("http://").partition(":")
     request = f"POST /api/abort HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
@@ -125,9 +126,7 @@ def ask_abort(running: Service) -> float:
 
 
 def measure_run(running: Service, seconds: float) -> dict[str, float]:
-    """Start a run, abort it after `seconds`, and return the figures from its journal about the time
-    between its steps.
-    """
+    """Start a run, abort it after `seconds`, and return figures on the time between its steps, taken from its journal."""
     run_id = running.start()
     running.until(lambda now: now["touches"] > 0, "a touch", FIRST_TOUCH_WITHIN_S)
     commits = sorted(bare_commits_s(running.directory, COMMITS))
@@ -152,7 +151,9 @@ def measure_run(running: Service, seconds: float) -> dict[str, float]:
 
 
 def bare_commits_s(directory: Path, count: int) -> Iterator[float]:
-    """Yield the times of minimal durable commits made at the same time: the lower limit for a step on this disk."""
+    """Yield the times of minimal durable commits made during the run: the lower limit of a step's overhead on this
+    disk.
+    """
     journal = Journal(directory / "bare")
     connection = journal._connection
     connection.execute("CREATE TABLE bare (n INTEGER PRIMARY KEY, t TEXT)")

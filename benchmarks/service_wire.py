@@ -1,4 +1,4 @@
-"""Proxy between agent and controller that forwards Modbus TCP and records when a STOP passes."""
+"""Proxy between agent and controller that forwards Modbus TCP and records the instants at which a STOP passes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ _COMMAND = struct.Struct(">HH")
 
 
 class RecordingProxy:
-    """Proxy from `port` to `target`; `stops` holds the `perf_counter` instants at which a STOP from the agent was read,
-    before it was forwarded.
+    """Proxy from `port` to `target`.
+
+    `stops` holds the `perf_counter` instants at which a STOP from the agent had been read but not yet forwarded.
     """
 
     def __init__(self, target: tuple[str, int]) -> None:

@@ -1,4 +1,4 @@
-"""Machine time of a plan: cycle-time model on an ideal machine, compared with the preflight with physics."""
+"""Machine time of a plan by the cycle-time model for an ideal machine, compared with a preflight on simulated physics."""
 
 from __future__ import annotations
 

@@ -1,3 +1,4 @@
-"""One whole run interrupted at each of its steps in every way; checks that the machine is always
-left as it was found.
+"""One whole run, interrupted in every way at each of its steps.
+
+After every interruption the machine must be as it was before the run.
 """

@@ -1,13 +1,14 @@
-"""One whole run interrupted at each step in every way; ends with one line of JSON.
+"""One whole run, interrupted in every way at each of its steps. The output ends with one line of JSON.
 
     python -m campaigns.aborts [--every 1] [--workers 2]
 
-The run (probe check, qualification, measuring, identification, staging, activation, verification; a former table
-active) is carried out once in each worker. At each step the process is forked once for every kind of interruption, and
-the copy continues to its end: abort by request, link lost for good or once, fault of the machine, a refused command, a
-guarded move that trips, a full disk, an operator who declines, a software defect; before the step, in the middle of its
-motion, or after its effect but before that was journaled. `--every K` selects each K-th step and all steps around those
-that read, write or activate tables. Exit code 0 only if the former table is active after every interruption.
+The run (probe check, qualification, measuring, identification, staging, activation, verification) starts with a former
+table active and is carried out once in each worker. At each step the process is forked once for every kind of
+interruption, and the forked copy runs to its end. The kinds are: abort by request, link lost for good or once, fault of
+the machine, a refused command, a guarded move that trips, a full disk, an operator who declines, a software defect;
+before the step, in the middle of its motion, or after its effect but before the effect is journaled. `--every K`
+selects each K-th step, and all steps near those that read, write or activate tables. Exit code 0 only if the former
+table is active after every interruption.
 """
 
 from __future__ import annotations
@@ -47,9 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summarise(left: Sequence[dict[str, Any]], keys: Sequence[str]) -> dict[str, Any]:
-    """Summarise the results.
+    """Return the totals of all results, and the failures.
 
-    A run may complete before its interruption is noticed only if no step with an effect on the machine was left.
+    A run that completes before its interruption is noticed also counts as failed if a step with an effect on the
+    machine was still to come.
     """
     last_acting = max(place for place, key in enumerate(keys, start=1) if key.endswith("!"))
     failed = [one for one in left if one["failures"] or (one.get("completed") and one["ordinal"] <= last_acting)]

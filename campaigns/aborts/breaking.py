@@ -1,5 +1,6 @@
-"""Kinds of interruption of a step: before it begins, in its middle, or after its effect but before
-that is journaled.
+"""Kinds of interruption of a step.
+
+A step is interrupted before it begins, in its middle, or after its effect but before the effect is journaled.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from simulators.world.world import World
 
 MOVING = (s.MoveTo, s.TouchTowards, s.OrientTo)
 IMMEDIATE = (s.AskOperator, s.StageTable, s.ActivateBank)
-"""Steps that take no time in this process: their middle is after the effect and before the journal knows of it."""
+"""Steps that take no time in this process; they are interrupted after their effect, before it is journaled."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +77,10 @@ def link_lost_error() -> LinkLost:
 
 @dataclass
 class Interrupter:
-    """State for interrupting one run.
+    """Interrupts one run at its steps, in forked child processes.
 
-    `results`: results of the child processes, in order; `selects` says by ordinal and step where they are forked.
+    `results` holds the results of the child processes, in order. `selects` returns True, for the ordinal of a step and
+    the step, if children are to be forked there.
     """
 
     world: World
@@ -94,7 +96,7 @@ class Interrupter:
     key: str = ""
 
     def rig(self, whole: Rig) -> Rig:
-        """Return the same rig behind a breakable link, with every action open to interruption."""
+        """Return the same rig with its device behind a breakable link and all its actions going through `perform`."""
         [(name, device)] = whole.devices.items()
         self.link = BreakableLink(device)
         roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), self.link)
@@ -103,7 +105,9 @@ class Interrupter:
         return InterruptibleRig(self, given)
 
     def perform(self, action: Action, step: s.Step) -> Any:
-        """Perform the step; before that, fork one child per interruption and perform it interrupted there."""
+        """Perform the step; before that, fork one child per interruption, in which the step is performed and
+        interrupted.
+        """
         if self.forks.is_child:
             return action(step)
         self.ordinal += 1

@@ -1,4 +1,4 @@
-"""Run that is interrupted: a small set on the case study with a former table active, all in memory."""
+"""The run to be interrupted: a small position set on the case study, with a former table active and all data in memory."""
 
 from __future__ import annotations
 
@@ -21,15 +21,19 @@ from simulators.world.world import World
 
 FORMER_BANK = 1
 FORMER_TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
-"""Constant correction: the active table before the run must be active afterwards, and it is not bank 0."""
+"""Constant correction, active before the run. It must be active again afterwards; it is not in bank 0 (no table)."""
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 SCALE = 4.0
-"""Error scale so large, with gates so wide, that every uninterrupted run is accepted."""
+"""Scale of the machine's errors.
+
+The table then improves so much, and the gates are so wide, that every uninterrupted run is accepted.
+"""
 
 
 def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
-    """Return a job with two positions at one station and one held out; the artefact's station is unknown, so it is
-    asked for.
+    """Return a job with two positions at one station and one held-out position.
+
+    The artefact's station is not set, so the run asks the operator for it.
     """
     listed = directory / "two-positions.csv"
     listed.write_text(POSITIONS)

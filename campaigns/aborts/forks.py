@@ -1,4 +1,4 @@
-"""Forked copies of the process: a copy runs to its end while the original waits and then continues unaffected."""
+"""Forked copies of the process. The original waits until a copy has run to its end, and then continues unaffected."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Forks:
         return self._pipe is not None
 
     def fork(self) -> dict[str, Any] | None:
-        """Fork; return None in the child and, in the parent, the child's result or the reason why there is none."""
+        """Fork; return None in the child, and in the parent the child's result or the reason why the child has none."""
         reading, writing = os.pipe()
         child = os.fork()
         if child == 0:
@@ -37,7 +37,7 @@ class Forks:
             os.waitpid(child, 0)
 
     def send_and_exit(self, result: dict[str, Any]) -> None:
-        """Send the child's result and exit; nothing that the parent has opened is closed or flushed."""
+        """Send the child's result and exit, without closing or flushing anything that the parent has opened."""
         assert self._pipe is not None
         os.write(self._pipe, json.dumps(result, default=str).encode())
         os._exit(0)

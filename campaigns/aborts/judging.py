@@ -31,8 +31,10 @@ WITHDRAWING = ("abort", "refused", "guard", "disk full", "no", "defect")
 def check_interruption(
     interrupter: Interrupter, ended: RunResult | None, defect: BaseException | None
 ) -> dict[str, Any]:
-    """Return `failures`, the violated conditions, and `completed`: the run ended before the
-    interruption was noticed.
+    """Return the violated conditions as `failures`, and `completed`: True if the run completed before the interruption
+    was noticed.
+
+    If it did not complete, `active` gives the active bank.
     """
     interruption, world = interrupter.interruption, interrupter.world
     assert interruption is not None
@@ -66,8 +68,9 @@ def _machine(interrupter: Interrupter) -> list[str]:
 
 
 def _compensation(interrupter: Interrupter, ended: RunResult | None) -> list[str]:
-    """Require that the former table is active and unchanged; without a link it cannot be restored, which must be
-    reported.
+    """Return failures unless the former table is active and unchanged.
+
+    After a link loss it cannot be restored; the run must then have reported this.
     """
     controller, interruption = interrupter.world.controller, interrupter.interruption
     assert interruption is not None
@@ -84,7 +87,9 @@ def _compensation(interrupter: Interrupter, ended: RunResult | None) -> list[str
 
 
 def _journal(interrupter: Interrupter) -> list[str]:
-    """Require that the journal is closed with a final state and the first cause as its reason."""
+    """Return failures unless the journal is closed with the expected final state and gives the first cause as the
+    reason.
+    """
     interruption, journal = interrupter.interruption, interrupter.memory.journal
     assert interruption is not None
     [run] = journal.runs()

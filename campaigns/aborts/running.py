@@ -31,9 +31,10 @@ NEIGHBOURS = 4
 
 @dataclass(frozen=True)
 class StepSelection:
-    """Selection of steps: one `share` of `shares`; every `every`th step, and all steps around tables.
+    """Selection of steps for one worker: every `every`th step, and all steps near those that read or write tables.
 
-    The following steps are known from the `keys` of an earlier, uninterrupted run.
+    Of these the worker with number `share` takes the steps whose ordinal modulo `shares` is `share`. `keys`: keys of
+    all steps of an earlier, uninterrupted run, which show the steps to come.
     """
 
     share: int
@@ -79,7 +80,7 @@ def _case(selects: Callable[[int, s.Step], bool]) -> Iterator[tuple[Interrupter,
 
 
 def _complete(interrupter: Interrupter, directory: Path) -> None:
-    """Carry out the run. A child sends its result and exits; the parent must complete."""
+    """Carry out the run. In a child process, send the result and exit; in the parent, the run must complete."""
     defect: BaseException | None = None
     ended: RunResult | None = None
     try:
@@ -121,7 +122,7 @@ ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
 
 
 def check_refused_and_restored() -> dict[str, Any]:
-    """Check the regular ends of a run without a new table: refused by a gate, or the former table restored."""
+    """Check the regular outcomes without a new table: table refused by a gate, or former table restored."""
     failed = []
     for name, (sections, state) in ENDS.items():
         with _case(lambda *_: False) as (interrupter, directory):

@@ -1,4 +1,4 @@
-"""Trial of every bad plan; ends with one line of JSON that lists those not refused for the right reason.
+"""Trial of every bad plan. The output ends with one line of JSON listing the plans not refused for the right reason.
 
 python -m campaigns.bad_plans
 """

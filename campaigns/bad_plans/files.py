@@ -97,7 +97,7 @@ def _artefact() -> list[BadPlan]:
 
 
 def _sunk(files: CaseFiles) -> None:
-    """Set holders of zero length: every ball is in the middle of the bar, out of reach of the probe."""
+    """Set the length of the ball holders to zero, which puts every ball inside the bar, out of reach of the probe."""
     for ball in files.artefact["balls"]:
         ball[1:] = [0.0, 0.0]
 

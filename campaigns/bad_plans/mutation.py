@@ -21,9 +21,7 @@ GOOD_POSITION = "station,azimuth_deg,elevation_deg\n1,45,0\n"
 
 @dataclass
 class CaseFiles:
-    """Documents of a good case that a mutation may change: settings, machine, artefact, and the
-    text of the positions.
-    """
+    """Files of a good case that a mutation may change: settings, machine, artefact, and the text of the position file."""
 
     settings: Document
     machine: Document
@@ -36,9 +34,10 @@ Change = Callable[[CaseFiles], None]
 
 @dataclass(frozen=True)
 class BadPlan:
-    """One bad plan. `error`: type of the refusal; `words`: texts in its message; `where`: locations that it must name.
+    """One bad plan and the refusal that it must cause.
 
-    `preflight`: the preflight run once the files have passed; by default that of the unchanged procedure.
+    `error`: type of the refusal; `words`: texts that its message must contain; `where`: locations that it must name;
+    `preflight`: preflight to run once the files have passed, by default that of the unchanged procedure.
     """
 
     name: str
@@ -49,7 +48,7 @@ class BadPlan:
     preflight: Callable[[Job], object] = run_preflight
 
     def complaint(self, directory: Path) -> str:
-        """Return an empty string if the plan is refused for the right reason; otherwise what happened instead."""
+        """Return an empty string if the plan is refused for the right reason; otherwise a description of what happened."""
         try:
             check_case(self.change, directory, self.preflight)
         except VolcalError as refusal:
@@ -68,8 +67,9 @@ class BadPlan:
 
 
 def good_case(directory: Path) -> CaseFiles:
-    """Return a case with one position and one held out at the first station of the case study,
-    without a probe check.
+    """Return a case with one measured and one held-out position at the first station of the case study.
+
+    It has no probe check.
     """
     settings = tomllib.loads(CASE_STUDY.read_text())
     machine = CASE_STUDY.parent / settings["machine"]
@@ -87,7 +87,10 @@ def good_case(directory: Path) -> CaseFiles:
 
 
 def check_case(change: Change, directory: Path, preflight: Callable[[Job], object]) -> None:
-    """Do everything that `volcal config check` and the preflight do with a changed case. Raises their refusal."""
+    """Apply `change` to the good case, then check it like `volcal config check` and run the preflight.
+
+    Raises their refusals.
+    """
     files = good_case(directory)
     change(files)
     for name in ("machine", "artefact"):
@@ -99,7 +102,7 @@ def check_case(change: Change, directory: Path, preflight: Callable[[Job], objec
 
 
 def unchanged(_: CaseFiles) -> None:
-    """Leave the files unchanged, for plans whose steps are bad."""
+    """Leave the files unchanged; used for bad plans in which only the steps are wrong."""
 
 
 def setting(path: str, value: object) -> Change:
@@ -125,7 +128,7 @@ def positions(*rows: str) -> Change:
 
 
 def set_key(document: Document, path: str, value: object) -> None:
-    """Set the key at a path such as ``stations.places_mm.0.1``; missing sections are created."""
+    """Set the key at a path such as ``stations.places_mm.0.1``, creating missing sections."""
     *parents, last = path.split(".")
     place: Any = document
     for name in parents:

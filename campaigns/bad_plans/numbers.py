@@ -1,4 +1,4 @@
-"""Bad plans with NaN, infinity or out-of-range numbers in every numeric key of the settings."""
+"""Bad plans with NaN, infinity or an out-of-range number in one numeric key; every numeric settings key is covered."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _wrong_at(path: str, kind: dict[str, Any]) -> Iterator[BadPlan]:
 
 
 def _numbers(schema: dict[str, Any], node: dict[str, Any], path: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the path and schema of every key with a single number."""
+    """Yield the path and schema of every key whose value is a single number."""
     if "$ref" in node:
         node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
     branches = node.get("anyOf", [])

@@ -19,7 +19,10 @@ from drivers.errors import ConfigurationError
 from drivers.roles import TableImage
 
 Rewrite = Callable[[s.Step], Iterable[s.Step] | None]
-"""Function that returns the steps replacing a step, or None to keep it. The result of the last one is passed on."""
+"""Function that returns the steps that replace a step, or None to keep the step.
+
+The procedure receives the result of the last replacing step.
+"""
 Both = tuple[MeasuredPositions, MeasuredPositions]
 
 BEYOND_MM = 1.0
@@ -60,7 +63,7 @@ def replace_first(
 
 
 def _never_came() -> object:
-    """Fail, because a mutation that never reached its step proves nothing."""
+    """Raise LookupError, because a plan in which no step was mutated proves nothing."""
     raise LookupError("no step of the procedure was mutated")
 
 
@@ -150,8 +153,9 @@ def _odd_numbers() -> list[BadPlan]:
 
 
 def _through() -> list[BadPlan]:
-    """Return straight moves through the bodies at station 1, whose mount is at (700, 1000, 750) in
-    the workpiece frame.
+    """Return straight moves through the bodies at station 1.
+
+    Its mount is at (700, 1000, 750) mm in the workpiece frame.
     """
     right, left = (1150.0, 560.0, 750.0), (250.0, 700.0, 750.0)
     return [
