@@ -1,6 +1,6 @@
 """VE and VCE of 10,000 machines of the family by quadratic forms, compared with evaluating each on the 60×20×20 grid.
 
-Two direct evaluations, each timed on a sample of the machines and extrapolated per machine: `exact` multiplies the
+Two direct evaluations are timed on a sample of the machines and compared per machine. `exact` multiplies the
 transforms at every point of the grid, which defines VE; `linear` starts from a precomputed basis of the field, so that
 each machine costs one product, and the quadratic form must agree with it to 1e-9. Both remove the best rigid motion
 with a basis computed once. The preparation of the quadratic form (grid, basis, rigid motions) is timed as well, and one
@@ -111,7 +111,9 @@ def run() -> dict[str, float]:
 
 
 def largest_difference(plain: PlainGrid, form: QuadraticForm, machines: Array) -> float:
-    """Return the largest relative difference, on a sample, between the rms errors of the form and of the linear field."""
+    """Return the largest relative difference, on a sample, between the rms errors of the form and of the linear
+    field.
+    """
     wanted = np.array([plain.by_linear(machine) for machine in machines[:SAMPLE]])
     found = np.stack(form.values(machines[:SAMPLE]), axis=1)
     return float(np.abs(found / wanted - 1.0).max())

@@ -126,7 +126,9 @@ def ask_abort(running: Service) -> float:
 
 
 def measure_run(running: Service, seconds: float) -> dict[str, float]:
-    """Start a run, abort it after `seconds`, and return figures on the time between its steps, taken from its journal."""
+    """Start a run, abort it after `seconds`, and return figures on the time between its steps, taken from its
+    journal.
+    """
     run_id = running.start()
     running.until(lambda now: now["touches"] > 0, "a touch", FIRST_TOUCH_WITHIN_S)
     commits = sorted(bare_commits_s(running.directory, COMMITS))

@@ -1,4 +1,6 @@
-"""Machine time of a plan by the cycle-time model for an ideal machine, compared with a preflight on simulated physics."""
+"""Machine time of a plan by the cycle-time model for an ideal machine, compared with a preflight on simulated
+physics.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""`make linuxcnc`: `volcal calibrate` calibrates a stock LinuxCNC, really running, over bridge and CAN.
+"""`make linuxcnc`: `volcal calibrate` on a real, running stock LinuxCNC, reached over the bridge and CAN.
 
-Everything runs accelerated, in its own namespaces. The truth comes from the plant: true volumetric error without table
-and with the table that is active at the end, and the difference between LinuxCNC's motor commands and that table. Ends
-with one line of JSON; exit code 0 only if the table was accepted and the true error decreased.
+Everything runs accelerated, in its own namespaces. The simulated plant reports the truth: the true volumetric error
+without table and with the table that is active at the end, and the difference between the correction that LinuxCNC
+applies and that table. The output ends with one line of JSON. The exit code is 0 only if the table was accepted and the
+true error decreased.
 """
 
 from __future__ import annotations
@@ -45,8 +46,10 @@ EXIT_NOT_RUN = 77
 
 @dataclass(frozen=True)
 class LinuxCncTrial:
-    """One trial: `changes` replace text in the example's settings, `scenario_changes` in the scenario; `arguments` are
-    those of `volcal calibrate`.
+    """One trial.
+
+    `changes` replace texts in the example's settings, `scenario_changes` in its scenario; `arguments` are passed to
+    `volcal calibrate`.
     """
 
     work: Path
@@ -96,8 +99,9 @@ def run_calibration(trial: LinuxCncTrial) -> dict[str, Any]:
 
 
 def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) -> dict[str, Any]:
-    """Return the true volumetric error (rigidly aligned) without table and with the active table, and how exactly
-    LinuxCNC applies that table.
+    """Return the true volumetric errors without table and with the active table, rigidly aligned, in µm.
+
+    Also returns the largest difference between the correction that LinuxCNC applies and the active table.
     """
     world = World(read_scenario(scenario))
     options = LinuxCncSettings.model_validate(
@@ -176,14 +180,14 @@ SHORT_CHANGES = {
     "limit_um = 3.5": "limit_um = 5.0",
     "[probe_check]": "[reversal]\nenabled = false\n\n[probe_check]",
 }
-"""Changes of the settings that make the run short enough for every change of the source."""
+"""Changes of the settings that make the run short enough to be repeated after every change of the source."""
 SHORT_SCENARIO = {
     "[truth]": "[ageing]\nnight = 1\ncollision_night = 1\ncollision = { B0Z = 80.0, A0Z = -80.0, C0Y = 60.0 }\n[truth]"
 }
 """Changes of the scenario for the short run.
 
-From a few positions at one end of the travel only part of the error is identified, so this machine has also had a
-collision and has lost its squareness (µrad).
+From a few positions at one end of the travel only part of the error can be identified. To make that part large, this
+machine has also had a collision, which added squareness errors (in µrad).
 """
 
 

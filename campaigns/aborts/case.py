@@ -1,4 +1,6 @@
-"""The run to be interrupted: a small position set on the case study, with a former table active and all data in memory."""
+"""The run to be interrupted: a small position set on the case study, with a former table active and all data in
+memory.
+"""
 
 from __future__ import annotations
 

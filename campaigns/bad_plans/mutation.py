@@ -21,7 +21,9 @@ GOOD_POSITION = "station,azimuth_deg,elevation_deg\n1,45,0\n"
 
 @dataclass
 class CaseFiles:
-    """Files of a good case that a mutation may change: settings, machine, artefact, and the text of the position file."""
+    """Files of a good case that a mutation may change: settings, machine, artefact, and the text of the position
+    file.
+    """
 
     settings: Document
     machine: Document
@@ -48,7 +50,9 @@ class BadPlan:
     preflight: Callable[[Job], object] = run_preflight
 
     def complaint(self, directory: Path) -> str:
-        """Return an empty string if the plan is refused for the right reason; otherwise a description of what happened."""
+        """Return an empty string if the plan is refused for the right reason; otherwise a description of what
+        happened.
+        """
         try:
             check_case(self.change, directory, self.preflight)
         except VolcalError as refusal:

@@ -1,8 +1,8 @@
-"""Simulated fortnight with all kinds of incidents, and the history that it produces.
+"""Simulated fortnight with all kinds of incidents, and the run history that it produces.
 
     python -m campaigns.fortnight [--figure trend.png] [--csv fortnight.csv]
 
-Ends with one JSON line, and with exit code 0 only if every claim holds.
+The output ends with one line of JSON. The exit code is 0 only if every claim about the fortnight holds.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def cpu_seconds() -> float:
 
 
 def write_csv(played: FortnightResult, path: Path) -> None:
-    """Write the history rows together with the simulator's truth; the last run of an evening represents it."""
+    """Write one CSV row per evening: the history row of its last run, and the true errors known to the simulator."""
     names = ("kind", "state", "night", "accepted", "machine_minutes", "ve_now_um", "acting_um", "table_crc32")
     rows = iter(played.rows)
     with path.open("w", newline="", encoding="utf-8") as file:

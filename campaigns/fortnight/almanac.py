@@ -1,4 +1,6 @@
-"""Calendar of a fortnight that takes minutes: a file gives the date and time, and machine time advances from there."""
+"""Simulated calendar for a fortnight that is played in minutes.
+
+A file gives the date and time, and machine time advances from there."""
 
 from __future__ import annotations
 
@@ -15,14 +17,16 @@ UP_MINUTES = 600.0
 
 
 def set_calendar(path: Path, instant: datetime) -> None:
-    """Set the present date and time for all readers of `path`."""
+    """Write `instant` to `path` as the present date and time for all processes that read this file."""
     new = path.with_suffix(".new")
     new.write_text(instant.isoformat(), encoding="utf-8")
     new.replace(path)
 
 
 class SimulatedCalendar:
-    """Civil time of one process: the instant in the file plus the machine time passed here since it was set."""
+    """Civil time of one process: the instant in the file plus the machine time that has passed in this process
+    since.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -37,11 +41,13 @@ class SimulatedCalendar:
         return datetime.fromisoformat(said).timestamp() + self._machine_s - self._turned_s
 
     def circumstances(self) -> Circumstances:
-        """Return the time and uptime: the plant uses UTC, and the controller PC is never switched off."""
+        """Return local time and uptime, assuming that the plant uses UTC and the controller PC is never switched
+        off.
+        """
         return Circumstances(datetime.fromtimestamp(self.seconds(), UTC), UP_MINUTES)
 
     def install(self) -> None:
-        """Use this calendar for all timestamps of this process, and let machine time advance it."""
+        """Use this calendar for all timestamps of this process, and advance it with machine time."""
         vars(drivers.clock)["time"] = _CivilTime(self)
         sleep = LockstepClock.sleep
 
@@ -53,7 +59,7 @@ class SimulatedCalendar:
 
 
 class _CivilTime:
-    """Module `time` with a different calendar; its other clocks are unchanged."""
+    """Replacement for module `time` with a different calendar; the other clocks of the module are unchanged."""
 
     def __init__(self, calendar_: SimulatedCalendar) -> None:
         self.time = calendar_.seconds

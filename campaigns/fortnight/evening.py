@@ -1,4 +1,4 @@
-"""Record of an evening: events, claims, and the truth known only to the simulator."""
+"""Record of an evening: expected runs, claims, and the true errors known only to the simulator."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class ExpectedRun:
-    """Expected history row of a run: `decision` is one of these, `reason` contains this text."""
+    """Expected history row of a run. Its decision must be one of `decision`, and its reason must contain `reason`."""
 
     kind: str
     state: str
@@ -20,10 +20,11 @@ class ExpectedRun:
 
 @dataclass
 class Evening:
-    """Record of one evening; errors in µm, aligned.
+    """Record of one evening.
 
-    `true_before`: with the table of the previous day; `true_after`: as left; `reach`: of a full calibration of that
-    night's machine, 0 if not computed. `exit_codes`: of the commands called by the timer, in order.
+    True volumetric errors in µm, rigidly aligned: `true_before` with the table of the previous day, `true_after` with
+    the table active at the end, and `reach` after a full calibration of that night's machine (0 if not computed).
+    `exit_codes`: exit codes of the commands called by the timer, in order.
     """
 
     night: int
@@ -41,7 +42,7 @@ class Evening:
 
     @property
     def ratio(self) -> float:
-        """True error relative to the reach; infinite if the reach was not computed."""
+        """`true_after` divided by `reach`; infinite if `reach` was not computed."""
         return self.true_after / self.reach if self.reach else math.inf
 
     @property

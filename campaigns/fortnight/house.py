@@ -1,4 +1,4 @@
-"""Real service as a separate process, with its settings and its clients."""
+"""The real service as a separate process, with its settings and its clients."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Document = dict[str, Any]
 TIMEOUT_S = 300.0
 POLL_S = 0.005
 STATUS_POLL_S = 0.2
-"""Interval in s between status requests; more frequent ones would take time from the run."""
+"""Interval in s between status requests; more frequent requests would slow down the run."""
 AT_REST_NAMES = frozenset(state.value for state in AT_REST)
 COMMAND = (sys.executable, "-m", "agent.cli.main")
 SECTIONS = """
@@ -46,7 +46,10 @@ held_out_tolerance_um = 3.5
 
 
 def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = POLL_S) -> Found:
-    """Return the first true result of `condition`. Raises TimeoutError naming `what` if there is none in time."""
+    """Poll `condition` and return its first true result.
+
+    Raises TimeoutError, naming `what`, if there is none in time.
+    """
     ends_s = time.monotonic() + TIMEOUT_S
     while not (found := condition()):
         if time.monotonic() > ends_s:
@@ -88,7 +91,7 @@ class ServiceHost:
         set_calendar(self.calendar, instant)
 
     def copy(self, directory: Path, ready: Mapping[str, Any]) -> ServiceHost:
-        """Return another host with a copy of the same history."""
+        """Return another host in `directory`, with a copy of this one's state and settings for the plant `ready`."""
         shutil.copytree(
             self.state, directory / "state", ignore=shutil.ignore_patterns(address_file.ADDRESS_FILE, "*.lock")
         )
@@ -112,7 +115,7 @@ class ServiceHost:
         self._token = {"Authorization": f"Bearer {token}"}
 
     def kill_service(self) -> None:
-        """Simulate a power failure: the process is killed without notice."""
+        """Kill the service process without notice, as in a power failure."""
         assert self._service is not None
         self._service.kill()
         self._service.wait()
@@ -143,7 +146,7 @@ class ServiceHost:
         return self._http.post(path, json=body, headers=self._token if token else {})
 
     def at_rest(self, run_id: str) -> Document:
-        """Wait for the end of the run and return the status."""
+        """Wait for the end of the run and return the service's status."""
 
         def ended() -> Document | None:
             now = self.status()
@@ -152,7 +155,9 @@ class ServiceHost:
         return wait_for(ended, f"the end of run {run_id}", STATUS_POLL_S)
 
     def command(self, *arguments: str, timer: bool = False) -> subprocess.Popen[str]:
-        """Start `volcal …` with these settings. `timer`: as systemd's timer does."""
+        """Start `volcal` with these arguments and this host's settings; with `timer`, in the way systemd's timer
+        does.
+        """
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         if timer:
             environment["INVOCATION_ID"] = "fortnight"
@@ -160,11 +165,11 @@ class ServiceHost:
         return self._start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
 
     def output(self, *arguments: str) -> str:
-        """Return the output of a command, whatever its exit code."""
+        """Return the output of a `volcal` command, whatever its exit code."""
         return self.command(*arguments).communicate(timeout=TIMEOUT_S)[0]
 
     def timer(self, kind: str, station: int, *options: str) -> subprocess.Popen[str]:
-        """Start the command of the timer's unit."""
+        """Start the command that the systemd timer unit runs."""
         return self.command("start", "--kind", kind, "--wait", "--stations", str(station), *options, timer=True)
 
     def _start(self, command: list[str], **how: Any) -> subprocess.Popen[str]:
@@ -174,7 +179,9 @@ class ServiceHost:
 
 
 def settings_text(ready: Mapping[str, Any], changes: Mapping[str, str]) -> str:
-    """Return the shipped settings of the case study with other ports, and with the sections of a service."""
+    """Return the shipped settings of the case study with the plant's ports and with the sections that a service
+    needs.
+    """
     text = CASE_STUDY.read_text(encoding="utf-8")
     exchanged = {
         "port = 5021": f"port = {ready['time']['port']}",

@@ -21,7 +21,7 @@ FIRST_EVENING = datetime(2026, 3, 2, tzinfo=UTC)
 SLOT = ("--slot", "15min")
 FUSED_DECISIONS = (Decision.FUSED.value, Decision.WRITTEN.value)
 CHECKED_DECISIONS = (None, Decision.WITHIN.value)
-"""Decisions of an interrupted night: its check measurement counts, but nothing was accepted."""
+"""Decisions that an interrupted night may have: none, or that of its check measurement; it has accepted no table."""
 BALLS_BEFORE_THE_POWER_FAILS = 20
 LINK, REFUSED, ABORTED, NOT_NOW = 3, 4, 5, 6
 """Exit codes of `volcal start --wait`."""
@@ -30,9 +30,9 @@ GOOD_NIGHT = ExpectedRun("nightly", "complete", "timer", FUSED_DECISIONS)
 
 
 class Incidents:
-    """Incidents on one host and one plant; `by_name` maps the name of an evening, or of its beginning, to its method.
+    """Incidents on one host and one plant. `by_name` maps the name of each incident to its method.
 
-    `compared`: an interrupted night is compared with the same night run without interruption.
+    `compared`: compare an interrupted night with the same night run without interruption.
     """
 
     def __init__(self, host: ServiceHost, plant: FortnightPlant, *, compared: bool) -> None:
@@ -60,7 +60,7 @@ class Incidents:
     # ------------------------------------------------------------------ regular evenings
 
     def by_hand(self, evening: Evening) -> None:
-        """Calibrate from the page in the afternoon, with a person at the machine."""
+        """Calibrate from the service's web page in the afternoon, with a person at the machine."""
         self._set_time(evening, 18)
         answer = self._host.post("/api/start", {"kind": "calibrate", "consent": True})
         status = self._host.at_rest(answer.json()["run_id"])
@@ -95,9 +95,9 @@ class Incidents:
     # ------------------------------------------------------------------ interrupted runs
 
     def power_failure(self, evening: Evening) -> None:
-        """Power failure while measuring; the machine stays where it is.
+        """Simulate a power failure while measuring; the axes stop where they are.
 
-        The same night runs without interruption on an identical machine with the same history.
+        For comparison, the same night is run without interruption on an identical machine with the same history.
         """
         self._set_time(evening, 23)
         through = self._uninterrupted_estimate(evening) if self._compared else []
@@ -125,7 +125,7 @@ class Incidents:
         evening.expected.append(GOOD_NIGHT)
 
     def link_loss(self, evening: Evening) -> None:
-        """Link loss after the activation: nothing can be written back until the link is restored."""
+        """Lose the link after the activation; the previous table cannot be reactivated until the link is restored."""
         before = self._plant.active_bank, self._plant.active_crc32
         waiting = self._wait_for_new_table(evening)
         self._plant.cut_link()
@@ -139,7 +139,7 @@ class Incidents:
         evening.expected.append(ExpectedRun("nightly", "faulted", "timer", CHECKED_DECISIONS, "Modbus"))
 
     def abort(self, evening: Evening) -> None:
-        """Abort from the page after the activation, without a token."""
+        """Abort the run after the activation from the web page, without a token."""
         before = self._plant.active_bank, self._plant.active_crc32
         waiting = self._wait_for_new_table(evening)
         answer = self._host.post("/api/abort", {"reason": "a person walks in"}, token=False)
@@ -169,7 +169,7 @@ class Incidents:
             self._expect_state(evening, "refused", 420)
 
     def full(self, evening: Evening) -> None:
-        """Full calibration, with a person to move the artefact."""
+        """Run a full calibration, with a person to move the artefact."""
         self._set_time(evening, 23)
         code, _ = self._ask(evening, "--slot", "3h", "--full-allowed")
         evening.claims["the timer's command ends well"] = code == 0
@@ -185,13 +185,13 @@ class Incidents:
         return self._finish(evening, self._host.timer("nightly", evening.station, *options))
 
     def _finish(self, evening: Evening, command: subprocess.Popen[str]) -> tuple[int, str]:
-        """Return the exit code and the error output as one line."""
+        """Wait for the command to end; return its exit code, and its error output as one line."""
         _, said = command.communicate(timeout=TIMEOUT_S)
         evening.exit_codes.append(command.returncode)
         return command.returncode, " ".join(said.split())
 
     def _expect_refusal(self, evening: Evening, reason: str) -> None:
-        """Expect a refusal with `reason`, without a new run and without motion."""
+        """Add the claims that the request was refused with `reason` and caused neither a new run nor motion."""
         runs = self._runs_and_steps()
         stood = self._plant.position
         found, said = self._ask(evening, *SLOT)
@@ -232,7 +232,7 @@ class Incidents:
         evening.claims["idle after the reset"] = self._host.status()["state"] == "idle"
 
     def _uninterrupted_estimate(self, evening: Evening) -> list[tuple[str, float, float]]:
-        """Return the estimate of the same night without interruption."""
+        """Return the estimate of the same night, run without interruption on a duplicate of the plant."""
         twin = self._plant.duplicate()
         directory = Path(self._host.directory, "twin")
         with self._host.copy(directory, twin.ready) as other:
@@ -245,7 +245,7 @@ class Incidents:
 
 
 def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, float]]:
-    """Return name, value and standard uncertainty of every parameter."""
+    """Return name, value and standard uncertainty of every parameter in the only estimate of the run."""
     with open_journal(host.state) as reader:
         [text] = reader.estimates(reader.require_run(run_id).run)
     parameters = json.loads(text)["parameters"]
@@ -253,6 +253,9 @@ def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, floa
 
 
 def largest_difference(one: list[tuple[str, float, float]], other: list[tuple[str, float, float]]) -> float:
-    """Return the largest difference in standard uncertainties."""
+    """Return the largest absolute difference in value, divided by the standard uncertainty given in `one`.
+
+    Each item is (name, value, standard uncertainty); both lists must have the same names in the same order.
+    """
     assert [name for name, _, _ in one] == [name for name, _, _ in other]
     return max(abs(a - b) / sigma for (_, a, sigma), (_, b, _) in zip(one, other, strict=True))

@@ -1,4 +1,4 @@
-"""Final contents of journal and history, compared row by row with the evenings."""
+"""Check of the final contents of journal and history, row by row, against the records of the evenings."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def read_trends(host: ServiceHost, figure: Path | None = None) -> Row:
 
 
 def mismatched_rows(host: ServiceHost, evenings: Sequence[Evening], rows: Sequence[Row]) -> list[str]:
-    """Return history rows that differ from the expected ones.
+    """Return descriptions of the history rows that differ from the expected ones.
 
-    The journal must have the same runs in the same order, with the same final states.
+    The journal must contain the same runs as the history, in the same order and with the same final states.
     """
     expected = [(evening, row) for evening in evenings for row in evening.expected]
     found = [*_against(expected, rows)]
@@ -63,14 +63,14 @@ def _against(expected: Sequence[tuple[Evening, ExpectedRun]], rows: Sequence[Row
 
 
 def active_table_is_accepted(host: ServiceHost, plant: FortnightPlant) -> bool:
-    """Return True if the active bank holds the table of the last accepted night and the service reports that bank."""
+    """Return True if the active bank holds the last accepted table and the service reports that bank as active."""
     last = read_reference(host.state)
     accepted = last is not None and last.table.crc32 == plant.active_crc32
     return accepted and host.status()["active_bank"] == plant.active_bank
 
 
 def leftover_processes(directory: Path) -> list[str]:
-    """Return the command lines of processes that still use the fortnight's directory."""
+    """Return the command lines of running processes that name `directory`, that of the fortnight."""
     found = []
     for place in Path("/proc").glob("[0-9]*/cmdline"):
         try:

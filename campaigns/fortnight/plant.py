@@ -1,7 +1,7 @@
-"""Machine of the fortnight on its real links, and the influences of its surroundings.
+"""Machine of the fortnight on its real links, and the external influences on it.
 
-It runs in the process that runs the fortnight; the service reaches it only over Modbus TCP and CAN. Every evening it is
-another day's machine: the controller was switched off and has retained its banks.
+It runs in the process that plays the fortnight; the service reaches it only over Modbus TCP and CAN. Every evening the
+machine is as it has aged by that night, and its controller has been switched off and on but has retained its banks.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ HERE = "127.0.0.1"
 
 
 class FortnightPlant:
-    """Simulated machine over several nights. `station_of`: station of the artefact in a given night."""
+    """Simulated machine over several nights. `station_of` returns the station of the artefact in a given night."""
 
     def __init__(self, scenario: Scenario, station_of: Callable[[int], int]) -> None:
         settings = scenario.settings.model_copy(update={"noise_by_step": True})
@@ -37,7 +37,9 @@ class FortnightPlant:
     # ------------------------------------------------------------------ influences
 
     def switch_to_night(self, night: int) -> None:
-        """Switch off, and on again as the machine of `night`."""
+        """Switch the machine off, and on again with the errors and the artefact station of `night`; its banks are
+        retained.
+        """
         self.switch_off()
         self._night = night
         self._machine = self._switch_on()
@@ -49,11 +51,11 @@ class FortnightPlant:
         self._machine.close()
 
     def power_cycle(self) -> None:
-        """Switch off and on in the same night; a broken link is restored."""
+        """Switch the machine off and on again in the same night, which also restores a broken link."""
         self.switch_to_night(self._night)
 
     def cut_link(self) -> None:
-        """Cut Modbus: the connection is closed and no new one is accepted."""
+        """Cut the Modbus link by closing the connection and accepting no new one."""
         self._machine.modbus.close()
 
     def permit(self, permission: Permission, given: bool) -> None:
@@ -84,13 +86,13 @@ class FortnightPlant:
 
     @property
     def active_crc32(self) -> int | None:
-        """CRC-32 of the table in the active bank; None if there is none."""
+        """CRC-32 of the table in the active bank; None if no table is active."""
         image = self.world.controller.banks.get(self.active_bank)
         return None if image is None else table_digest(image)
 
     @property
     def true_um(self) -> float:
-        """True volumetric error with the active table, aligned, in µm."""
+        """True volumetric error with the active table, rigidly aligned, in µm."""
         return self.world.truth.true_volumetric_error(self.active_bank)[1]
 
     @property
@@ -116,7 +118,10 @@ class FortnightPlant:
 
 
 def _same_addresses(ready: dict[str, object]) -> Links:
-    """Return the addresses of `ready` as fixed links, because the service's settings name them."""
+    """Return links with the addresses in `ready`.
+
+    The machine must use the same addresses after every restart, because the service's settings name them.
+    """
 
     def place(name: str) -> tuple[str, int]:
         found = ready[name]

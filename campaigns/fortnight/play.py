@@ -1,4 +1,4 @@
-"""The whole fortnight, from its first evening to its last morning."""
+"""Runs the whole fortnight, from its first evening to its last morning."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ DAMAGE = "damage"
 
 @dataclass(frozen=True)
 class Programme:
-    """Programme of the evenings, each one or more names of `Incidents` separated by commas.
+    """Programme of a fortnight. Each of `evenings` is one or more names from `Incidents`, separated by commas.
 
-    `changes`: changes of the shipped settings; `compared`: with comparisons that need a duplicate machine, and with
-    trends, both of which take additional nights; `collision_scale`: size of the collision, relative to that of the
-    season.
+    `changes`: changes of the shipped settings; `compared`: include the comparisons that need a duplicate machine, and
+    the trends, although both take additional nights; `collision_scale`: size of the collision relative to that defined
+    by the season.
     """
 
     evenings: tuple[str, ...]
@@ -47,7 +47,7 @@ class Programme:
 
     @property
     def season(self) -> Season:
-        """Season of the nights; the collision comes before the slot of the evening named for it."""
+        """Season of the nights; the collision happens before the slot of the evening named after it (`DAMAGE`)."""
         damaged = self.evenings.index(DAMAGE) if DAMAGE in self.evenings else len(self.evenings)
         return Season(len(self.evenings) - 1, damaged, seed=1)
 
@@ -80,13 +80,13 @@ SHORT = Programme(
 )
 """Programme with all incidents in five evenings and as few measurements as possible.
 
-With so uncertain an estimate the collision must be large.
+So few measurements give an uncertain estimate, so the collision must be large to be detected.
 """
 
 
 @dataclass
 class FortnightResult:
-    """Result of a fortnight. `trends`: as reported by history before the damage, after it, and at the end."""
+    """Result of a fortnight. `trends`: trends reported by the history before the damage, after it, and at the end."""
 
     evenings: list[Evening]
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -98,7 +98,7 @@ class FortnightResult:
 
 
 def run_fortnight(programme: Programme, report: Callable[[str], None], figure: Path | None = None) -> FortnightResult:
-    """Run the whole fortnight; nothing remains afterwards but the result."""
+    """Run the whole fortnight and return its result; no process or file remains afterwards."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
     began = perf_counter()
     with (
@@ -116,7 +116,10 @@ def run_fortnight(programme: Programme, report: Callable[[str], None], figure: P
 
 
 def _full_calibration_errors(programme: Programme, pool: ProcessPoolExecutor) -> list[Future[float]]:
-    """Compute the reach of each night in a separate process, started before there are threads."""
+    """Compute the true error after a full calibration for each night, in a separate process.
+
+    The process must start before this one has threads.
+    """
     season = programme.season
     error = full_calibration_vce_um if programme.compared else _unknown
     return [pool.submit(error, season, night) for night in range(season.nights + 1)]
@@ -171,7 +174,7 @@ class _FortnightRunner:
 
 
 def _judge(programme: Programme, played: FortnightResult) -> None:
-    """Add the claims that need the simulator's truth, and collect everything that failed."""
+    """Add the claims that compare with the simulator's truth, and collect the names of all failed claims."""
     played.claims["no collision"] = played.collisions == 0
     if programme.compared:
         bound = [e.ratio <= LARGEST_RATIO for e in played.evenings if e.incident != DAMAGE]
@@ -182,7 +185,7 @@ def _judge(programme: Programme, played: FortnightResult) -> None:
 
 
 def trend_claims(played: FortnightResult) -> dict[str, bool]:
-    """Return the claims about the warnings of history and their timing."""
+    """Return the claims about the alarms raised by the history, and whether they hold at the right times."""
     before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
     acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})
     return {
@@ -194,7 +197,7 @@ def trend_claims(played: FortnightResult) -> dict[str, bool]:
 
 
 def _limits(trends: dict[str, Any]) -> list[str]:
-    """Return the series that have reached their tolerance."""
+    """Return the names of the series that have reached their tolerance limit."""
     return [alarm["series"] for alarm in trends["alarms"] if alarm["kind"] == "limit"]
 
 

@@ -1,1 +1,1 @@
-"""Season of nights on a machine that drifts and has one collision."""
+"""Season of nightly runs on one machine that drifts and has one collision."""

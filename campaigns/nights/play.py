@@ -1,16 +1,18 @@
-"""Nights of one machine that drifts: a full calibration, then short slots, and a collision on the way.
+"""Nights of one machine that drifts: first a full calibration, then short time slots, with a collision before one of
+them.
 
 Every night is a whole run of the agent (`volcal nightly`) on the simulated machine of that night, in this process and
-on virtual time. The simulator's truth is reported with it: the true volumetric error with the active table, and that of
-a full calibration in the same night (the reach).
+on virtual time. The simulator's truth is reported with it: the true volumetric error with the active table, and the
+error that a full calibration in the same night would have left (the reach).
 
-The reach is found by Monte Carlo at the level of ball centres: the true ball centres of the whole set on a copy of that
-night's machine, measured through its exact field with the noise of a touch pattern, identified with the order by
-evidence, written as a table; the mean of `DRAWS` of them. Real full calibrations of the season are reported too.
+The reach is computed by Monte Carlo simulation of ball centres, without touches: the true ball centres of the whole
+position set are taken on a copy of that night's machine, measured through its exact field with the noise of a touch
+pattern, and identified with the Legendre order chosen by evidence; the true error is that with the resulting table. The
+reach is the mean over `DRAWS` draws. The full calibrations actually run in the season are reported too.
 
     python -m campaigns.nights --nights 30 --step 17 [--figure nights.png] [--csv nights.csv]
 
-Ends with one JSON line, and with exit code 0 only if every claim holds.
+The output ends with one line of JSON. The exit code is 0 only if every claim about the nights holds.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ LARGEST_RATIO = 1.5
 
 
 def run_season(season: Season, report: bool = True) -> list[NightRow]:
-    """Run all nights in order; the reach of full calibrations is computed in a separate process meanwhile."""
+    """Run all nights in order; meanwhile a separate process computes the reach (see the module) of each night."""
     with (
         ProcessPoolExecutor(1) as pool,
         memory_directory("nights") as directory,
@@ -72,7 +74,7 @@ def run_season(season: Season, report: bool = True) -> list[NightRow]:
 
 
 class SeasonMachine:
-    """One machine with its controller's banks, and the agent that calibrates it."""
+    """One machine, whose controller retains its banks from night to night, and the agent that calibrates it."""
 
     def __init__(self, season: Season, state: Path) -> None:
         self._season = season
@@ -153,7 +155,7 @@ def build_rig(world: World, clock: Clock, job: Job) -> Rig:
 
 
 def verdict(season: Season, rows: Sequence[NightRow]) -> dict[str, object]:
-    """Return the claims about the nights, and whether they hold."""
+    """Return the claims about the nights, each with True if it holds, and the figures behind them."""
     slots = [row for row in rows[1:] if row.night != season.step]
     worst = max(slots, key=lambda row: row.ratio, default=rows[0])
     happens = season.step <= season.nights

@@ -1,4 +1,4 @@
-"""Season of the nights, and the error that a full calibration would reach in one of them."""
+"""Season of the nights, and the error that a full calibration would leave in each of them."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ DRAWS = 2
 BANK = 1
 
 COLLISION = {"B0Z": 12.0, "EAZ": 4.0, "EYX": 3.0}
-"""Jumps in µrad, µrad, µm: the column was hit and above all leans."""
+"""Jumps of three errors in the collision, in µrad, µrad and µm: the column was hit and mainly leans."""
 
 
 @dataclass(frozen=True)
 class Season:
-    """Season of `nights` nights, with the collision before the slot of night `step`."""
+    """Season of `nights` nights, with the collision before the time slot of night `step`."""
 
     nights: int = 30
     step: int = 17
@@ -39,7 +39,9 @@ class Season:
 
     @property
     def scenario(self) -> Scenario:
-        """Scenario with three-month seasonal scale errors, a slow random walk of all errors, and the collision."""
+        """Scenario with scale errors that vary over a season of three months, a slow random walk of all errors, and the
+        collision.
+        """
         shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
         ageing = AgeingSettings(
             seed=self.seed,
@@ -64,7 +66,7 @@ def load_season_case(state: Path) -> Job:
 
 
 def full_calibration_vce_um(season: Season, night: int) -> float:
-    """Return the mean true VCE in µm, aligned, of full calibrations of that night's machine."""
+    """Return the mean true VCE in µm, rigidly aligned, after a full calibration of that night's machine."""
     job = load_season_case(Path("unused"))
     world = World(scenario_of_night(season.scenario, night))
     reached = []
@@ -80,8 +82,9 @@ def full_calibration_vce_um(season: Season, night: int) -> float:
 
 
 def true_vce_with_table(world: World, image: TableImage) -> float:
-    """Return the true VCE in µm, aligned, with `image` in place of the active table; the world must not be used
-    afterwards.
+    """Return the true VCE in µm, rigidly aligned, with `image` in place of the active table.
+
+    The world must not be used afterwards.
     """
     if world.controller.active_bank == BANK:
         world.controller.activate(0)
@@ -90,7 +93,9 @@ def true_vce_with_table(world: World, image: TableImage) -> float:
 
 
 def simulated_observations(world: World, job: Job, rng: np.random.Generator) -> Observations:
-    """Return the ball centres of the whole set as the machine without table would measure them, with touch noise."""
+    """Return the ball centres of the whole position set as the machine without table would measure them, with touch
+    noise.
+    """
     planned = job.procedure.plan(job.positions).observations
     settings = world.scenario.settings
     centres = np.concatenate([_true_balls(world, job, k, planned, rng) for k in np.unique(planned.position)], axis=0)

@@ -1,3 +1,4 @@
-"""Random plans, checked by a preflight and run with errors: search for collisions and for bad plans that are not
-refused.
+"""Random plans, checked by a preflight and run on a simulated machine with errors.
+
+The campaign searches for collisions and for bad plans that are not refused.
 """

@@ -1,12 +1,12 @@
-"""Random plans against a simulated machine with errors; ends with one line of JSON.
+"""Random plans on a simulated machine with errors. The output ends with one line of JSON.
 
     python -m campaigns.plans --count 10000 --seed 1 --workers 2
-    python -m campaigns.plans --only 123        # one plan again, and what came of it
+    python -m campaigns.plans --only 123        # repeat one plan and print its result
 
 Each plan is drawn from its own seed (machine, probe, artefact, mount, stations, positions, procedure, errors of the
 world), checked by a preflight, run, and run again with an abort, a hold or an emergency stop at a random instant. Every
-`--judge-every`th run is watched by a second, independent collision check (`campaigns/plans/judge.py`), which is itself
-held against the simulator on random straight moves among the bodies. Exit code 0 only where nothing hit anything.
+`--judge-every`th run is also examined by an independent collision check (`campaigns/plans/judge.py`), which is itself
+compared with the simulator on random straight moves among the bodies. The exit code is 0 only if nothing collided.
 """
 
 from __future__ import annotations
