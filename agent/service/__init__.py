@@ -1,1 +1,1 @@
-"""Calibration service: the one owner of the machine and the endpoints for people, panels and other programs."""
+"""Calibration service: the single owner of the machine, and the endpoints for people, panels and other programs."""

@@ -1,7 +1,7 @@
-"""Stable alarm numbers of the classes of the error tree, so that a panel can show its own text for each.
+"""Stable alarm numbers of the error classes, so that a panel can show its own text for each number.
 
-The numbers are a contract (docs/reference/alarms.md): a class keeps its number and a number is
-never reused. The hundreds follow the branches of the tree. An error class that is not listed has its parent's number.
+The numbers are a contract (docs/reference/alarms.md): a class keeps its number and a number is never reused. Each
+branch of the class hierarchy has its own hundred. An error class that is not listed has its parent's number.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from drivers import errors
 
 @dataclass(frozen=True)
 class AlarmCode:
-    """Alarm number with its meaning (`text`) and the `hint` shown if the error has none of its own."""
+    """Alarm number with its meaning (`text`) and a general `hint`, shown if the error has no hint of its own."""
 
     code: int
     text: str
@@ -99,7 +99,7 @@ CODES: Final = MappingProxyType(_CODES)
 
 
 def alarm_code(error: BaseException) -> AlarmCode:
-    """Return the code of the error's class or of its nearest listed base; DEFECT if it is not in the tree."""
+    """Return the code of the error's class or of its nearest listed base class; DEFECT if there is none."""
     for kind in type(error).__mro__:
         if kind in CODES:
             return CODES[kind]
@@ -107,7 +107,7 @@ def alarm_code(error: BaseException) -> AlarmCode:
 
 
 def alarm_of(error: BaseException) -> Alarm:
-    """Return the error as an alarm with its own text, hint and location; the general hint if it has none."""
+    """Return the error as an alarm with its own text, hint and location, or with the general hint if it has no hint."""
     found = alarm_code(error)
     if isinstance(error, errors.VolcalError):
         return Alarm(found.code, error.message, error.hint or found.hint, MappingProxyType(dict(error.where)))

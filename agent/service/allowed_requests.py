@@ -1,7 +1,7 @@
-"""Requests that are allowed in each state. PackML names of the states are in `agent.execution.states`.
+"""Requests that are allowed in each state of a run. `agent.execution.states` has the PackML names of the states.
 
-Faulted and aborted are sticky: only a reset leaves them. Complete and refused are not: a new run may be started from
-there.
+The states faulted and aborted are sticky: only a reset leaves them. The states complete and refused are not sticky: a
+new run may be started from them.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ ALLOWED: dict[RunState, frozenset[str]] = {
 
 
 def allowed_in(state: RunState, *, unfinished: bool, question_open: bool) -> frozenset[str]:
-    """Return the requests allowed now. `unfinished`: an interrupted run can be resumed; `question_open`: a question
-    waits for its answer."""
+    """Return the requests allowed in `state`. `unfinished`: an interrupted run can be resumed; `question_open`: a
+    question has not been answered yet."""
     allowed = ALLOWED[state]
     if not unfinished:
         allowed -= {RESUME_RUN}

@@ -1,4 +1,4 @@
-"""HTTP client of the service for commands; problem documents become errors of the error tree again."""
+"""HTTP client with which commands use the service; a problem document is raised as the error that it describes."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from drivers.errors import LinkLost, LinkTimeout, ProtocolError, VolcalError
 Document = dict[str, Any]
 
 ANSWER_TIMEOUT_S = 60.0
-"""A start reads the state of the machine first, and may have to wait for its link."""
+"""Long, because a start request first reads the state of the machine and may have to wait for the connection to it."""
 STREAM_TIMEOUT_S = 45.0
-"""Three intervals of the comments that keep a stream of events alive."""
+"""Three times the interval of the comments that the service sends to keep a stream of events alive."""
 
 
 class NoService(LinkLost):
@@ -54,7 +54,10 @@ class Client:
         return self._request("POST", path, body, headers)
 
     def events(self, after: int | None = None) -> Iterator[tuple[str, Document]]:
-        """Yield (kind, document) of the status and of every later event. Raise LinkLost when the service ends."""
+        """Yield (kind, document) of the status and then of every event, from the one after number `after` if given.
+
+        Raise LinkLost when the service ends or the connection fails, LinkTimeout if the service does not respond.
+        """
         headers = {} if after is None else {"Last-Event-ID": str(after)}
         timeout = httpx.Timeout(ANSWER_TIMEOUT_S, read=STREAM_TIMEOUT_S)
         try:
@@ -91,7 +94,7 @@ _START_IT = "start the service with `systemctl start volcal`, or `volcal serve -
 
 
 def error_of(problem: Mapping[str, Any]) -> VolcalError:
-    """Return the error that a problem document describes; CommandRejected if its class is unknown here."""
+    """Return the error that a problem document describes; CommandRejected if the client does not know its class."""
     title = str(problem.get("title"))
     kind = getattr(errors, title, None) or getattr(run_errors, title, None)
     if not (isinstance(kind, type) and issubclass(kind, VolcalError)):
@@ -117,7 +120,8 @@ def _connect(settings: Settings) -> httpx.Client:
 
 
 def _ssl_context(certificate: Path | None) -> ssl.SSLContext | bool:
-    """Return a context that trusts only this certificate, so it may be self-signed and carry any host name."""
+    """Return a context that trusts only this certificate, which may therefore be self-signed and carry any host
+    name."""
     if certificate is None:
         return True
     context = ssl.create_default_context(cafile=str(certificate))
@@ -126,7 +130,7 @@ def _ssl_context(certificate: Path | None) -> ssl.SSLContext | bool:
 
 
 def _parse_events(lines: Iterator[str]) -> Iterator[tuple[str, Document]]:
-    """Yield the events of a stream of `text/event-stream` lines; comments are skipped."""
+    """Yield (kind, document) of each event in the lines of a `text/event-stream`; comments are skipped."""
     kind, data = "message", ""
     for line in lines:
         name, _, value = line.partition(":")

@@ -1,7 +1,7 @@
-"""Requests to the one owner of the machine, the same for every endpoint.
+"""Requests to the single owner of the machine; the same interface serves every endpoint.
 
-HTTP, the page, the panel gateway, OPC UA and the timer all use a `Control`; none of them knows another. Every method
-may be called from any thread and returns at once; `status` and events report what a request leads to.
+HTTP, the page, the panel gateway, OPC UA and the timer all use a `Control` and are independent of each other. Every
+method may be called from any thread and does not wait for the run; `status` and the events report its effect.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from agent.runs.run_request import RunRequest, Source
 
 @dataclass(frozen=True)
 class Question:
-    """Question of the run to a person; the run waits for `Control.answer` with the same `number`."""
+    """Question of the run to a person. The run waits until `Control.answer` is called with the same `number`."""
 
     number: int
     text: str
@@ -40,12 +40,13 @@ class Alarm:
 class Status:
     """State of the service at one instant.
 
-    `state`: of the run under way or, between runs, of the last one until it is reset (faulted and aborted are sticky).
-    `packml`: its ISA-TR88.00.02 name. `doing`: in words. `fraction` 0…1 and `minutes_left` of machine time by the
-    preflight. VE in µm, aligned: of the last accepted estimate, before and with the table. `may`: the requests that
-    make sense now (``start``, ``hold``, ``resume``, ``abort``, ``reset``, ``answer``, ``resume_run``).
-    `unfinished`: the interrupted run that can be resumed. `written_not_active`: a bank that waits for a restart of
-    the controller.
+    `state`: state of the run in progress or, between runs, of the last run until a reset (faulted and aborted are left
+    only by a reset). `packml`: ISA-TR88.00.02 name of the state. `doing`: current activity in plain words. `fraction`:
+    completed part of the run, 0…1. `minutes_left`: remaining machine time as computed by the preflight.
+    `ve_before_um`, `ve_now_um`: volumetric error (VE, rigidly aligned) of the last accepted estimate, without and with
+    the table. `may`: the requests allowed now (``start``, ``hold``, ``resume``, ``abort``, ``reset``, ``answer``,
+    ``resume_run``). `unfinished`: identity of the interrupted run that can be resumed. `written_not_active`: bank that
+    becomes active only when the controller is restarted.
     """
 
     machine: str
@@ -73,7 +74,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Event:
-    """Event of the service. `number` counts up without gaps while the service lives; `kind`: ``state``,
+    """Event of the service. `number` increases by one with each event while the service runs; `kind`: ``state``,
     ``progress``, ``note``, ``gate``, ``ball``, ``lost`` (a ball that was not found), ``temperature``, ``question``,
     ``alarm``, ``outcome``."""
 
@@ -84,23 +85,30 @@ class Event:
 
 
 class Control(Protocol):
-    """The owner of the machine."""
+    """Interface of the owner of the machine."""
 
     def status(self) -> Status: ...
 
     def start(self, request: RunRequest) -> str:
-        """Start a run and return its identity. Raises Busy, naming the run under way; UserError for a request that
-        cannot be carried out; PermissionMissing if a reset or an answer is needed first."""
+        """Start a run and return its identity.
+
+        Raise Busy, naming the run in progress; UserError for a request that cannot be carried out; DeviceError if the
+        machine cannot be reached; PermissionMissing if a reset is needed first. For a request without consent, raise
+        PermissionMissing if the controller does not permit motion, GateRefused at an hour that is not permitted or
+        before the machine has warmed up.
+        """
         ...
 
     def resume_run(self, source: Source) -> str:
-        """Resume the unfinished run and return its identity. Raises as `start`; UserError if there is none."""
+        """Resume the interrupted run and return its identity. Raise UserError if there is none, and Busy, DeviceError
+        or PermissionMissing in the same cases as `start`."""
         ...
 
     def restore_table(self, run_id: str, role: str, source: Source) -> str:
-        """Reactivate the table that run `run_id` has stored as `role` (``backup``, ``staged``, ``restored``).
+        """Activate again the table that run `run_id` stored with `role` (``backup``, ``staged``, ``restored``).
 
-        Return the identity of the run that restores it; raises as `start`. Nothing moves."""
+        Return the identity of the run that restores the table. Raise Busy, UserError or PermissionMissing in the same
+        cases as `start`. Nothing moves."""
         ...
 
     def hold(self) -> None: ...
@@ -108,17 +116,18 @@ class Control(Protocol):
     def resume(self) -> None: ...
 
     def abort(self, reason: str) -> None:
-        """Abort the run. Always allowed; without effect between runs."""
+        """Abort the run. Always allowed; has no effect between runs."""
         ...
 
     def reset(self) -> None:
-        """Acknowledge a fault: alarms are cleared, the state is idle again. Moves nothing."""
+        """Acknowledge a fault: clear the alarms and return to the state idle. Nothing moves."""
         ...
 
     def answer(self, number: int, yes: bool) -> None:
-        """Answer the open question of that number. Raise UserError for any other number."""
+        """Answer the open question with this `number`. Raise UserError if no question with this number is open."""
         ...
 
     def subscribe(self) -> AbstractContextManager[Queue[Event]]:
-        """Subscribe to the events from now on; a reader that lags far behind loses the oldest progress events first."""
+        """Subscribe to all events from now on. A reader that falls far behind loses events, oldest progress events
+        first."""
         ...

@@ -1,4 +1,4 @@
-"""Interface of the endpoints that connect clients to the one `Control`."""
+"""Interface of the endpoints, which connect clients to the `Control` of the service."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from agent.service.control import Control
 
 
 class Endpoint(Protocol):
-    """Endpoint: `start` returns when it accepts clients, or raises; `stop` returns when no client is served any
-    more."""
+    """Endpoint of the service. `start` returns once clients can connect, or raises an error; `stop` returns once no
+    client is served any longer."""
 
     @property
     def name(self) -> str: ...
@@ -23,7 +23,7 @@ class Endpoint(Protocol):
 
 @contextmanager
 def open_endpoints(endpoints: Sequence[Endpoint], control: Control) -> Iterator[None]:
-    """Open all endpoints for the block; if one fails to open, close those already open."""
+    """Open all endpoints and close them at the end of the block. If one cannot be opened, close those already open."""
     with ExitStack() as stack:
         for endpoint in endpoints:
             endpoint.start(control)

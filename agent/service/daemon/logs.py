@@ -1,4 +1,4 @@
-"""Logging as one JSON object per line on stdout, for the system journal; run and step are bound where known."""
+"""Logging as one JSON object per line on stdout, for the system journal, with run and step if they are known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SHARED: tuple[Processor, ...] = (
 
 
 def log_as_json(level: int) -> None:
-    """Log messages of this program and of the libraries in the same format."""
+    """Set up logging of this program and of the libraries in the same JSON format."""
     as_line = structlog.processors.JSONRenderer(ensure_ascii=False, default=str)
     rendered: tuple[Processor, ...] = (structlog.processors.format_exc_info, as_line)
     structlog.configure(

@@ -1,4 +1,4 @@
-"""Main loop of the service process: signals, systemd's watchdog and status text."""
+"""Main loop of the service process, which handles signals, systemd's watchdog and systemd's status text."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ US_PER_S = 1e6
 
 @contextmanager
 def queued_signals() -> Iterator[SimpleQueue[int]]:
-    """Put signals into a queue for the block, instead of letting them end the process."""
+    """Yield a queue that receives the signals during the block, so that they do not end the process."""
     queue: SimpleQueue[int] = SimpleQueue()
 
     def enqueue(number: int, _: FrameType | None) -> None:
@@ -58,8 +58,10 @@ class MainLoop:
     _hung: bool = False
 
     def run(self) -> None:
-        """Report readiness; feed the watchdog, report the status and reload until SIGTERM or SIGINT; then hold,
-        withdraw and close."""
+        """Report readiness, then feed the watchdog, report the status and reload the settings on request.
+
+        On SIGTERM or SIGINT hold the run, withdraw the probe, close the owner of the machine and return.
+        """
         self.owner.reconcile_if_reached()
         self.notifier.send(READY=1, STATUS=self._text())
         period_s = POLL_PERIOD_S
@@ -78,8 +80,10 @@ class MainLoop:
             return None
 
     def _feed_watchdog(self) -> None:
-        """Notify the watchdog unless the engine hangs: systemd then ends this process, and the machine's own watchdog
-        has stopped it long before."""
+        """Notify systemd's watchdog unless the engine hangs.
+
+        Without notifications systemd ends this process; by then the machine has long been stopped by its own watchdog.
+        """
         if self.health.alive(self.owner.status().state):
             self._hung = False
             self.notifier.send(WATCHDOG=1)
@@ -121,7 +125,7 @@ class MainLoop:
 
 
 def status_text(status: Status, *, hung: bool = False) -> str:
-    """Return one line for `systemctl status`."""
+    """Return the status as one line for `systemctl status`; `hung`: the engine hangs."""
     parts = [f"{status.machine}: {status.doing}"]
     if status.minutes_left is not None:
         parts.append(f"{100.0 * status.fraction:.0f} %, {status.minutes_left:.0f} min left")

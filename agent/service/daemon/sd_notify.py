@@ -11,12 +11,12 @@ import structlog
 log = structlog.get_logger()
 S_PER_US = 1e-6
 SEND_TIMEOUT_S = 1.0
-"""A service manager that does not read (its queue holds ten messages) must not delay the handling of signals."""
+"""Short, because signals must be handled even if the service manager does not read (its queue holds ten messages)."""
 
 
 class Notifier:
-    """Sender of notifications; does nothing without NOTIFY_SOCKET. A lost socket is logged and does not stop the
-    service."""
+    """Sender of notifications to systemd; does nothing if NOTIFY_SOCKET is not set. A lost socket is logged and does
+    not stop the service."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         name = environment.get("NOTIFY_SOCKET", "")

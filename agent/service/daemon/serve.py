@@ -37,14 +37,14 @@ from twin.units import S_PER_MIN
 
 log = structlog.get_logger()
 REPORT_TIMEOUT_S = 15.0
-"""Longest wait for a report when the service stops; a report takes about 5 s."""
+"""Longest wait for a report in progress when the service stops; rendering a report takes about 5 s."""
 
 
 def serve(config: Path, circumstances: Callable[[], Circumstances] = current_circumstances) -> None:
     """Run the service until SIGTERM or SIGINT.
 
-    `circumstances`: hour and warm-up by which starts without consent are permitted. Raise Busy if another process owns
-    the machine; ConfigurationError for invalid settings.
+    `circumstances`: function that returns the hour and the time since switch-on, on which the permission of a start
+    without consent depends. Raise Busy if another process owns the machine, ConfigurationError for invalid settings.
     """
     config = config.resolve()
     settings = load_settings(config)

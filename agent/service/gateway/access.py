@@ -1,7 +1,7 @@
-"""Access code of panels: a number shared by all of them.
+"""Access code of panels: one number, shared by all panels.
 
-It prevents a wrong or misconfigured device from moving the machine. It does not protect against eavesdropping or
-attacks: Modbus transmits it unencrypted, and it has 32 bits.
+The code prevents a wrong or misconfigured device from moving the machine. It does not protect against eavesdropping or
+attacks, because Modbus transmits it unencrypted and it has only 32 bits.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from drivers.errors import ConfigurationError
 
 CREDENTIAL: Final = "panel-code"
 LOCKED_TICKS: Final = 5
-"""Seconds for which no code is checked after a wrong one: 2³² guesses would take about 680 years."""
+"""Time in s after a wrong code during which no code is checked; trying all 2³² codes would take about 680 years."""
 
 
 def access_code_path(settings: GatewaySettings, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the file passed by systemd (LoadCredential=panel-code:…) or else the one named in the settings, if any."""
+    """Return the file passed by systemd (LoadCredential=panel-code:…), otherwise the one in the settings; None if
+    neither."""
     return handed_over(CREDENTIAL, environment) or settings.access_code_file
 
 
@@ -45,7 +46,8 @@ def read_access_code(path: Path) -> int:
 
 
 class AccessCode:
-    """Check of the access code; after a wrong one no code is checked for a while. Call `tick` once per second."""
+    """Check of the access code. After a wrong code, no code is checked for LOCKED_TICKS. Call `tick` once per
+    second."""
 
     def __init__(self, code: int | None) -> None:
         self._code = None if code is None else code.to_bytes(4)

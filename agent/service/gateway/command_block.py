@@ -1,4 +1,4 @@
-"""Command registers of a panel, read into a request; invalid values are refused before any action."""
+"""Conversion of a panel's command registers to a request; invalid values are refused before anything is done."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ValueNotAllowed(Exception):
 
 @dataclass(frozen=True)
 class CommandRequest:
-    """One command as written by a panel. `text`: None if its characters are invalid."""
+    """One command as written by a panel. `text`: position set, None if it contains invalid characters."""
 
     numbers: Mapping[str, int]
     text: str | None
@@ -41,15 +41,15 @@ class CommandRequest:
 
     @property
     def content(self) -> tuple[int | str | None, ...]:
-        """All values except the access code; they distinguish a repetition from another command with the same
-        number."""
+        """All values except the access code, to distinguish a repetition from a different command with the same
+        sequence number."""
         return (*(value for name, value in self.numbers.items() if name != "access_code"), self.text)
 
     def command(self) -> Command | None:
         return _COMMANDS.get(self.numbers["command"])
 
     def run_request(self) -> RunRequest:
-        """Return the request for a run. Raise ValueNotAllowed."""
+        """Return the request for a run. Raise ValueNotAllowed for an invalid register value."""
         if self.text is None or not _SET_NAMES.fullmatch(self.text):
             raise ValueNotAllowed("position_set: ASCII names of sets joined by +")
         fields = {
@@ -67,12 +67,12 @@ class CommandRequest:
             raise ValueNotAllowed(str(error)) from error
 
     def answer(self) -> tuple[int, bool]:
-        """Return the number of the question and True for yes. Raise ValueNotAllowed."""
+        """Return the number of the question and True for yes. Raise ValueNotAllowed for an invalid answer."""
         return self.numbers["question_number"], _one_of("answer", self.numbers["answer"], {1: True, 2: False})
 
 
 def read_command(words: Sequence[int]) -> CommandRequest:
-    """Return the command in the words of the whole command block."""
+    """Return the command that is encoded in `words`, the registers of the whole command block."""
     numbers: dict[str, int] = {}
     for register in COMMAND:
         if register.form is not Form.TEXT:

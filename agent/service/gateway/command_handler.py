@@ -1,4 +1,6 @@
-"""Execution of panel commands: each number once, with access code; the result can be read by all panels."""
+"""Execution of panel commands. Each sequence number is executed only once, most commands require the access code, and
+all panels can read the result.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ log = structlog.get_logger()
 
 
 class CommandHandler:
-    """Handler shared by all connections. Any thread may submit; requests are handled one at a time, abort
-    immediately."""
+    """Command handler shared by all connections. Any thread may submit requests. They are executed one at a time,
+    except that `abort` takes effect immediately."""
 
     def __init__(self, control: Control, ledger: SequenceLedger, access: AccessCode) -> None:
         self._control = control
@@ -37,7 +39,7 @@ class CommandHandler:
         return self._latest_start
 
     def state(self) -> tuple[int, int]:
-        """Return accepted number and result of the same command, the last one completed."""
+        """Return the sequence number and the result code of the last completed command."""
         return self._state
 
     def abort(self) -> None:
@@ -45,10 +47,10 @@ class CommandHandler:
         self._control.abort(ABORT_REASON)
 
     def submit(self, request: CommandRequest) -> None:
-        """Execute a request whose number is the next one, and retain its result.
+        """Execute a request that has the next sequence number, and store its result.
 
-        A repetition of the last request has no effect: its response was lost. Raise RegisterError for any other number,
-        or if the number could not be recorded; nothing has been done then.
+        A repetition of the last request has no effect, since a panel repeats it if the response was lost. Raise
+        RegisterError, with nothing done, for any other number or if the number could not be recorded.
         """
         with self._lock:
             if request.sequence == self._ledger.accepted and request.content == self._ledger.content:

@@ -1,4 +1,4 @@
-"""Endpoint of the service for panels: opened on a control, closed with the service."""
+"""Endpoint of the service for panels, open from the start of the service until its end."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ class GatewayEndpoint:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port actually in use; only available while open."""
+        """Host and port actually in use; only available while the endpoint is open."""
         if self._server is None:
             raise RuntimeError("the gateway is not open")
         return self._server.address
 
     def start(self, control: Control) -> None:
-        """Open the endpoint. Raise ConfigurationError if address, access code file or recorded sequence number is
-        invalid."""
+        """Open the endpoint. Raise ConfigurationError if the address, the access code file or the recorded sequence
+        number is invalid."""
         gateway = self._gateway(control)
         settings = self._settings
         self._server = ModbusServer(

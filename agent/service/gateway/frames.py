@@ -1,4 +1,4 @@
-"""Modbus TCP frames: one response per request, on a set of registers and coils.
+"""Decoding of Modbus TCP requests, their execution on a set of registers and coils, and encoding of the responses.
 
 Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application Protocol
 V1.1b3, 6.1, 6.3 to 6.6, 6.11 and 6.12, exception codes in 7.
@@ -39,7 +39,7 @@ class ExceptionCode(IntEnum):
 
 
 class RegisterError(Exception):
-    """The request cannot be executed; becomes an exception response."""
+    """The request cannot be executed; the client receives an exception response."""
 
     def __init__(self, code: ExceptionCode) -> None:
         super().__init__(code.name)
@@ -51,7 +51,7 @@ class FramingError(Exception):
 
 
 class RegisterTable(Protocol):
-    """Registers and coils that a request acts on. Each method may raise RegisterError and then has changed nothing."""
+    """Registers and coils that requests read and write. A method that raises RegisterError has changed nothing."""
 
     def read(self, address: int, count: int) -> Sequence[int]: ...
 
@@ -63,7 +63,7 @@ class RegisterTable(Protocol):
 
 
 def body_length(header: bytes) -> int:
-    """Return the number of bytes after the seven of the header. Raise FramingError if it is not a Modbus TCP header."""
+    """Return the number of bytes that follow the 7-byte header. Raise FramingError if it is not a Modbus TCP header."""
     _, protocol, length, _ = HEADER.unpack(header)
     if protocol != 0 or not 2 <= length <= MAX_PDU_BYTES + 1:
         raise FramingError(f"MBAP header {header.hex(' ')}")
@@ -71,7 +71,7 @@ def body_length(header: bytes) -> int:
 
 
 def answer_frame(header: bytes, answer: bytes) -> bytes:
-    """Return the response frame with transaction and unit of its request."""
+    """Return the response frame, which has the transaction and unit numbers of the request's `header`."""
     transaction, _, _, unit = HEADER.unpack(header)
     return HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
 
@@ -142,7 +142,8 @@ _ANSWERS: Final[dict[int, Callable[[bytes, RegisterTable], bytes]]] = {
 
 
 def _range(request: bytes, most: int, *, exact: bool = False) -> tuple[int, int]:
-    """Return address and count; unless `exact`, at least a byte count must follow."""
+    """Return the address and count of a request. `exact`: the request must end after them; otherwise a byte count and
+    data must follow. Raise RegisterError for a wrong length or if the count is not from 1 to `most`."""
     _require(len(request) == 5 if exact else len(request) > 6)
     address, count = _PAIR.unpack_from(request, 1)
     _require(1 <= count <= most)

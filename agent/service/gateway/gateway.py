@@ -19,7 +19,8 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class Gateway:
-    """Shared state. `on_panel_timeout`: reaction to a lost panel heartbeat during a run that a panel has started."""
+    """State shared by all connections. `on_panel_timeout`: reaction if the panel's heartbeat is lost during a run that
+    a panel has started."""
 
     control: Control
     handler: CommandHandler
@@ -31,10 +32,10 @@ class Gateway:
         return self.control.status()
 
     def image(self) -> tuple[int, ...]:
-        """Return the status registers at one instant.
+        """Return the words of all status registers at one instant.
 
-        The accepted number is read before the status: a panel that sees its number accepted also sees the resulting
-        state, never an earlier one.
+        The last accepted sequence number is read before the status, so that a panel that reads its own number as
+        accepted also reads the resulting state, never an earlier one.
         """
         accepted, result = self.handler.state()
         facts = GatewayFacts(
@@ -47,7 +48,7 @@ class Gateway:
         return status_image(self.status(), facts)
 
     def tick(self) -> None:
-        """Update heartbeats and locks; called once per second."""
+        """Update the heartbeats and the lock after a wrong access code. Must be called once per second."""
         self.access.tick()
         status = self._status_or_none()
         if self.heartbeats.tick(service_alive=status is not None):

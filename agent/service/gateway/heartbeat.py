@@ -6,9 +6,11 @@ import threading
 
 
 class Heartbeats:
-    """The service's beat counts up while the owner of the machine responds; the panel's beat must keep changing.
+    """Counters that show that service and panel are alive.
 
-    A panel that has never written its beat is not monitored.
+    The service's counter increases while the owner of the machine responds. The panel must keep changing its counter.
+
+    A panel that has never written its counter is not monitored.
     """
 
     def __init__(self, timeout_ticks: int) -> None:
@@ -32,13 +34,13 @@ class Heartbeats:
             return self._panel_beat is not None and self._silent_ticks < self._timeout_ticks
 
     def beat(self, value: int) -> None:
-        """Take over a beat written by the panel; the same value again does not count."""
+        """Store a counter value written by the panel; a repeated value is not a sign of life."""
         with self._lock:
             if value != self._panel_beat:
                 self._panel_beat, self._silent_ticks = value, 0
 
     def tick(self, *, service_alive: bool) -> bool:
-        """Count one second. Return True if the panel has timed out in it."""
+        """Count one second. Return True if the panel's timeout has expired in this second."""
         with self._lock:
             if service_alive:
                 self._beat = (self._beat + 1) & 0xFFFF

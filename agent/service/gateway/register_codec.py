@@ -13,7 +13,7 @@ _LIMITS = {Form.U16: (0, 0xFFFF), Form.U32: (0, 0xFFFFFFFF), Form.I32: (-0x80000
 
 
 def number_words(register: Register, value: float | None) -> tuple[int, ...]:
-    """Return the value rounded and clipped to the range of its form; None and NaN become the form's unknown value."""
+    """Return the words of a number, rounded and clipped to the register's range; None and NaN become "unknown"."""
     if value is None or math.isnan(value):
         whole = UNKNOWN[register.form]
     else:
@@ -25,7 +25,8 @@ def number_words(register: Register, value: float | None) -> tuple[int, ...]:
 
 
 def text_words(register: Register, text: str) -> tuple[int, ...]:
-    """Return the text transliterated to ASCII, truncated and padded with zeros."""
+    """Return the words of a text, transliterated to ASCII and truncated or padded with zeros to the register's
+    length."""
     plain = unicodedata.normalize("NFKD", text.translate(_ASCII_FOR))
     kept = "".join(c for c in plain if not unicodedata.combining(c))
     data = kept.encode("ascii", "replace")[: 2 * register.words].ljust(2 * register.words, b"\0")
@@ -33,7 +34,7 @@ def text_words(register: Register, text: str) -> tuple[int, ...]:
 
 
 def whole_number(words: Sequence[int]) -> int:
-    """Return the unsigned value, high word first."""
+    """Return the unsigned value of the words, the high word first."""
     number = 0
     for word in words:
         number = number << 16 | word
@@ -41,8 +42,8 @@ def whole_number(words: Sequence[int]) -> int:
 
 
 def plain_text(words: Sequence[int]) -> str | None:
-    """Return text without its padding of zeros or blanks; None if it is not printable ASCII or continues after a
-    zero."""
+    """Return the text in the words without its padding of zeros or blanks; None if it is not printable ASCII, or if
+    other characters follow a zero."""
     text, *after = b"".join(word.to_bytes(2) for word in words).rstrip(b"\0 ").split(b"\0")
     if after or not all(0x20 <= byte < 0x7F for byte in text):
         return None

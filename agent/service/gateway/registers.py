@@ -24,12 +24,12 @@ class Form(Enum):
 
 
 UNKNOWN: Final = {Form.U16: 0xFFFF, Form.U32: 0xFFFFFFFF, Form.I32: -0x80000000}
-"""Values that stand for an unknown value."""
+"""Register value that means "unknown", for each format."""
 
 
 @dataclass(frozen=True)
 class Register:
-    """A value of the map: `address` of its first register and number of registers (`words`)."""
+    """One value of the register map. `address`: its first register; `words`: number of registers that it takes."""
 
     name: str
     address: int
@@ -46,8 +46,8 @@ _WORDS = {Form.U16: 1, Form.U32: 2, Form.I32: 2}
 
 
 def _block(start: int, *rows: tuple[str, Form, int, str]) -> tuple[Register, ...]:
-    """Return consecutive registers from `start`; a row gives name, form, characters of a text (otherwise 0) and
-    meaning."""
+    """Return values at consecutive addresses from `start` on. A row has the name, the format, the number of characters
+    (0 if the value is not a text) and the meaning."""
     registers = []
     for name, form, characters, meaning in rows:
         registers.append(Register(name, start, form, _WORDS.get(form, characters // 2), meaning))
@@ -144,14 +144,15 @@ PACKML_NUMBERS: Final = {
     "Completing": 16,
     "Complete": 17,
 }
-"""PackTags StateCurrent; 0 is undefined."""
+"""Numbers of the PackML states, as in the PackTag StateCurrent; 0 means undefined."""
 KIND_NUMBERS: Final[dict[str, int]] = {kind: number for number, kind in enumerate(KINDS, start=1)}
 FLAGS: Final = ("running", "alarm", "question", "bank_waiting", "unfinished_run", "panel_alive", "access_code_set")
 MAY: Final = ("start", "hold", "resume", "abort", "reset", "answer", "resume_run")
 
 
 class Command(IntEnum):
-    """Values of `command`. Abort is included for panels without coils."""
+    """Values of the register `command`. Abort is also a coil; it is included here for panels that cannot write
+    coils."""
 
     START = 1
     HOLD = 2
@@ -163,11 +164,11 @@ class Command(IntEnum):
 
 
 FREE_COMMANDS: Final = frozenset({Command.HOLD, Command.ABORT})
-"""Commands that can only stop motion and need no access code."""
+"""Commands that need no access code, because they can only stop motion."""
 
 
 class Result(IntEnum):
-    """Values of `result` below 100; from 100 on it is an alarm code."""
+    """Values of the register `result` below 100; a value of 100 or more is an alarm code."""
 
     NONE = 0
     DONE = 1

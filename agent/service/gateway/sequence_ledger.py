@@ -1,7 +1,7 @@
-"""Number of the last accepted panel command, stored on disk.
+"""Sequence number of the last accepted panel command, stored on disk.
 
 A panel that reconnects, or a PLC that repeats its command block, must not start a run a second time, and a restart of
-the service must not make an old number valid again. The number is therefore stored durably before its command is
+the service must not make an old number valid again. The number is therefore stored durably before the command is
 executed: after a power failure a command may be lost, but it is never executed twice.
 """
 
@@ -25,25 +25,28 @@ Content = tuple[int | str | None, ...]
 
 
 def next_sequence(number: int) -> int:
-    """Return the next number; 0 is never used, because cleared registers hold it."""
+    """Return the sequence number that follows `number`; 0 is never used, because cleared registers contain it."""
     return number % MAX_SEQUENCE + 1
 
 
 class SequenceLedger:
-    """Last accepted number and its content. Only one thread (the handler) may write at a time."""
+    """Sequence number and content of the last accepted command. Only one thread (of the handler) may write at a time.
+
+    Raise ConfigurationError if the stored file is invalid.
+    """
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / FILE_NAME
         self.accepted, self.content = self._load()
 
     def record(self, number: int, content: Content) -> None:
-        """Store number and content durably. Raise InputError if that fails; nothing has changed then."""
+        """Store number and content durably. Raise InputError, with nothing changed, if they cannot be stored."""
         write_atomically(self._path, json.dumps({"accepted": number, "content": list(content)}) + "\n")
         self.accepted, self.content = number, content
 
     def _load(self) -> tuple[int, Content | None]:
-        """Return the stored state. Without one the count starts at a random number, so that no old register value
-        matches."""
+        """Return the stored number and content. If nothing is stored, start from a random number, so that no number
+        left in a panel's registers is the next one."""
         if not self._path.exists():
             return _random_start(), None
         try:

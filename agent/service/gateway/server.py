@@ -30,7 +30,8 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 class _Client:
-    """A connection and the time of its last request, counted in requests of all connections instead of seconds."""
+    """A connection and the age of its last request, expressed as the running number of that request among all
+    connections."""
 
     def __init__(self, connection: socket.socket, peer: str) -> None:
         self.connection = connection
@@ -45,10 +46,10 @@ class _Client:
 class ModbusServer:
     """Server that listens from its construction and responds from `start` to `stop`.
 
-    Connections from peers outside of `allowed` are closed. With `max_clients` connected, the one idle for longest is
-    closed in favour of a new one, as in the Modbus implementation guide (4.2.2). A connection is closed if its peer
-    sends nothing for `idle_timeout_s`, takes that long to read its response, or sends anything but Modbus.
-    Raise ConfigurationError if the address cannot be bound.
+    Connections from addresses outside of `allowed` are closed. If a client connects when `max_clients` are connected,
+    the connection that has been idle for longest is closed, as in the Modbus implementation guide (4.2.2). A connection
+    is closed if its peer sends nothing for `idle_timeout_s`, takes that long to read a response, or sends anything but
+    Modbus. Raise ConfigurationError if the address cannot be bound.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class ModbusServer:
         self._thread.start()
 
     def stop(self) -> None:
-        """Close all connections; no further request is started once this returns."""
+        """Close all connections. No further request is executed after the return."""
         with self._guard:
             self._stopped = True
             with contextlib.suppress(OSError):
@@ -160,7 +161,7 @@ def _answer(request: bytes, table: RegisterTable) -> bytes:
 
 
 def _receive(connection: socket.socket, size: int) -> bytes | None:
-    """Return exactly `size` bytes; None if the peer closed the connection before."""
+    """Return exactly `size` bytes; None if the peer closed the connection before sending them."""
     data = b""
     while len(data) < size:
         if not (chunk := connection.recv(size - len(data))):

@@ -1,7 +1,8 @@
-"""Registers and coil of one connection.
+"""Registers and abort coil as one panel connection sees them.
 
-The status is shared. Values that a panel writes into the command registers are a draft of its own connection until it
-writes the sequence number: commands of two panels cannot mix, and a draft is discarded with its connection.
+All connections read the same status. Values that a panel writes into the command registers are only a draft within its
+connection until it writes the sequence number. Commands of two panels therefore cannot mix, and a draft is discarded
+when its connection closes.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class PanelSession:
             self._draft = draft
 
     def _commit(self, draft: Sequence[int]) -> None:
-        """Submit the draft and clear it in any case, so that no consent or code remains for the next command."""
+        """Submit the draft as a command. Clear it even on failure, so that the next command inherits no consent or
+        code."""
         self._draft = [0] * SIZE
         self._gateway.handler.submit(read_command(draft))
 

@@ -1,4 +1,4 @@
-"""Content of the status registers, from the status at one instant."""
+"""Conversion of the status at one instant to the content of the status registers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UNKNOWN_WORD = UNKNOWN[Form.U16]
 
 @dataclass(frozen=True)
 class GatewayFacts:
-    """Values of the gateway itself besides the status."""
+    """Values of the status registers that come from the gateway and not from the status."""
 
     heartbeat: int = 0
     panel_alive: bool = False
@@ -36,7 +36,7 @@ class GatewayFacts:
 
 
 def status_image(status: Status, facts: GatewayFacts) -> tuple[int, ...]:
-    """Return the words of the whole status block."""
+    """Return the words of the whole block of status registers."""
     values = {**_run_values(status), **_waiting_values(status), **_gateway_values(status, facts)}
     words: list[int] = []
     for register in STATUS:
@@ -64,7 +64,7 @@ def _run_values(status: Status) -> dict[str, float | str | None]:
 
 
 def _waiting_values(status: Status) -> dict[str, float | str | None]:
-    """Return the values that require action: alarms, open question, waiting bank."""
+    """Return, by register name, the values that require action: alarms, open question, bank written but not active."""
     question = status.question
     codes = [alarm.code for alarm in status.alarms[:4]] + [0] * 4
     return {
