@@ -1,1 +1,1 @@
-"""The calibration agent: plans, engine, journal, run, publication, reports and the command line."""
+"""Calibration agent: settings, execution, probing, planning, results, runs, reports, service and command line."""

@@ -1,7 +1,7 @@
-"""Reading and writing of files: plain errors for a file that cannot be read, complete and durable files on writing.
+"""Reading of files with plain error messages, and writing of files that are complete and durable or absent.
 
-`twin.formats` turns text into values. The agent reads and writes such text only here, and errors of the mathematics
-become errors of the application here, with the same message, locations and hint.
+`twin.formats` turns text into values; the text itself is read and written here. `translated` turns errors of the
+mathematics into errors of the application, with the same message, locations and hint.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from drivers.tables.files import sync_directory
 from twin.errors import TwinError
 
 FILE_MODE = 0o644
-"""Results are read by other people and programs; `mkstemp` alone would let only the owner read them."""
+"""Mode of result files: readable by other users and programs, unlike the files that `mkstemp` creates."""
 
 
 def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
@@ -47,14 +47,15 @@ def translated(error: type[VolcalError] = InputError, **where: str | int) -> Ite
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write the text; after any interruption `path` holds its old text or the new one, complete and durable."""
+    """Write the text durably. If the write is interrupted, `path` contains either its old text or the new one."""
     write_all_atomically(path.parent, {path.name: text})
 
 
 def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write several files of one directory (created if missing); nothing appears unless all could be written.
+    """Write several files into one directory (created if missing); if one cannot be written, none appears.
 
-    Every file is complete on the disk under a temporary name before the first is given its own.
+    All files are complete on the disk under temporary names before the first is renamed. Raise InputError if a file
+    cannot be written.
     """
     staged: dict[Path, Path] = {}
     try:
@@ -79,8 +80,10 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError if `write_all_atomically` cannot succeed, before time is spent on the contents; leaves no
-    trace."""
+    """Raise InputError if files cannot be written into `folder`; for a check before time is spent on their contents.
+
+    Nothing is left in the file system.
+    """
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise _file_in_the_way(nearest)
@@ -98,7 +101,7 @@ def _file_in_the_way(path: Path) -> InputError:
 
 @contextmanager
 def streamed_atomically(path: Path) -> Iterator[TextIO]:
-    """Open a file to write into piece by piece. It becomes `path` if the block succeeds and is deleted otherwise.
+    """Open a temporary file to be written piece by piece; it becomes `path` if the block succeeds, else it is deleted.
 
     Bytes that were not UTF-8 on reading (`surrogateescape`) are written as they were; line ends are not changed.
     """

@@ -1,6 +1,6 @@
-"""Files of the mathematics: machine, artefact, positions and ball centres, read into values of the twin.
+"""Reading of machine, artefact, position and ball files into values of the twin.
 
-Apart from `agent.files`, so that a command that needs none of them does not wait for the mathematics.
+Separate from `agent.files`, so that a command that needs none of these files does not import the mathematics.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def load_positions(path: Path) -> tuple[Position, ...]:
 
 
 def load_balls(path: Path, machine: MachineDescription) -> BallFile:
-    """Return the ball centres of a CSV file; the tools that it names are those of `machine`."""
+    """Return the ball centres of a CSV file; the tools named in the file must be tools of `machine`."""
     text = read_text(path)
     with translated(InputError, file=str(path)):
         return parse_balls(text, str(path), machine.tools)

@@ -1,1 +1,1 @@
-"""Steps, the engine that has them done, the journal that remembers them, the states a run is in."""
+"""Steps, the engine that carries them out, the journal that records them, and the states of a run."""

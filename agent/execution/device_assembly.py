@@ -1,4 +1,4 @@
-"""Clock and rig from the settings: the only module in which driver names become objects."""
+"""Construction of clock and rig from the settings; no other module creates drivers from their names."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from drivers.roles import (
 )
 
 LOCKSTEP_SLICE_S = 0.5
-"""Slices of a wait against a lockstep simulator: finer ones are useless, since machine time passes in jumps there."""
+"""Longest part of a wait between two checks with a lockstep simulator, whose machine time advances in jumps."""
 REAL_SLICE_S = 0.02
-"""Slices of a wait by the wall clock: they leave a busy computer time to send STOP within 100 ms of an abort."""
+"""Longest part of a wait between two checks on the wall clock: short enough that even a busy computer sends STOP
+within 100 ms of an abort."""
 
 
 def make_clock(settings: ClockSettings) -> Clock:
@@ -47,7 +48,7 @@ def make_clock(settings: ClockSettings) -> Clock:
 
 
 def longest_wait_s(clock: Clock) -> float:
-    """Return the longest machine time in s that a wait may last in one piece."""
+    """Return the longest machine time in s for which a wait may last without a check for hold and abort requests."""
     match clock:
         case LockstepClock():
             return LOCKSTEP_SLICE_S
@@ -68,8 +69,10 @@ def closing_clock(clock: Clock) -> Iterator[Clock]:
 
 
 def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
-    """Return the rig of a real or simulated machine; nothing is opened yet. `base`: directory at which relative paths
-    start."""
+    """Return the rig of a real or simulated machine; no device is opened yet.
+
+    `base`: directory to which relative paths in the settings refer.
+    """
     devices = {
         name: create_device(device.driver, device.options, DeviceContext(name, clock, base))
         for name, device in settings.devices.items()
@@ -106,8 +109,8 @@ def stations_of(stations: StationSettings) -> range:
 
 @dataclass(frozen=True)
 class Devices:
-    """Functions that make rig and clock of a machine; others are passed for a machine that exists already, as in
-    tests."""
+    """Functions that create the rig and the clock of a machine. A caller whose machine already exists, such as a test,
+    replaces them."""
 
     assemble: Callable[[Settings, Clock, Path], Rig] = assemble
     make_clock: Callable[[ClockSettings], Clock] = make_clock

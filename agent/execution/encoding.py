@@ -1,4 +1,4 @@
-"""Steps and results as JSON for the journal; numbers keep every bit (repr of a float64 round-trips)."""
+"""Conversion of steps and results to JSON for the journal and back. Floats are not rounded: repr round-trips."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivers.roles import Miss, Orientation, TableImage, Touch
 
 
 def encode_step(step: Step) -> str:
-    """Return the step's fields without its key."""
+    """Return the fields of the step, except its key, as JSON text."""
     return to_json({f.name: getattr(step, f.name) for f in fields(step) if f.name != "key"})
 
 
@@ -24,8 +24,10 @@ def encode_result(result: object) -> str | None:
 
 
 def decode_result(kind: str, text: str | None) -> Any:
-    """Return the result that `encode_result` wrote for a step of that `kind`; for a table only its digest,
-    ``{"crc32": …}``."""
+    """Return the result of a step of type `kind` from the text that `encode_result` wrote.
+
+    Of a table only the shape and the digest were written: ``{"shape": …, "crc32": …}``.
+    """
     value: Any = None if text is None else json.loads(text)
     if kind == TouchTowards.__name__:
         return Touch(_triple(value["touch"])) if "touch" in value else Miss(_triple(value["miss"]))
@@ -39,12 +41,12 @@ def to_json(value: object) -> str:
 
 
 def table_digest(table: TableImage) -> int:
-    """Return the CRC-32 of the counts, big-endian, x slowest, dx dy dz innermost: the bytes that the link carries."""
+    """Return the CRC-32 of the counts in the form sent over the link: big-endian, x slowest, dx dy dz innermost."""
     return zlib.crc32(table.counts.astype(">i4").tobytes())
 
 
 def decode_table(origin_mm: str, step_mm: str, resolution_mm: float, shape: str, counts: bytes) -> TableImage:
-    """Return a table from the columns of the journal's `tables`."""
+    """Return a compensation table from the columns of a row of the database table `tables`."""
     values = np.frombuffer(counts, ">i4").astype(np.int32).reshape(*json.loads(shape), 3)
     return TableImage(_triple(json.loads(origin_mm)), _triple(json.loads(step_mm)), resolution_mm, values)
 

@@ -1,7 +1,7 @@
-"""Engine: take a step, make it durable, carry it out, make its result durable, send it back to the plan.
+"""Engine: takes a step from a plan, journals it, carries it out, journals its result, and sends it to the plan.
 
-One short synchronous loop on one thread. It knows neither the meaning of a step nor the devices: a mapping from step
-types to actions carries steps out, a `StepJournal` records them, an observer watches.
+The engine is one short synchronous loop on one thread and depends neither on the meaning of a step nor on the devices:
+actions, looked up by type of step, carry the steps out, a `StepJournal` records them, and an observer is informed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Observer = Callable[[Step, object], None]
 
 
 class StepJournal(Protocol):
-    """Journal as the engine needs it; every call returns when the record is durable."""
+    """Interface of the journal that the engine uses; every call returns when the record is durable."""
 
     def begin(self, step: Step) -> None: ...
 
@@ -46,20 +46,22 @@ class Engine:
         self._observer = observer
 
     def without_journal(self) -> Engine:
-        """Return an engine with the same actions and observer, for a withdrawal that must be carried out although it
-        cannot be journaled."""
+        """Return an engine with the same actions and observer but no journal, for a withdrawal that must be carried out
+        although it cannot be journaled."""
         return Engine(self._actions, None, self._observer)
 
     def aside(self) -> Engine:
-        """Return an engine with the same actions for withdrawals and returns: journaled, skipped by a replay, and not
-        observed, so that they are not counted."""
+        """Return an engine with the same actions for withdrawals and returns.
+
+        Their steps are journaled but skipped by a replay; they are not observed and therefore not counted.
+        """
         return Engine(self._actions, None if self._journal is None else self._journal.aside())
 
     def run(self, plan: Plan[T]) -> T:
         """Run `plan` to its end and return its conclusion.
 
-        A `VolcalError` is raised on with the key of the step in which it arose; an error of the plan itself with that
-        of the step whose result caused it. The plan is closed in any case.
+        A `VolcalError` raised by a step is re-raised with the key of that step; one raised by the plan itself, with the
+        key of the step whose result the plan had received last. The plan is closed in any case.
         """
         do = self._do if self._journal is None else self._do_durably
         observer = self._observer

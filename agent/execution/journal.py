@@ -1,8 +1,8 @@
 """Writer of the journal: one SQLite database in the state directory, the single source of truth about runs.
 
-WAL with ``synchronous=FULL``: a commit has reached the disk when it returns (with NORMAL a power cut loses
-commits while the integrity check still says ok). A step that moves or changes something is durable before it
-begins; its result is durable before the next step is requested.
+The database uses WAL with ``synchronous=FULL``: a commit has reached the disk when it returns. With NORMAL a power cut
+can lose commits although the integrity check still reports ok. A step that moves or changes something is durable before
+it begins; its result is durable before the next step is requested.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _DISK_HINT = "check the disk under `state_directory`"
 
 
 class Journal:
-    """Database of all runs, opened or created; one writer at a time. WAL lets readers (page, reports) read meanwhile.
+    """Database of all runs, created if it does not exist. One writer at a time; others (page, reports) read meanwhile.
 
     Raises ConfigurationError if the database can be neither opened nor created.
     """
@@ -52,7 +52,7 @@ class Journal:
         self._connection.close()
 
     def start_run(self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock) -> RunJournal:
-        """Create a run in state idle. Raise Busy if the identity is taken."""
+        """Create a run in the state IDLE. Raise Busy if there is already a run `run_id`."""
         try:
             cursor = self._connection.execute(
                 "INSERT INTO runs (run_id, kind, started, state, software, settings) VALUES (?,?,?,?,?,?)",
@@ -64,13 +64,15 @@ class Journal:
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
 
     def continue_run(self, run: int, run_id: str, clock: Clock) -> tuple[RunJournal, ReplayLog]:
-        """Return a writer that continues an interrupted run, and its records. Entries that a replay meets again are
-        consumed from the log and not written twice."""
+        """Return a writer that continues an interrupted run, and the log of its records.
+
+        An entry that the replay produces again is consumed from the log and not written twice.
+        """
         recorded = read_replay_log(JournalReader(self._connection), run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
     def close_unresumable(self, before_run: int, reason: str) -> None:
-        """Close the runs before `before_run` whose process died and which can no longer be resumed."""
+        """Set unfinished runs numbered below `before_run`, which can no longer be resumed, to FAULTED with `reason`."""
         self._connection.execute(
             "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
             "WHERE ended IS NULL AND run < ?",
@@ -78,8 +80,10 @@ class Journal:
         )
 
     def acknowledge(self, run_id: str) -> None:
-        """Record that the end of a run has been acknowledged; durable when it returns. The event is not part of the
-        procedure, so that the run can still be resumed. Raise JournalFailed if it cannot be written."""
+        """Record durably that the end of a run has been acknowledged. Raise JournalFailed if that cannot be written.
+
+        The event is not part of the procedure, so the run can still be resumed.
+        """
         try:
             self._connection.execute(
                 "INSERT INTO events (run, at, kind, record, aside) "
@@ -94,7 +98,7 @@ class Journal:
 
 @dataclass
 class _Count:
-    """Last ordinal assigned; shared by all writers of one run."""
+    """Counter with the last ordinal assigned; shared by all writers of one run."""
 
     ordinal: int
 
@@ -115,7 +119,7 @@ class RunJournal:
         self._aside = 0
 
     def aside(self) -> Self:
-        """Return a writer for withdrawals and returns: not part of the procedure, so that a replay skips their rows."""
+        """Return a writer for withdrawals and returns. Their rows are not part of the procedure; replays skip them."""
         other = copy.copy(self)
         other._recorded, other._aside = ReplayLog(), 1
         return other
@@ -125,11 +129,11 @@ class RunJournal:
         return self._count.ordinal
 
     def origin(self, record: Mapping[str, Any]) -> None:
-        """Store everything needed to build the run again."""
+        """Store everything needed to rebuild the run."""
         self._execute("INSERT INTO origins (run, record) VALUES (?,?)", (self._run, to_json(record)))
 
     def begun(self) -> None:
-        """Record the end of the preflight: from now on the run can be resumed."""
+        """Record the end of the preflight; from then on the run can be resumed."""
         self._execute(
             "UPDATE origins SET begun_s = ?, begun_at = ? WHERE run = ?",
             (self._clock.now(), utc_timestamp(), self._run),
@@ -187,7 +191,7 @@ class RunJournal:
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
-        """Store a whole table: ``backup`` before anything is written, ``staged``, ``restored``."""
+        """Store a whole table. `role`: ``backup`` (before anything is written), ``staged`` or ``restored``."""
         if self._recorded.consume("tables", role, str(bank), "" if image is None else str(table_digest(image))):
             return
         values: tuple[object, ...] = (None,) * 6
@@ -206,7 +210,7 @@ class RunJournal:
         )
 
     def stored_table(self, crc32: int) -> TableImage | None:
-        """Return a whole table stored by this run, by its digest."""
+        """Return the table with that CRC-32 that this run stored; None if there is none."""
         try:
             return JournalReader(self._connection).image_with_digest(self._run, crc32)
         except sqlite3.Error as error:
@@ -261,7 +265,7 @@ class RunJournal:
         self._execute("INSERT INTO events VALUES (?,?,?,?,?)", values)
 
     def _execute(self, statement: str, values: Sequence[object] = ()) -> sqlite3.Cursor:
-        """Raise JournalFailed if the database does not accept it: then nothing may move any more."""
+        """Execute a statement. Raise JournalFailed if the database refuses it; nothing may move after that."""
         try:
             return self._connection.execute(statement, values)
         except sqlite3.Error as error:

@@ -1,6 +1,6 @@
 """Consistent copies of a journal with edited settings, for documents that leave the machine.
 
-A module of its own, because only the journal's own modules hold SQL.
+The copy is made here because only the journal's own modules may contain SQL.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from agent.execution.journal_schema import FILE_NAME
 
 
 def copy_journal(directory: Path, target: Path, edit_settings: Callable[[Any], Any]) -> Path:
-    """Copy the journal of a state directory into the existing directory `target`; a run may write meanwhile.
+    """Copy the journal of a state directory into the existing directory `target` and return the path of the copy.
 
-    `edit_settings` maps the settings document of each run to the one in the copy; the original text is not left in free
-    pages of the file. Return the copy. Raise JournalFailed if the journal cannot be read or the copy not be written.
+    A run may write to the journal meanwhile. `edit_settings` maps the settings document of each run to the one in the
+    copy; the original text does not remain in free pages of the copy. Raise JournalFailed if the journal cannot be read
+    or the copy cannot be written.
     """
     path = target / FILE_NAME
     with open_journal(directory, JournalFailed) as reader:

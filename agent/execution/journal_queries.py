@@ -1,8 +1,8 @@
-"""Statements of the journal's reader: the columns of each row, in the order of its fields, and their tables.
+"""SQL statements of the journal's reader. Each selects the columns of one row type in the order of its fields.
 
-They are apart from the reader so that a change of the tables is made here, beside `journal_schema.sql`. A list of
-kinds is one JSON parameter, so that every statement is constant. `{aside}` marks the point at which the reader can
-leave out rows of withdrawals and returns.
+They are separate from the reader so that a change of the database tables affects only this module and
+`journal_schema.sql`. A list of kinds is passed as one JSON parameter, so that every statement is constant. The reader
+replaces `{aside}` by a condition that excludes withdrawals and returns, or by nothing.
 """
 
 # ruff: noqa: S608  every statement is put together from constants of this module

@@ -1,7 +1,7 @@
-"""Reader of the journal: typed rows through a connection that changes nothing and never delays the writer.
+"""Reader of the journal, which returns typed rows, changes nothing and never delays the writer.
 
-Methods take the number of a run in its journal (`RunRow.run`). They neither migrate nor need the newest schema: only
-`origin` and the restriction to the procedure need columns that an older journal lacks.
+Methods take the number of a run in its journal (`RunRow.run`). They do not migrate an older journal and can read it;
+only `origin` and `procedure_only` need columns that a journal of version 1 lacks.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ _TIMEOUT_S = 2.0
 
 
 def has_journal(directory: Path) -> bool:
-    """Return True if the state directory holds a journal; there is none before the first run."""
+    """Return True if the state directory contains a journal; there is none before the first run."""
     return (directory / FILE_NAME).is_file()
 
 
 @contextmanager
 def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> Iterator[JournalReader]:
-    """Open the journal of a state directory for reading; nothing is created and nothing is changed.
+    """Open the journal of a state directory for reading during the block; nothing is created or changed.
 
-    Raise `failure` if there is none, or if it cannot be read, now or by a method of the reader inside the block.
+    Raise `failure` if there is no journal or it cannot be read, on opening or later by a method of the reader.
     """
     path = directory / FILE_NAME
     try:
@@ -61,9 +61,9 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
 
 
 class JournalReader:
-    """Reads through any connection to a journal, also the writer's or one in memory; the caller closes it.
+    """Reader of a journal through any connection, including the writer's or one in memory; the caller closes it.
 
-    `path` is only named in errors.
+    `path` is used only in error messages.
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path = Path(FILE_NAME)) -> None:
@@ -82,7 +82,7 @@ class JournalReader:
         return self._first(RunRow, queries.RUN + "WHERE run_id = :run_id", run_id=run_id)
 
     def require_run(self, run_id: str) -> RunRow:
-        """Return the run. Raise InputError, naming the last runs, if the journal has none of that identity."""
+        """Return the run. Raise InputError, naming the last runs, if the journal has no run `run_id`."""
         run = self.run(run_id)
         if run is None:
             last = self.run_ids()[:-4:-1]
@@ -94,7 +94,7 @@ class JournalReader:
         return self._first(RunRow, queries.RUN + "ORDER BY run DESC LIMIT 1")
 
     def last_working_run(self) -> RunRow | None:
-        """Return the last run that wrote a step or passed its preflight."""
+        """Return the last run that wrote a step or passed its preflight; None if there is none."""
         return self._first(RunRow, queries.LAST_WORKING_RUN if self.has_origins() else queries.LAST_RUN_WITH_STEPS)
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
@@ -105,7 +105,7 @@ class JournalReader:
         return tuple(RunCounts(RunRow(*run), balls, touches) for *run, balls, touches in rows)
 
     def settings_text(self, run: int) -> str:
-        """Return the settings document that the run was started with, JSON as written."""
+        """Return the settings document with which the run was started, as JSON text."""
         return str(self._value("SELECT settings FROM runs WHERE run = :run", run=run))
 
     def has_origins(self) -> bool:
@@ -116,7 +116,7 @@ class JournalReader:
         return self._first(OriginRow, queries.ORIGIN, run=run)
 
     def steps(self, run: int, kind: str | None = None, *, procedure_only: bool = False) -> tuple[StepRow, ...]:
-        """Return the steps of a run in order. `procedure_only` leaves out withdrawals and returns, here as below."""
+        """Return the steps of a run in order. `procedure_only`, here and below: without withdrawals and returns."""
         query = queries.STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
         return self._rows(StepRow, _restricted(query, procedure_only), run=run, kind=kind)
 
@@ -124,32 +124,32 @@ class JournalReader:
         return int(self._value("SELECT count(*) FROM steps WHERE run = :run", run=run))
 
     def last_step_key(self, run: int) -> str | None:
-        """Return the key of the last step that began."""
+        """Return the key of the last step that began; None if there is no step."""
         return self._first(str, "SELECT key FROM steps WHERE run = :run ORDER BY ordinal DESC LIMIT 1", run=run)
 
     def time_span_s(self, run: int) -> tuple[float, float] | None:
-        """Return machine seconds at which the first step began and the last one ended; None without a step."""
+        """Return the machine seconds at which the first step began and the last one ended; None if there is no step."""
         query = "SELECT min(begun), max(coalesce(finished, begun)) FROM steps WHERE run = :run"
         [(first, last)] = self._all(query, run=run)
         return None if first is None else (first, last)
 
     def last_ordinal(self, run: int) -> int:
-        """Return the greatest ordinal of the run's steps and balls; 0 without any."""
+        """Return the greatest ordinal of the run's steps and balls; 0 if there are none."""
         steps = "SELECT coalesce(max(ordinal), 0) FROM steps WHERE run = :run"
         balls = "SELECT coalesce(max(ordinal), 0) FROM balls WHERE run = :run"
         return max(int(self._value(steps, run=run)), int(self._value(balls, run=run)))
 
     def touches(self, run: int) -> tuple[TouchRow, ...]:
-        """Return the touches of the procedure that have a result."""
+        """Return the touches that have a result, without those of withdrawals and returns."""
         query = "SELECT ordinal, key, at, result FROM touches WHERE run = :run ORDER BY ordinal"
         return self._rows(TouchRow, query, run=run)
 
     def count_touches(self, run: int) -> int:
-        """Return the number of `touches`."""
+        """Return the number of rows that `touches` returns."""
         return int(self._value("SELECT count(*) FROM touches WHERE run = :run", run=run))
 
     def balls(self, run: int) -> tuple[BallRow, ...]:
-        """Return the ball centres in the order measured, complete run or not."""
+        """Return the ball centres in the order measured; the run need not have ended."""
         query = "SELECT ordinal, key, record FROM balls WHERE run = :run ORDER BY ordinal"
         return self._rows(BallRow, query, run=run)
 
@@ -168,15 +168,15 @@ class JournalReader:
         limit: int = -1,
         procedure_only: bool = False,
     ) -> tuple[EventRow, ...]:
-        """Return events in the order written, of `kinds` only if given, with numbers greater than `after`.
+        """Return the events with numbers greater than `after`, in the order written.
 
-        `limit`: at most so many; negative for all.
+        `kinds`: None for all kinds. `limit`: largest number of events returned; negative for all.
         """
         query = _restricted(queries.EVENT, procedure_only)
         return self._rows(EventRow, query, run=run, kinds=_listed(kinds), after=after, limit=limit)
 
     def last_event_number(self, run: int, kind: str) -> int:
-        """Return the number of the run's last event of that kind; 0 without one."""
+        """Return the row number of the run's last event of that kind; 0 if there is none."""
         query = "SELECT coalesce(max(rowid), 0) FROM events WHERE run = :run AND kind = :kind"
         return int(self._value(query, run=run, kind=kind))
 
@@ -189,18 +189,18 @@ class JournalReader:
         return self._one(query, run=run, kinds=_listed(kinds)) is not None
 
     def last_decision(self, kind: str, before_run: int = ANY_RUN) -> DecisionRow | None:
-        """Return the last decision of that kind of all runs with a number below `before_run`."""
+        """Return the last decision of that kind by any run numbered below `before_run`; None if there is none."""
         query = (
             queries.DECISION + "WHERE decisions.kind = :kind AND run < :before ORDER BY decisions.rowid DESC LIMIT 1"
         )
         return self._first(DecisionRow, query, kind=kind, before=before_run)
 
     def estimates(self, run: int) -> tuple[str, ...]:
-        """Return every estimate file's JSON text in the order written."""
+        """Return the JSON texts of the run's estimates in the order written."""
         return self._rows(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid", run=run)
 
     def last_estimate(self, run: int) -> str | None:
-        """Return the JSON text of the run's last estimate file."""
+        """Return the JSON text of the run's last estimate; None if there is none."""
         return self._first(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid DESC LIMIT 1", run=run)
 
     def tables(self, run: int, *, procedure_only: bool = False) -> tuple[TableRow, ...]:
@@ -209,7 +209,7 @@ class JournalReader:
         return self._rows(TableRow, _restricted(query, procedure_only), run=run)
 
     def latest_tables(self, limit: int) -> tuple[TableRow, ...]:
-        """Return at most `limit` stored tables of all runs, the latest first."""
+        """Return the latest stored tables of all runs, the latest first; at most `limit`."""
         return self._rows(TableRow, queries.TABLE + "ORDER BY tables.rowid DESC LIMIT :limit", limit=limit)
 
     def last_table(self, run: int, role: str) -> TableRow | None:
@@ -217,13 +217,13 @@ class JournalReader:
         return self._first(TableRow, query, run=run, role=role)
 
     def last_backup(self, run: int | None = None) -> TableRow | None:
-        """Return the backup of the last run that stored one, or of `run` alone."""
+        """Return the backup stored by `run`; if `run` is None, by the last run that stored one."""
         query = queries.TABLE + "WHERE role = 'backup' AND run = coalesce(:run, run) ORDER BY run DESC LIMIT 1"
         return self._first(TableRow, query, run=run)
 
     def last_active_table(self, accepting: Collection[str]) -> TableRow | None:
-        """Return the stored table that the last runs left active: a staged one only if its run has a decision of the
-        kinds `accepting`."""
+        """Return the latest stored table that should be active: a backup, a restored table, or a staged table whose
+        run has a decision of one of the kinds `accepting`; None if there is none."""
         return self._first(TableRow, queries.ACTIVE_TABLE, kinds=_listed(accepting))
 
     def image(self, table: TableRow) -> TableImage | None:
@@ -231,11 +231,11 @@ class JournalReader:
         return self._image("rowid = :number", number=table.number)
 
     def image_with_digest(self, run: int, crc32: int) -> TableImage | None:
-        """Return a table stored by `run` with that CRC-32; None if there is none."""
+        """Return the table stored by `run` with that CRC-32; None if there is none."""
         return self._image("run = :run AND crc32 = :crc32 AND counts IS NOT NULL", run=run, crc32=crc32)
 
     def copy_to(self, path: Path) -> None:
-        """Write a consistent copy of the journal to a new file; a run may write meanwhile."""
+        """Write a consistent copy of the journal to a new file; a run may write to the journal meanwhile."""
         self._connection.execute("VACUUM INTO ?", (str(path),))
 
     def _image(self, where: str, **values: int) -> TableImage | None:
@@ -265,10 +265,13 @@ class JournalReader:
 
 
 def _restricted(query: str, procedure_only: bool) -> str:
-    """Journals of version 1 have no column `aside`, so it is named only if it is needed."""
+    """Return the statement without rows of withdrawals and returns if `procedure_only`.
+
+    Otherwise it does not name the column `aside`, which journals of version 1 lack.
+    """
     return query.format(aside=" AND NOT aside" if procedure_only else "")
 
 
 def _listed(kinds: Collection[str] | None) -> str | None:
-    """Return a list of kinds as one JSON parameter, which keeps every statement constant."""
+    """Return a list of kinds as one JSON parameter; None for all kinds."""
     return None if kinds is None else json.dumps(sorted(kinds))

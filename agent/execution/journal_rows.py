@@ -1,7 +1,8 @@
 """Typed rows of the journal, as `agent.execution.journal_reader` returns them.
 
-`*_text` fields hold JSON exactly as written; the property of the same name without the suffix decodes it on first use.
-`run` numbers the runs of one journal in the order started; `number` the rows of one table in the order written.
+Fields `*_text` hold JSON exactly as written; the property of the same name without the suffix decodes it on first use.
+`run` is the number of a run, counted in the order started; `number` is the number of a row in its database table,
+counted in the order written.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class RunRow:
-    """`started`, `ended`: UTC, ISO 8601; `ended` is None until a run is closed. `state`: value of a `RunState`."""
+    """A run. `started`, `ended`: UTC, ISO 8601; `ended` is None before its end. `state`: value of a `RunState`."""
 
     run: int
     run_id: str
@@ -29,7 +30,7 @@ class RunRow:
 
 @dataclass(frozen=True)
 class RunCounts:
-    """A run with the number of its balls and of its touches that have a result."""
+    """A run with the number of its measured balls and the number of its touches that have a result."""
 
     run: RunRow
     balls: int
@@ -54,7 +55,7 @@ class OriginRow:
 
 @dataclass(frozen=True)
 class StepRow:
-    """Times in machine seconds; `finished_s` and `result_text` are None if the step did not end."""
+    """A step of a run. Times are machine seconds; `finished_s` and `result_text` are None if the step did not end."""
 
     ordinal: int
     key: str
@@ -99,7 +100,7 @@ class BallRow:
 
 @dataclass(frozen=True)
 class TemperatureRow:
-    """A reading: sensor names to °C, `minutes` of machine time after the first step of the run."""
+    """A reading of all sensors (name → °C) at `minutes` of machine time after the first step of the run."""
 
     minutes: float
     record_text: str
@@ -111,7 +112,7 @@ class TemperatureRow:
 
 @dataclass(frozen=True)
 class EventRow:
-    """`at`: UTC, ISO 8601."""
+    """An event of a run. `at`: UTC, ISO 8601."""
 
     number: int
     at: str
@@ -125,7 +126,7 @@ class EventRow:
 
 @dataclass(frozen=True)
 class DecisionRow:
-    """`at`: UTC, ISO 8601."""
+    """A decision of a run. `at`: UTC, ISO 8601."""
 
     run: int
     run_id: str
@@ -143,7 +144,7 @@ class DecisionRow:
 class TableRow:
     """A stored compensation table without its counts. `role`: backup, staged or restored.
 
-    `crc32` and everything after it are None for an empty bank; origin, step and shape are JSON lists as written.
+    `crc32` and the fields after it are None for an empty bank. Origin, step and shape are JSON lists as written.
     """
 
     run: int

@@ -1,4 +1,4 @@
-"""Tables of the journal: created if missing; a journal of an older version is migrated."""
+"""Database tables of the journal: creation, and migration of a journal of an older version."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from importlib.resources import files
 FILE_NAME = "journal.sqlite"
 
 VERSION = 2
-"""2: `aside` marks rows of withdrawals and returns, which are not part of the procedure; `origins` stores how a run
-started."""
+"""Version of the schema. In version 2 the column `aside` marks rows of withdrawals and returns, which are not part of
+the procedure, and the table `origins` stores how a run started."""
 
 _ASIDE = "ALTER TABLE {} ADD COLUMN aside INTEGER NOT NULL DEFAULT 0"
 _TOUCHES = """CREATE VIEW touches AS
@@ -18,7 +18,10 @@ _TOUCHES = """CREATE VIEW touches AS
 
 
 def prepare(connection: sqlite3.Connection) -> None:
-    """Create or migrate the tables; idempotent. One transaction: a power cut leaves the old tables or the new ones."""
+    """Create or migrate the tables in one transaction, so that a power cut leaves the old tables or the new ones.
+
+    Do nothing if they are of the current version.
+    """
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
     (found,) = connection.execute("PRAGMA user_version").fetchone()

@@ -22,7 +22,7 @@ _UNREPLAYED_DECISIONS = frozenset({"inputs", "outcome"})
 
 @dataclass(frozen=True, slots=True)
 class RecordedStep:
-    """`result` is decoded. `finished_s` is None for a step that began and did not end, which is never trusted."""
+    """Step from the journal, with its result decoded. `finished_s`: machine seconds; None if the step did not end."""
 
     ordinal: int
     key: str
@@ -34,10 +34,11 @@ class RecordedStep:
 
 @dataclass
 class ReplayLog:
-    """Queues of the records of a run; the replay consumes each record in place of writing it again.
+    """Queues of the records of a run; the replay consumes each record instead of writing it again.
 
-    `unfinished`: the step that began and did not end. `entries`: per table, entries that are compared as a whole.
-    Records of withdrawals and returns are in none of them. `resumptions`: how often the run has been resumed.
+    `unfinished`: the step that began and did not end. `entries`: database table → its rows, each compared as a whole.
+    `ordinal`: the last one assigned in the run. `resumptions`: how often the run has been resumed. No queue contains
+    records of withdrawals and returns.
     """
 
     steps: deque[RecordedStep] = field(default_factory=deque)
@@ -48,7 +49,10 @@ class ReplayLog:
     resumptions: int = 0
 
     def consume(self, table: str, *entry: str) -> bool:
-        """Return True if the journal already has this entry. Raise PlanDiverged if it has another one in its place."""
+        """Return True if the next recorded entry of `table` is this one, False if none is left.
+
+        Raise PlanDiverged if it is another one.
+        """
         waiting = self.entries.get(table)
         if not waiting:
             return False
@@ -62,7 +66,7 @@ class ReplayLog:
 
 
 def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
-    """Return everything of `run` that a replay meets again."""
+    """Return the records of `run` with which a replay compares the rebuilt plan."""
     steps = [_recorded(step) for step in reader.steps(run, procedure_only=True)]
     states = reader.events(run, ("state",))
     return ReplayLog(
@@ -76,7 +80,7 @@ def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
 
 
 def comparable_estimate(estimate: str) -> str:
-    """Return an estimate's text without the time at which it was written."""
+    """Return the JSON text of an estimate without the time at which it was written."""
     document: dict[str, Any] = json.loads(estimate)
     provenance: Mapping[str, Any] = document.get("provenance", {})
     timeless = {name: value for name, value in provenance.items() if name != "time"}
@@ -89,7 +93,7 @@ def _recorded(step: StepRow) -> RecordedStep:
 
 
 def _entries(reader: JournalReader, run: int) -> dict[str, deque[tuple[str, ...]]]:
-    """Only records of the plans: states, notes and faults belong to the process, not to the procedure."""
+    """Return the rows written by the plans, by table; states, notes and faults are omitted: the process wrote them."""
     events = reader.events(run, procedure_only=True)
     decisions = reader.decisions(run, procedure_only=True)
     tables = reader.tables(run, procedure_only=True)
@@ -103,7 +107,7 @@ def _entries(reader: JournalReader, run: int) -> dict[str, deque[tuple[str, ...]
 
 
 def _procedure_states(events: Iterable[EventRow]) -> list[RunState]:
-    """States of the procedure, each once: a hold, a withdrawal and a resumption lead back to the same one."""
+    """Return the states of the procedure in order. A state to which a hold or a resumption returned is listed once."""
     found: list[RunState] = []
     for state in map(_state, events):
         if state not in (*_PASSING, *_ENDING) and (not found or found[-1] is not state):

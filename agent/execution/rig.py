@@ -1,4 +1,4 @@
-"""Devices of one machine in their roles, and the action that carries out each type of step."""
+"""Rig: the devices of one machine in their roles, and the action that carries out each type of step."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ ACTIVATION_INSTRUCTION = {
 }
 
 STANDSTILL_WITHIN_S = 10.0
-"""Generous: 20 m/min is braked with 0.5 m/s² in 0.7 s."""
+"""Longest wait for standstill; ample, since braking from 20 m/min at 0.5 m/s² takes 0.7 s."""
 STANDSTILL_POLL_S = 0.05
 
 
 @dataclass
 class Rig:
-    """Devices that are opened, closed and stopped together. `mounts`: station → mount."""
+    """Devices of one machine, opened, closed and stopped together. `mounts`: number of the station → mount."""
 
     devices: Mapping[str, Device]
     machine: Machine
@@ -67,7 +67,7 @@ class Rig:
     _open: list[str] = field(default_factory=list)
 
     def open(self) -> None:
-        """Open every device; if one fails, those already open are closed again."""
+        """Open every device. If one fails, close those already open and raise its error."""
         for name, device in self.devices.items():
             try:
                 device.open()
@@ -77,7 +77,7 @@ class Rig:
             self._open.append(name)
 
     def close(self) -> list[str]:
-        """Close every open device, the last first. Return the complaints, since nothing else can be done."""
+        """Close every open device, the last opened first. Return the error texts; they are not raised."""
         complaints = []
         while self._open:
             name = self._open.pop()
@@ -88,7 +88,7 @@ class Rig:
         return complaints
 
     def stop(self) -> list[str]:
-        """Stop everything that moves; every device is tried. Return a complaint for each that could not be stopped."""
+        """Stop every open device. Return an error text for each device that could not be stopped."""
         complaints = []
         for name in self._open:
             try:
@@ -98,15 +98,18 @@ class Rig:
         return complaints
 
     def await_standstill(self) -> None:
-        """Wait until the axes stand still: while they brake, a controller accepts neither a move nor another bank."""
+        """Wait until the axes stand still; while they brake, a controller accepts neither a move nor another bank."""
         deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
         while self.machine.status().state is MotionState.MOVING:
             deadline.raise_if_expired("standstill after a stop", hint="check the machine before anything else")
             self.clock.sleep(STANDSTILL_POLL_S)
 
     def actions(self, run: int | None = None) -> dict[type, Action]:
-        """Return the action for each type of step, for the engine. `run`: number of the run if the devices are to be
-        informed which step of which run moves them."""
+        """Return the action for each type of step, for the engine.
+
+        `run`: number of the run in the journal, with which devices that trace steps are informed of each moving step;
+        None: they are not informed.
+        """
         announce = _announce_nothing if run is None else self._step_announcer(run)
 
         def move(step: s.MoveTo) -> None:
@@ -208,7 +211,7 @@ class Rig:
 
 
 def step_tag(run: int, key: str) -> int:
-    """Return the CRC-32 of ``RUN/KEY``, never 0: 32 bits that a controller can display and log beside its own."""
+    """Return the CRC-32 of ``RUN/KEY`` (1 in place of 0), a tag that a controller can show and log for the step."""
     return zlib.crc32(f"{run}/{key}".encode()) or 1
 
 
@@ -217,7 +220,8 @@ def _announce_nothing(_: str) -> None:
 
 
 def in_role(devices: Mapping[str, Device], name: str, role: type[Role], key: str) -> Role:
-    """Return device `name` in `role`. Raise ConfigurationError, naming `key`, if it is missing or cannot play it."""
+    """Return device `name` in `role`. Raise ConfigurationError, naming the settings key `key`, if there is no such
+    device or it does not have that role."""
     if name not in devices:
         raise ConfigurationError(f"no device {name!r}", key=key, hint=f"devices are: {', '.join(sorted(devices))}")
     device = devices[name]

@@ -1,4 +1,4 @@
-"""Lock that permits one run at a time: advisory, on a file of the state directory, released by the kernel on exit."""
+"""Advisory lock on a file of the state directory that permits one run at a time; the kernel releases it on exit."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ FILE_NAME = "run.lock"
 
 @contextmanager
 def run_lock(directory: Path, run_id: str) -> Iterator[None]:
-    """Own the machine for `run_id`. Raise Busy, naming the run that owns it already."""
+    """Own the machine for run `run_id` during the block. Raise Busy, naming the owner, if it is already owned."""
     with ownership(directory, f"run {run_id}"):
         yield
 
 
 @contextmanager
 def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
-    """Own the machine as `owner` (in words) for longer than one run. Raise Busy, naming who owns it already."""
+    """Own the machine during the block, which may contain several runs. `owner` describes the owner in words.
+
+    Raise Busy, naming the owner, if the machine is already owned.
+    """
     with _open_lock_file(directory) as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -41,7 +44,7 @@ def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
 
 
 class Ownership:
-    """Lock that is held; its file names the owner."""
+    """Acquired lock; its file names the owner."""
 
     def __init__(self, handle: TextIO, owner: str) -> None:
         self._handle = handle
@@ -50,7 +53,7 @@ class Ownership:
 
     @contextmanager
     def for_run(self, _: Path, run_id: str) -> Iterator[None]:
-        """Name the run as owner for the block: in place of `run_lock` if the caller holds the lock already."""
+        """Name the run as owner during the block; used in place of `run_lock` if the caller already has the lock."""
         self.set_owner(f"run {run_id}")
         try:
             yield

@@ -1,4 +1,4 @@
-"""Whole run read from the journal, for history and reports. Nothing is created and nothing is changed."""
+"""Complete record of a run, read from the journal for history and reports; the journal is not changed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _NO_RUN = "check `state_directory`: no run has begun there"
 
 @dataclass(frozen=True)
 class OperatorQuestion:
-    """Question to the operator, `minute` of machine time after the first step; `answered`: the answer was yes."""
+    """Question to the operator. `minute`: machine minutes after the first step; `answered`: True if the answer was yes;
+    `error`: text of the error that the question ended with, empty if none."""
 
     minute: float
     text: str
@@ -29,8 +30,12 @@ class OperatorQuestion:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """`settings_text`: as it stands in the journal. `estimate`: text of the last one. `temperatures`: minutes after the
-    first step, names to °C. `balls`, `touches`: their numbers. `ordinal`: counts the runs of this journal."""
+    """Complete record of a run.
+
+    `ordinal`: number of the run in this journal. `settings_text`: JSON as written. `temperatures`: machine minutes
+    after the first step, and sensor names → °C. `estimate`: JSON text of the last estimate, None if there is none.
+    `balls`, `touches`: how many were measured. `minutes`: machine time from the first step to the end of the last.
+    """
 
     ordinal: int
     run_id: str
@@ -57,15 +62,15 @@ class RunRecord:
         return document
 
     def decision(self, kind: str) -> Mapping[str, Any] | None:
-        """Return the last decision of that kind."""
+        """Return the record of the last decision of that kind; None if there is none."""
         return next((row.record for row in reversed(self.decisions) if row.kind == kind), None)
 
     def event(self, kind: str) -> Mapping[str, Any] | None:
-        """Return the last event of that kind."""
+        """Return the record of the last event of that kind; None if there is none."""
         return next((row.record for row in reversed(self.events) if row.kind == kind), None)
 
     def table(self, role: str) -> TableRow | None:
-        """Return the last table stored with that role."""
+        """Return the last table stored with that role; None if there is none."""
         return next((row for row in reversed(self.tables) if row.role == role), None)
 
 
@@ -84,35 +89,35 @@ class RunHead:
 
 @dataclass(frozen=True)
 class RunSteps:
-    """`settings`: the document that the run was started with."""
+    """Steps of a run, and the settings document with which it was started."""
 
     settings: Mapping[str, Any]
     steps: tuple[StepRow, ...]
 
 
 def run_ids(directory: Path) -> tuple[str, ...]:
-    """Return all runs of the journal in the state directory in the order started. InputError as `read_record`."""
+    """Return the identities of all runs of the journal in the order started. Raise the errors of `read_record`."""
     _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
         return reader.run_ids()
 
 
 def run_heads(directory: Path) -> tuple[RunHead, ...]:
-    """Return the heads of all runs of the journal in the order started. InputError as `read_record`."""
+    """Return the heads of all runs of the journal in the order started. Raise the errors of `read_record`."""
     _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
         return tuple(RunHead(row, reader.settings_text(row.run)) for row in reader.runs())
 
 
 def read_record(directory: Path, run_id: str) -> RunRecord:
-    """Return the record of a run. Raise InputError if there is no such journal or run, or it cannot be read."""
+    """Return the record of a run. Raise InputError if the journal or the run does not exist or cannot be read."""
     _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
         return _record(reader, reader.require_run(run_id))
 
 
 def read_steps(directory: Path, run_id: str) -> RunSteps:
-    """Return settings and steps of a run. InputError as `read_record`."""
+    """Return settings and steps of a run. Raise the errors of `read_record`."""
     _require_journal(directory, "name the folder of a run in a state directory")
     with open_journal(directory) as reader:
         run = reader.require_run(run_id).run

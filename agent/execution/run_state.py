@@ -1,4 +1,4 @@
-"""State of a run: every change is checked against the table, journaled, then announced."""
+"""State of a run. Every change is checked against the table of states, journaled, then announced."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from agent.execution.states import FINAL, RunState, may_follow
 
 @dataclass(frozen=True)
 class Announcement:
-    """`kind`: ``state``, ``progress``, ``gate``, ``note``."""
+    """Announcement to the caller of a run. `kind`: ``state``, ``progress`` or ``note``."""
 
     kind: str
     text: str
@@ -24,10 +24,10 @@ Listener = Callable[[Announcement], None]
 
 
 class RunStateTracker:
-    """State of one run and its announcements: every change of the state goes through here."""
+    """State of one run. It journals and announces every change of the state."""
 
     def __init__(self, journal: RunJournal, listener: Listener, replayed: deque[RunState] | None = None) -> None:
-        """`replayed`: states that a resumed run has been in; entered again, they are not announced."""
+        """`replayed`: recorded states of a resumed run; they are not announced when the replay enters them again."""
         self._replayed = deque[RunState]() if replayed is None else replayed
         self._silent = False
         self._journal = journal
@@ -36,7 +36,7 @@ class RunStateTracker:
         self._held_in: RunState | None = None
 
     def enter(self, state: RunState, reason: str = "") -> None:
-        """Change the state. Raise ValueError, a defect of the agent, for a change that the table does not permit."""
+        """Change the state. Raise ValueError, a defect of the agent, if the table of states does not permit it."""
         if not may_follow(self.state, state):
             raise ValueError(f"no change from {self.state.value} to {state.value}")
         self.state = state
@@ -47,7 +47,7 @@ class RunStateTracker:
         self._announce(reason)
 
     def announce_again(self) -> None:
-        """Announce the state in which a run resumes, once its replay is over."""
+        """Announce the current state of a resumed run after its replay."""
         if self._silent:
             self._announce("resumed")
 
@@ -59,25 +59,25 @@ class RunStateTracker:
             self._listener(Announcement("state", reason or state.value, {"state": state.value}))
 
     def hold(self) -> None:
-        """Enter held if the table of states permits it; otherwise the machine stands still and the state stays."""
+        """Enter the state HELD if the table of states permits it; otherwise the state does not change."""
         if may_follow(self.state, RunState.HELD):
             self._held_in = self.state
             self.enter(RunState.HELD)
 
     def resume(self) -> None:
-        """Return to the state that was held."""
+        """Return from HELD to the state before it."""
         if self.state is RunState.HELD and self._held_in is not None:
             self.enter(self._held_in)
 
     def note(self, text: str, **data: object) -> None:
-        """Journal and announce a note that changes nothing."""
+        """Journal and announce a note; the state does not change."""
         try:
             self._journal.event("note", {"text": text, **data})
         finally:
             self._listener(Announcement("note", text, data))
 
     def announce_note(self, text: str) -> None:
-        """Announce a note that a record of the plan has journaled already."""
+        """Announce a note that is already in the journal, as part of a record of the plan."""
         self._listener(Announcement("note", text, {}))
 
     def progress(self, text: str, **data: object) -> None:

@@ -1,4 +1,4 @@
-"""States of a run as data, with the PackML (ISA-TR88.00.02) names beside ours for panels and gateways."""
+"""States of a run, their permitted changes, and their PackML (ISA-TR88.00.02) names for panels and gateways."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ FINAL = frozenset({S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED})
 
 
 def may_follow(now: RunState, after: RunState) -> bool:
-    """Return True if `after` may follow `now`: forward as in `FORWARD`, and to aborting or faulted from every state
-    that is not final."""
+    """Return True if `after` may follow `now`: it is listed in `FORWARD`, or it is aborting or faulted and `now` is not
+    final."""
     if now in FINAL:
         return False
     return after in FORWARD[now] or after in (S.ABORTING, S.FAULTED)

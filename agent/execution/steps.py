@@ -1,9 +1,9 @@
 """Steps that a plan can yield. A step is a frozen value with a stable key; the engine carries it out.
 
-The key names the point in the procedure (``station-1/az090-el045/ball-03/touch-2``), is unique in a run, and is the
-same whenever the plan is rebuilt from the same settings and the same results: a resumed run matches its recorded steps
-by it. Positions are axis positions in mm as the controller displays them; plain tuples, so that a step can be written
-to the journal unchanged.
+The key names the point in the procedure (``station-1/az090-el045/ball-03/touch-2``) and is unique in a run. It is the
+same whenever the plan is rebuilt from the same settings and the same results, so that a resumed run can match its
+recorded steps by key. Positions are axis positions in mm as the controller displays them; they are plain tuples, so
+that a step can be written to the journal unchanged.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Point: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MoveTo:
-    """Straight line; rapid if no feed is given. Every move near the artefact is guarded."""
+    """Move in a straight line; rapid if no feed is given. Every move near the artefact is guarded."""
 
     key: str
     target_mm: Point
@@ -29,8 +29,8 @@ class MoveTo:
 
 @dataclass(frozen=True, slots=True)
 class Retrace:
-    """Guarded move that ends as the step `of` has ended: at the same position and from the same side, so that the play
-    of the axes is taken up in the same direction."""
+    """Guarded move that repeats the end of the earlier step with the key `of`: the same position, approached from the
+    same side, so that the play of the axes is taken up in the same direction."""
 
     key: str
     target_mm: Point
@@ -40,7 +40,7 @@ class Retrace:
 
 @dataclass(frozen=True, slots=True)
 class TouchTowards:
-    """Result: `Touch` or `Miss`."""
+    """Probing move towards `target_mm`. Result: `Touch` or `Miss`."""
 
     key: str
     target_mm: Point
@@ -65,7 +65,7 @@ class OrientTo:
 
 @dataclass(frozen=True, slots=True)
 class ReadTemperatures:
-    """Result: mapping of names to °C."""
+    """Result: mapping of sensor names to °C."""
 
     key: str
 
@@ -79,7 +79,7 @@ class ReadClock:
 
 @dataclass(frozen=True, slots=True)
 class ReadPosition:
-    """Result: the axis positions as a Point; nothing moves."""
+    """Result: the axis positions as a `Point`; nothing moves."""
 
     key: str
 
@@ -107,7 +107,7 @@ class CheckProbe:
 
 @dataclass(frozen=True, slots=True)
 class AskOperator:
-    """Raises Aborted if the answer is no."""
+    """Question to the operator. Raises Aborted if the answer is no."""
 
     key: str
     request: OperatorRequest
@@ -121,7 +121,7 @@ class Dwell:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Conclusion of the plan, for the journal and the observers; nothing moves.
+    """Conclusion that the plan has reached, for the journal and the observers; nothing moves.
 
     `kind` is one of the journal's record kinds: ``ball``, ``event``, ``decision``.
     """
@@ -133,14 +133,14 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class ReadActiveBank:
-    """Result: int."""
+    """Result: number of the active bank, an int."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class AwaitActive:
-    """Raises NotActiveYet while `bank` waits for the controller before it becomes active."""
+    """Raises NotActiveYet if the controller has accepted `bank` but not yet activated it."""
 
     key: str
     bank: int
@@ -207,4 +207,4 @@ STEPS_WITH_EFFECT = (
     ActivateBank,
     AwaitActive,
 )
-"""Steps that move or change something: durable in the journal before they begin."""
+"""Types of steps that move or change something; such a step is durable in the journal before it begins."""

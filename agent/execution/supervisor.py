@@ -1,4 +1,5 @@
-"""Hold and abort: requested from any thread, acted on in the waits of the clock and nowhere else."""
+"""Hold and abort of a run. Any thread may request them; they take effect on the run's thread, in waits of the clock
+and in computations that check for them."""
 
 from __future__ import annotations
 
@@ -13,11 +14,11 @@ HOLD_POLL_S = 0.05
 
 
 class Supervisor:
-    """Mailbox between those who may interrupt a run and the one thread that runs it.
+    """Mailbox for requests to hold, resume or end a run, from any thread to the thread of the run.
 
-    An `InterruptibleClock` calls `check`. `on_hold` and `on_resume` are the machine's feed hold; they run on the run's
-    own thread, between two waits of a driver, never inside a transaction. `heartbeat` is called at every check and
-    while held: it shows a watchdog that the run's thread does not hang.
+    An `InterruptibleClock` calls `check`. `on_hold` and `on_resume` start and end the machine's feed hold; they are
+    called on the run's own thread between two waits of a driver, never during a transaction. `heartbeat` is called at
+    every check and while held, so that a watchdog can see that the run's thread does not hang.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -32,12 +33,14 @@ class Supervisor:
         self.heartbeat: Callable[[], None] = _do_nothing
 
     def request_abort(self, reason: str) -> None:
-        """Request the end of the run. The first reason stays."""
+        """Request the end of the run. If a request is already pending, its reason is kept."""
         self._request_stop(Aborted, f"aborted: {reason}")
 
     def request_interruption(self, reason: str) -> None:
-        """Request the end of the run because the program must end: as an abort, but the run can be resumed. The first
-        reason stays."""
+        """Request the end of the run because the program must end; unlike an aborted run, it can be resumed.
+
+        If a request is already pending, its reason is kept.
+        """
         self._request_stop(Interrupted, f"interrupted: {reason}")
 
     def _request_stop(self, kind: type[VolcalError], text: str) -> None:
@@ -51,7 +54,10 @@ class Supervisor:
         self._hold.clear()
 
     def check(self) -> None:
-        """Raise `Aborted` or `Interrupted`, or block while held. Inert while shielded and while itself holding."""
+        """Raise `Aborted` or `Interrupted` if an end is requested; block while held.
+
+        Call only the heartbeat if shielded, or if called during a hold by the hold itself.
+        """
         self.heartbeat()
         if self._shielded or self._holding:
             return
@@ -60,13 +66,13 @@ class Supervisor:
             self._wait_for_resume()
 
     def check_stop_request(self) -> None:
-        """Raise as `check`, but never block: for a run that computes while nothing moves that could be held."""
+        """Raise whatever `check` raises, but never block. For computations: nothing moves then that could be held."""
         self.heartbeat()
         if not self._shielded:
             self._raise_stop_request()
 
     def shield(self) -> None:
-        """Ignore further requests: the exit path (retract, restore, close) must not be interrupted."""
+        """Ignore all requests from now on, because the exit path (retract, restore, close) must not be interrupted."""
         self._shielded = True
 
     def _wait_for_resume(self) -> None:
@@ -88,4 +94,4 @@ class Supervisor:
 
 
 def _do_nothing() -> None:
-    """Default callback, until there is a machine to hold or a watchdog."""
+    """Default callback if there is no machine to hold or no watchdog."""

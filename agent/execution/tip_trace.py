@@ -1,4 +1,4 @@
-"""Last motion of the tip, from which a withdrawal after a fault begins."""
+"""Last motion of the tip, which determines how the probe is withdrawn after a fault."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from twin.arrays import Array
 from twin.collision.geometry import Point
 
 WITHDRAWAL_MM = 3.0
-"""Distance by which a stylus that may be deflected is moved off the surface before anything else moves."""
+"""Longest distance by which the tip first moves back along its path, since the stylus may be deflected."""
 TOUCH_LINE_TOLERANCE_MM = 2.0
-"""Largest distance from the line of a touch at which the stylus may still be deflected by it."""
+"""Largest distance from the line of a touch at which the stylus may still be deflected by that touch."""
 
 
 @dataclass
 class LastMotion:
-    """Record of the last motion: informed of every motion when it begins and when it has ended as intended; axis
-    positions in mm."""
+    """Record of the last motion, as axis positions in mm.
+
+    The caller calls `begin` when a motion begins, and `end` only if the motion ended as intended.
+    """
 
     _at: Point | None = None
     _begun: Point | None = None
@@ -40,11 +42,12 @@ class LastMotion:
         self._at, self._begun = at, None
 
     def exit_point(self, here: Array) -> Array:
-        """Return the axis position (3,) to which a withdrawal from `here` moves first, along the last approach
-        direction; `here` if nothing can be touching.
+        """Return the axis position (3,) in mm to which a withdrawal from `here` moves first; `here` if the stylus
+        cannot be touching anything.
 
-        A touch is withdrawn to its start, any other motion a little back along its path, and a motion that had just
-        left a touched surface away from that surface, not back onto it.
+        After a touch this is the start of the touch, also if the motion away from the surface was interrupted: moving
+        back along that motion would lead onto the surface. After any other interrupted motion it is a point up to
+        `WITHDRAWAL_MM` back along the path.
         """
         if self._touch is not None:
             start, target = (np.array(end) for end in self._touch)

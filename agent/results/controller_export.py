@@ -1,5 +1,4 @@
-"""Export of a compensation table for a controller: read, checked, resampled, valued; written completely or not at
-all."""
+"""Export of a compensation table for a controller; its files are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -34,10 +33,11 @@ RECORD = "export.json"
 
 @dataclass(frozen=True, eq=False)
 class TableToExport:
-    """Table with `origin`, the name of its bank or file for people.
+    """Table with its origin.
 
-    `estimate_file` None: the machine is assumed to be as the table describes it. `resolution_mm`: resolution of the
-    counts in which a controller stored the table, 0 for a file.
+    `origin`: name of its bank or file, for people. `estimate_file`: estimate of the machine; if None, the machine is
+    assumed to have exactly the errors that the table corrects. `resolution_mm`: resolution of the counts in which a
+    controller stored the table, 0 for a table from a file.
     """
 
     table: CompensationTable
@@ -48,7 +48,10 @@ class TableToExport:
 
 @dataclass(frozen=True)
 class TableExportRequest:
-    """Format, folder and options. `points` None: the grid of the table. Corrections above `largest_um` are refused."""
+    """Format, folder and options of an export.
+
+    `points`: numbers of grid points along X, Y, Z; None: grid of the table. `largest_um`: largest correction allowed.
+    """
 
     format: str
     out: Path
@@ -59,7 +62,7 @@ class TableExportRequest:
 
 @dataclass(frozen=True, eq=False)
 class TableExportResult:
-    """Files and figures of an export. `check`: axis position of the largest correction, and that correction, in mm."""
+    """Result of an export. `check`: axis position (3,) of the largest correction, and that correction (3,), in mm."""
 
     request: TableExportRequest
     source: TableToExport
@@ -69,7 +72,7 @@ class TableExportResult:
     table_crc32: str
 
     def as_json(self) -> dict[str, Any]:
-        """Return the object that `--json` prints; `export.json` in the folder has the same keys."""
+        """Return the object that `--json` prints; `export.json` has the same keys and `software`."""
         table, loss = self.source.table, self.loss
         points = self.request.points or table.corrections.shape[:3]
         return {
@@ -99,7 +102,8 @@ class TableExportResult:
 
 
 def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
-    """Return the table of a run's folder or of a CSV file, with the given estimate or the one beside the table."""
+    """Return the table of a run's folder or of a CSV file, with `estimate`, or if that is None with the
+    `estimate.json` beside the table if there is one. Raises InputError."""
     if path.is_dir():
         path = path / "table.csv"
     side = path.with_suffix(".json")
@@ -111,7 +115,7 @@ def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
 
 
 def export_table(source: TableToExport, request: TableExportRequest) -> TableExportResult:
-    """Write the files of a format and `export.json` into `request.out`. Raises UserError without writing."""
+    """Write the files of the format and `export.json` into `request.out`. No file is written if it raises UserError."""
     with translated(InputError, file=source.origin):
         full = ExportSource(source.table, _load_estimate(source.estimate_file))
         require_small_corrections(full.table, 1e-3 * request.largest_um)

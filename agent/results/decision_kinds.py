@@ -1,6 +1,6 @@
-"""Kinds of the decision records with the results of a run, as named in the journal.
+"""Names in the journal of the kinds of decision that record the results of a run.
 
-A module of its own, because the history reads them without the mathematics that computes the results.
+This module is separate so that the history can import it without the mathematics that computes the results.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class EstimationResult:
-    """Estimate from `observations`, the VE and VCE that it predicts, and its compensation table."""
+    """Estimate from `observations`, the estimated VE and predicted VCE, and the compensation table."""
 
     observations: Observations
     estimate: Estimate
@@ -47,7 +47,7 @@ def estimate_with_table(
     table: TableSettings,
     order: Order,
 ) -> EstimationResult:
-    """Identify and build the table for `tool`. Raises TwinError."""
+    """Identify the machine and build the compensation table for `tool`. Raises TwinError."""
     offset = machine.tool(tool)
     estimate = estimate_machine(machine, artefact, observations, options, order)
     model = estimate.model
@@ -66,10 +66,10 @@ def estimate_with_table(
 def estimate_machine(
     machine: MachineDescription, artefact: Artefact, observations: Observations, options: Options, order: Order
 ) -> Estimate:
-    """Identify with the requested order.
+    """Identify the machine with Legendre series of the requested `order`. Raises TwinError.
 
-    An estimate that is carried over keeps its own order. With the prior off no orders can be compared, so that the
-    order of the machine file is used in place of the evidence. Raises TwinError.
+    If an earlier estimate is carried over, its order is used. Evidence for orders cannot be compared without the prior;
+    the order of the machine file is then used instead.
     """
     if options.carried_over is not None:
         machine = machine.with_model(options.carried_over.unknowns.model)
@@ -81,7 +81,7 @@ def estimate_machine(
 
 
 def order_text(estimate: Estimate) -> str:
-    """Return the Legendre order of an estimate for people, with the evidence for other orders if they were compared."""
+    """Return a text with the Legendre order of an estimate, and the evidence of all orders if they were compared."""
     used = sorted(set(estimate.model.orders.values()))
     text = " and ".join(str(order) for order in used)
     if not estimate.order_evidence:
@@ -96,7 +96,8 @@ def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
 
 
 def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> EstimationResult:
-    """Estimate from the balls of a run. `correction`: what the table active while measuring added. Raises TwinError."""
+    """Estimate from the balls of a run. `correction`: correction added by the table that was active during the
+    measurement. Raises TwinError."""
     settings = job.settings
     observations, order = observations_with_drift(job, balls, correction), settings.identification.order
     options = identification_options(settings.identification, settings.temperature, observations)
@@ -106,9 +107,10 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
 def prove(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
-    """Compare the balls measured with the table active with those before and with the prediction.
+    """Compare the held-out balls measured with the new table active (`after`) with those measured `before` and with
+    the prediction.
 
-    Raises MeasurementFault if too few of them were found for a comparison.
+    Raises MeasurementFault if too few balls were found for a comparison.
     """
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:
@@ -140,7 +142,7 @@ def prove(
 
 
 def provenance(job: Job, run_id: str) -> dict[str, str]:
-    """Return the basis of an estimate of this run, for its file and the journal."""
+    """Return run, software, machine, artefact and options of an estimate, for its file and the journal."""
     chosen = job.settings.identification
     return {
         "run_id": run_id,
@@ -157,7 +159,7 @@ def provenance(job: Job, run_id: str) -> dict[str, str]:
 
 
 def _judgement(share: float, max_remaining_fraction: float, chi2: float, max_chi2: float) -> str:
-    """Return the reason for not accepting the table; empty if both limits are met."""
+    """Return the reason why the table is not accepted; empty if both limits are met."""
     if share > max_remaining_fraction:
         return f"held-out positions keep {share:.2f} of their error, allowed {max_remaining_fraction:.2f}"
     if chi2 > max_chi2:

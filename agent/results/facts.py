@@ -1,4 +1,4 @@
-"""Facts of a run as frozen values, as the journal stores them and reports show them."""
+"""Data of a run that the journal stores and reports show, as frozen values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Quantity:
-    """Length in µm with its standard uncertainty (None: not known)."""
+    """Length in µm with its standard uncertainty; None if that is not known."""
 
     value_um: float
     standard_uncertainty_um: float | None = None
@@ -23,7 +23,10 @@ class Quantity:
 
 @dataclass(frozen=True)
 class VolumetricSummary:
-    """VE of the bare machine as estimated (before), VCE as predicted (after); as defined and rigidly aligned."""
+    """Estimated VE of the bare machine (`before_…`) and predicted VCE (`after_…`).
+
+    Each is given without alignment (`…_raw`) and after removal of the best rigid motion (`…_aligned`).
+    """
 
     before_raw: Quantity
     before_aligned: Quantity
@@ -41,7 +44,7 @@ class VolumetricSummary:
 
 @dataclass(frozen=True)
 class ArtefactFacts:
-    """Artefact as stated by its certificate. `balls`: their number."""
+    """Artefact as stated by its certificate. `balls`: number of balls."""
 
     name: str
     certificate: str
@@ -66,7 +69,11 @@ class ArtefactFacts:
 
 @dataclass(frozen=True)
 class TableFacts:
-    """Compensation table in a few figures. `largest_um`: of the correction of each axis; `crc32`: of its CSV file."""
+    """Summary of a compensation table.
+
+    `nodes`: number along X, Y, Z. `largest_um`: largest absolute correction of each axis. `extrapolated`: number of
+    nodes outside the measured region. `crc32`: of the CSV file of the table.
+    """
 
     nodes: tuple[int, int, int]
     largest_um: tuple[float, float, float]
@@ -104,8 +111,11 @@ def triple(values: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class ProbeRing:
-    """Touches of the qualification at one latitude (90°: the pole): (k,) angles about the stylus and residuals; the
-    pretravel map along the ring, (m,) each, empty without one."""
+    """Touches of the qualification at one latitude (90° is the pole), and the pretravel map at that latitude.
+
+    `angle_deg`, `residual_um`: angles about the stylus and residuals of the touches, (k,) each. `map_angle_deg`,
+    `map_um`: angles and pretravel, (m,) each; empty if there is no map.
+    """
 
     latitude_deg: float
     angle_deg: Array
@@ -116,8 +126,10 @@ class ProbeRing:
 
 @dataclass(frozen=True)
 class ProbeFacts:
-    """Results of the checks of probe and stylus before the run: name and text of each, and the touches of the
-    qualification."""
+    """Results of the checks of probe and stylus before the run.
+
+    `rows`: name and result text of each check; `rings`: touches of the qualification by latitude.
+    """
 
     rows: tuple[tuple[str, str], ...]
     rings: tuple[ProbeRing, ...] = ()

@@ -1,4 +1,4 @@
-"""Gates between an estimate and a machine: each has a number, its limit and a sentence. Pure functions."""
+"""Gates that an estimate and its table must pass before the table is written. All functions are pure."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from twin.identification import Estimate
 from twin.machine.volumetric import VolumetricRms
 
 CHANGE = "change"
-"""Gate that an operator may open: a machine that was repaired or had a collision has changed and must be calibrated."""
+"""Name of the gate that an operator may open by consent, because a machine really changes if it is repaired or has a
+collision, and must then be calibrated again."""
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Condition on a result. `passed`: verdict on `value` against `limit`, both in the unit that the text names."""
+    """Condition on a result. `passed`: True if `value` meets `limit`; `text`: explanation, with the unit of both."""
 
     name: str
     passed: bool
@@ -34,8 +35,9 @@ def estimate_gates(
 ) -> tuple[Gate, ...]:
     """Return the gates on the estimate itself: fit, redundancy and gain.
 
-    `before`: VE of the bare machine that the estimate shows, uncertainty not added; `expected`: VCE with the table
-    active. Both are aligned, because a rigid motion of the workspace is not an error of the machine.
+    `before`: estimated VE of the bare machine, without a contribution of its uncertainty; `expected`: predicted VCE
+    with the table active. The aligned values are compared, because a rigid motion of the workspace is not an error of
+    the machine.
     """
     share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")
     return (
@@ -65,9 +67,10 @@ def estimate_gates(
 
 
 def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> Gate:
-    """Return the gate on the change of the field since the last accepted night, `change_um` (rms, aligned).
+    """Return the gate on the change of the machine's error field since the last accepted night.
 
-    `expected_um`: change that uncertainty and the drift of the nights in between explain.
+    `change_um`: rms of the change over the workspace, aligned; `expected_um`: rms expected from the uncertainties and
+    from the drift of the nights in between.
     """
     share = change_um / expected_um if expected_um > 0.0 else float("inf")
     return Gate(
@@ -108,7 +111,7 @@ def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateSettin
 
 
 def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
-    """Return the gate on nodes outside the measured region."""
+    """Return the gate on the share of nodes outside the measured region."""
     outside = float(np.mean(table.extrapolated))
     return Gate(
         "extrapolation",
@@ -120,7 +123,7 @@ def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
 
 
 def with_consent(gates: Sequence[Gate]) -> list[Gate]:
-    """Return the gates with that on the change passed, because the operator has consented."""
+    """Return the gates with the gate `CHANGE` passed, because the operator has consented."""
     return [
         replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
         for gate in gates

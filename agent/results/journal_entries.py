@@ -1,7 +1,7 @@
-"""Journal entries of a run beside its steps, so that it can be reported and compared from the journal alone.
+"""Journal entries of a run in addition to its steps, so that a report or comparison needs only the journal.
 
-The files that the settings name may change or be deleted; the facts of machine, artefact and result that a report shows
-are therefore stored here as they were.
+The files named in the settings may change or be deleted. The data of machine, artefact and result that a report shows
+are therefore stored in the journal.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from twin.design.procedure import MIN_BALLS
 from twin.units import UM_PER_MM
 
 _NAMED_FILES = ("grid", "covariance_file")
-"""Keys with which a machine or an artefact file names another file."""
+"""Keys under which a machine file or an artefact file names another file."""
 
 
 def inputs_of(job: Job) -> dict[str, Any]:
-    """Return machine, artefact and files that a run begins with. ConfigurationError if a file no longer exists."""
+    """Return machine, artefact and input files at the start of a run. Raise ConfigurationError if a file is missing."""
     return {
         "machine": job.machine.name,
         "tools_mm": {name: offset.tolist() for name, offset in job.machine.tools.items()},
@@ -49,7 +49,7 @@ def inputs_of(job: Job) -> dict[str, Any]:
 
 
 def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
-    """Journal the checks of probe and stylus, as the report shows them."""
+    """Journal the results of the checks of probe and stylus, as a report shows them."""
     facts = probe_facts(prepared)
     if facts is not None:
         warnings = () if prepared.reversal is None else prepared.reversal.warnings
@@ -57,8 +57,10 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
 
 
 def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
-    """Journal the parts of the result that the estimate file does not hold. `balls`: those observed, in the order of
-    the observations."""
+    """Journal the parts of the result that the estimate file does not contain.
+
+    `balls`: the measured balls in the order of the observations.
+    """
     estimate = estimation.estimate
     positions = dict.fromkeys((ball.position, ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in balls)
     journal.decision(
@@ -78,8 +80,11 @@ def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estima
 def record_held_out(
     journal: RunJournal, job: Job, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> None:
-    """Journal the rms of each held-out position before and after, in µm as the controller displays it, of those with
-    enough balls for a pose."""
+    """Journal the rms residual of each held-out position before and after activation of the table, in µm.
+
+    Residuals are taken at displayed axis positions. A position without enough balls for a pose is omitted if they are
+    missing after activation; its rms before is None if they are missing before.
+    """
     rows = []
     for position in job.held_out:
         rms_um = [_rms_um(job, [ball for ball in balls if _at(ball, position)]) for balls in (before, after)]
@@ -104,7 +109,7 @@ def _rms_um(job: Job, balls: Sequence[MeasuredBall]) -> float | None:
 
 
 def record_outcome(journal: RunJournal, outcome: Outcome) -> None:
-    """Journal the outcome of the run: the object that `--json` prints, without the path of the report."""
+    """Journal the outcome of the run as the object that `--json` prints, without the path of the report."""
     journal.decision(OUTCOME, {name: value for name, value in outcome.as_json().items() if name != "report"})
 
 

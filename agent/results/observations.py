@@ -1,4 +1,4 @@
-"""Observations of the bare machine from measured balls."""
+"""Conversion of measured balls into observations of the bare machine."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def observations_of(
     correction: Correction,
     thermal_regressors: Array | None = None,
 ) -> Observations:
-    """Return observations in bare axis positions: the displayed ones plus the correction of the active table.
+    """Return observations at bare axis positions, which are displayed positions plus corrections of the active table.
 
-    `correction` maps displayed axis positions (n, 3) to the shift that the controller adds to them, (n, 3) mm;
-    `thermal_regressors`: (n, w) K, of a machine that drifted.
+    `correction` maps displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
+    `thermal_regressors`: (n, w) in K for w regressors; None if the machine did not drift.
     """
     displayed = np.array([ball.found.centre_mm for ball in balls])
     return Observations(
@@ -42,8 +42,8 @@ def observations_of(
 
 
 def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
-    """Return the residuals of the artefact's balls in the controller's own display, with the table active while
-    measuring."""
+    """Return the residuals of the artefact's balls at displayed axis positions, which contain the effect of the table
+    that was active during the measurement."""
     displayed = observations_of(balls, tool_offset_mm, no_correction)
     return held_out_residuals(displayed, displayed.axis_positions + tool_offset_mm, artefact)
 
@@ -53,6 +53,6 @@ def no_correction(displayed: Array) -> Array:
 
 
 def _renumbered(numbers: Iterable[int]) -> list[int]:
-    """Return consecutive pose indices from 0 in the order of first occurrence."""
+    """Return an index for each position number, counted from 0 in the order of first occurrence."""
     seen: dict[int, int] = {}
     return [seen.setdefault(number, len(seen)) for number in numbers]

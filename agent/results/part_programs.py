@@ -1,4 +1,4 @@
-"""Correction of a part program from a file with a table from files, into a file: completely or not at all."""
+"""Correction of part program files with a table file; the output file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.compensation.table_file import checksum, parse_table
 
 
 def load_table(path: Path) -> tuple[CompensationTable, str]:
-    """Return the table of a CSV file and the JSON file beside it, and the CRC-32 of the CSV file."""
+    """Return the table stored in a CSV file and the JSON file beside it, and the CRC-32 of the CSV file."""
     side = path.with_suffix(".json")
     text = read_text(path)
     with translated(InputError, file=str(path)):
@@ -36,7 +36,9 @@ def load_part_setup(path: Path) -> PartSetup:
 def correct_file(
     part: Path, out: Path | None, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
 ) -> CorrectionSummary:
-    """Correct the program and write it to `out`; if that is None, only count. `name` of the table marks the program.
+    """Correct the program and write it to `out`; if `out` is None, only compute the summary.
+
+    `name`: name of the table, written into the corrected program.
 
     Raises InputError with file and line for a block that cannot be corrected; `out` is then unchanged.
     """
@@ -53,7 +55,10 @@ def correct_file(
 def correct_to(
     stream: BinaryIO, part: Path, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
 ) -> CorrectionSummary:
-    """Correct the program and write it to a stream, which receives nothing before the whole program is corrected."""
+    """Correct the program and write it to `stream`; nothing is written before the whole program is corrected.
+
+    Raises the errors of `correct_file`.
+    """
     with tempfile.TemporaryDirectory() as folder:
         corrected = Path(folder) / "corrected"
         summary = correct_file(part, corrected, table, name, setup, options)

@@ -1,4 +1,7 @@
-"""Accuracy that a procedure will reach, predicted from its ball positions: a covariance needs no measurement."""
+"""Prediction of the accuracy of a procedure from the ball positions of its preflight.
+
+The covariance of the estimate depends on the positions, not on the measured values.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,9 @@ class PredictedAccuracy:
 
 
 def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy:
-    """Return rank and predicted VCE of the set as measured in a preflight, without the held-out positions.
+    """Return rank and predicted VCE for the positions `measured` in a preflight, without the held-out ones.
 
-    Raises ConfigurationError if the set cannot identify the machine.
+    Raises ConfigurationError if these positions cannot identify the machine.
     """
     estimate = preflight_estimate(job, measured)
     grid = evaluation_grid(job.machine.model.ranges_mm)
@@ -32,9 +35,9 @@ def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy
 
 
 def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
-    """Return the estimate from the balls of a preflight: its covariance is that of the run to come.
+    """Return the estimate from the balls of a preflight; its covariance is the one predicted for the run.
 
-    Raises ConfigurationError if the set cannot identify the machine.
+    Raises ConfigurationError if the position set cannot identify the machine.
     """
     chosen = job.settings.identification
     options = Options(

@@ -1,4 +1,4 @@
-"""Facts of probe and stylus for a report."""
+"""Results of the checks of probe and stylus, for a report."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAP_STEP_DEG = 3.0
 
 
 def probe_facts(prepared: PreparationResult | None) -> ProbeFacts | None:
-    """Return the facts; None if nothing was checked before the run."""
+    """Return the results of the checks before the run; None if nothing was checked."""
     if prepared is None:
         return None
     checks = (
@@ -31,7 +31,7 @@ def probe_facts(prepared: PreparationResult | None) -> ProbeFacts | None:
 
 
 def _rings(found: Qualification, stylus_axis: Array) -> tuple[ProbeRing, ...]:
-    """Return the touches grouped by latitude, the pole first."""
+    """Return the touches of the qualification grouped by latitude, the pole first."""
     first, second = perpendiculars(stylus_axis)
     normals = -found.directions
     latitude = np.degrees(np.arcsin(np.clip(found.directions @ stylus_axis, -1.0, 1.0)))
@@ -49,7 +49,7 @@ def _rings(found: Qualification, stylus_axis: Array) -> tuple[ProbeRing, ...]:
 
 
 def _along(found: Qualification, stylus_axis: Array, latitude_deg: float) -> tuple[Array, Array]:
-    """Return angles (m,) in degrees and the pretravel map (m,) in µm at them; both empty without a map."""
+    """Return angles about the stylus (m,) in degrees and the pretravel (m,) in µm at them; empty if there is no map."""
     pretravel = found.stylus.pretravel
     if pretravel is None:
         return np.empty(0), np.empty(0)

@@ -1,4 +1,4 @@
-"""Outcome of a run, and the JSON object that programs read."""
+"""Outcome of a run, and its form as a JSON object for other programs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from agent.probing.reversal import AxisReversal
 
 @dataclass(frozen=True)
 class Proof:
-    """Held-out positions with the new table: rms residual per ball, µm, before and after; χ² against prediction."""
+    """Proof of a new table at held-out positions.
+
+    `before_um`, `after_um`: rms residual per ball before and after activation of the table; `predicted_um`: prediction
+    of the latter. `chi2_normalised`: of the residuals after activation against their prediction.
+    """
 
     accepted: bool
     before_um: float
@@ -23,7 +27,7 @@ class Proof:
 
 
 class Decision(Enum):
-    """Outcome of a night."""
+    """Outcome of a nightly run or of a verification."""
 
     WITHIN = "within limits"
     OUT = "out of limits"
@@ -36,8 +40,10 @@ class Decision(Enum):
 
 @dataclass(frozen=True)
 class SuspectedError:
-    """Machine error that may have jumped: its ISO 230-1 name, the size of the jump, and the evidence for it (ln of the
-    likelihood ratio)."""
+    """Machine error that may have jumped.
+
+    `error`: its ISO 230-1 name; `change`: size of the jump in `unit`; `evidence`: ln of the likelihood ratio for it.
+    """
 
     error: str
     change: float
@@ -51,12 +57,14 @@ class SuspectedError:
 
 @dataclass(frozen=True)
 class NightReport:
-    """Comparison of a night with the last accepted one, run `since`, and its decision.
+    """Comparison of the machine with the last accepted night, and the decision of this nightly run or verification.
 
-    In µm, expected values, aligned: `ve_before_um`: VE with the active table as that night left it; `ve_now_um`: as it
-    is now; `ve_after_um`: with the present estimate written. `held_out_um`: rms of the held-out balls as displayed,
-    `held_out_predicted_um`: its prediction. `chi2_normalised`: of all ball centres against their prediction. `jumped`:
-    errors that must have jumped; `likeliest`: those that explain most if one has, the likeliest first.
+    `since`: identity of the run of the last accepted night; `nights`: nights since then.
+    `ve_before_um`, `ve_now_um`, `ve_after_um`: expected VE, aligned: with the active table at the end of the last
+    accepted night, with the active table now, and with a table from the present estimate. `held_out_um`: rms of the
+    held-out balls at displayed positions; `held_out_predicted_um`: its prediction. `chi2_normalised`: of all ball
+    centres against their prediction. `jumped`: errors whose jump is established by sufficient evidence; `likeliest`:
+    the errors whose jump would best explain the measurement, the likeliest first, whether or not any has jumped.
     """
 
     decision: Decision
@@ -86,7 +94,7 @@ class NightReport:
 
 @dataclass(frozen=True)
 class Outcome:
-    """State, figures and files of a run. None: the run did not get that far."""
+    """State, results and report of a run. A field is None if the run did not get far enough to set it."""
 
     state: RunState
     run_id: str
@@ -112,7 +120,7 @@ class Outcome:
     reason: str = ""
 
     def as_json(self) -> dict[str, object]:
-        """Return the object documented in docs/reference/json.md; `verified`: true, false, or null if not proved."""
+        """Return the object documented in docs/reference/json.md. `verified` is null if there was no proof."""
         return {
             "kind": self.kind,
             "state": self.state.value,

@@ -11,8 +11,8 @@ from twin.compensation.table import Anchor, CompensationTable
 
 
 def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
-    """Return the table in counts of the store's resolution. Raises GateRefused if the grid is too large for the
-    store."""
+    """Return the table as integer counts of the store's resolution. Raises GateRefused if its grid is too large for
+    the store."""
     shape = table.corrections.shape[:3]
     if any(n > most for n, most in zip(shape, limits.max_nodes, strict=True)) or (
         np.prod(shape) > limits.max_total_nodes
@@ -29,10 +29,10 @@ def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
 
 
 def table_of(image: TableImage, tool_offset_mm: Array) -> CompensationTable:
-    """Return the table that a controller adds, as it interpolates it: trilinear, constant beyond the border.
+    """Return the corrections that a controller applies: interpolated trilinearly, constant outside the grid.
 
-    A controller stores neither anchor nor measured region: the anchor is the grid's first node, and no node counts as
-    extrapolated.
+    A controller stores neither the anchor nor the measured region. In the returned table the anchor is therefore the
+    grid's first node, and no node counts as extrapolated.
     """
     nodes = [
         origin + step * np.arange(count, dtype=np.float64)

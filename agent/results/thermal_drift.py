@@ -1,4 +1,4 @@
-"""Thermal drift of the machine during a run: the balls that show it, and the regressors along which it is fitted."""
+"""Thermal drift of the machine during a run: selection of the balls, thermal regressors and options of the fit."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ from twin.identification import CarriedOverPrior, Options
 
 
 def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBall]:
-    """Return all balls but those of held-out positions.
+    """Return all balls except those of held-out positions.
 
-    If the machine drifted, the first ball of each position, measured again at its end, is included.
+    If the machine drifted, they include the second measurement of each position's first ball, made at the end of that
+    position.
     """
     balls = job.balls_of(measured, held_out=False)
     return job.balls_of(measured, held_out=False, again=True) if is_drifting(job.settings.temperature, balls) else balls
 
 
 def is_drifting(temperature: TemperatureSettings, balls: Sequence[MeasuredBall]) -> bool:
-    """Return True if the machine's temperature has changed by more than may be neglected."""
+    """Return True if drift is to be fitted and the machine's temperature has changed by at least `min_change_k`."""
     return temperature.fit_machine_drift and change_k(temperature, balls) >= temperature.min_change_k
 
 
 def change_k(temperature: TemperatureSettings, balls: Sequence[MeasuredBall]) -> float:
-    """Return the temperature change of the machine over these measurements, in K."""
+    """Return the temperature change of the machine during these measurements, in K."""
     return machine_change_k([ball.conditions for ball in balls], temperature.declared_change_k)
 
 
 def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Observations:
-    """Return the observations; if the machine drifted, with its thermal regressors relative to the last of them."""
+    """Return the observations; if the machine drifted, with thermal regressors and smoothed artefact temperatures."""
     if not is_drifting(job.settings.temperature, balls):
         return observations_of(balls, job.tool_offset_mm, correction)
     instants_s = np.array([ball.conditions.instant_s for ball in balls])
@@ -55,8 +56,10 @@ def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction:
 def identification_options(
     identification: IdentificationSettings, temperature: TemperatureSettings, observations: Observations
 ) -> Options:
-    """Return the options with which a run identifies from the family; the estimate is of the last observation's
-    instant."""
+    """Return the options for an identification that carries nothing over from earlier nights.
+
+    If the machine drifted, the estimate describes the machine at the instant of the last observation.
+    """
     return replace(
         _drift_options(temperature, observations),
         formulation=identification.formulation,
@@ -66,7 +69,7 @@ def identification_options(
 
 
 def fusion_options(temperature: TemperatureSettings, observations: Observations, known: CarriedOverPrior) -> Options:
-    """Return the options with which a night is fused with what is `known` from earlier nights."""
+    """Return the options for the fusion of a night's observations with the prior `known` from earlier nights."""
     return replace(_drift_options(temperature, observations), carried_over=known)
 
 

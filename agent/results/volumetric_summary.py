@@ -1,4 +1,4 @@
-"""Volumetric error of the bare machine as estimated, and of the compensated machine as predicted."""
+"""Estimated volumetric error (VE) of the bare machine, and predicted error (VCE) of the compensated machine."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 
 def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:
-    """Return the VE of the estimate and the VCE expected after compensating it, over the standard grid, in µm."""
+    """Return the estimated VE and the VCE expected after compensation, over the standard grid, in µm."""
     grid = evaluation_grid(estimate.model.ranges_mm)
     form = QuadraticForm.build(estimate.model, grid, tool_offset)
     before = form.value(estimate.parameters)
@@ -25,15 +25,22 @@ def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSumm
 
 
 def _of_estimate(value_mm: float, form: Array, estimate: Estimate) -> Quantity:
-    """Return the value and its uncertainty, by first-order propagation through v = sqrt(E'QE): u² = E'Q P Q E / v²."""
+    """Return the VE and its standard uncertainty u in µm.
+
+    For parameters E with covariance P and the quadratic form Q, the VE is v = sqrt(E'QE); to first order
+    u² = E'Q P Q E / v².
+    """
     gradient = form @ estimate.parameters / max(value_mm, 1e-12)
     variance = float(gradient @ estimate.covariance @ gradient)
     return Quantity(1e3 * value_mm, 1e3 * float(np.sqrt(max(variance, 0.0))))
 
 
 def _expected(value_mm: float, form: Array, covariance: Array) -> Quantity:
-    """Return the expected rms and the standard deviation of one machine's rms about it: var(e'Qe) = 2 trace(QPQP) for
-    normal e."""
+    """Return the expected VCE and, as its uncertainty, the standard deviation of the VCE of one machine, in µm.
+
+    For normal parameter errors e with covariance P and the quadratic form Q, VCE² = e'Qe has the variance
+    2 trace(QPQP).
+    """
     product = form @ covariance
     variance = 2.0 * float(np.einsum("ij,ji->", product, product))
     return Quantity(1e3 * value_mm, 1e3 * float(np.sqrt(max(variance, 0.0))) / (2.0 * max(value_mm, 1e-12)))
