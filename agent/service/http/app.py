@@ -1,4 +1,4 @@
-"""HTTP application: routers behind the guard; page and metrics are extensions."""
+"""HTTP application: routers behind the guard. The page and the metrics are added as extensions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Extension = Callable[[FastAPI, AppState], None]
 
 
 def create_app(app_state: AppState, names: Collection[str] = (), extensions: Sequence[Extension] = ()) -> FastAPI:
-    """Return the application. `names`: host names besides loopback that requests may be addressed to."""
+    """Return the application. `names`: host names, besides those of loopback, by which clients may address it."""
     app = FastAPI(
         title="volcal",
         version=version("volcal"),

@@ -1,4 +1,4 @@
-"""Shared state of the HTTP application, a dependency of its routes."""
+"""State shared by the routes of the HTTP application, available to each of them as a dependency."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from agent.settings.schema import Settings
 
 @dataclass(frozen=True)
 class AppState:
-    """Shared state. `settings`: those of the next run; `config`: the file that they are read from."""
+    """State shared by all routes. `settings`: function that returns the settings of the next run; `config`: their
+    file."""
 
     control: Control
     event_log: EventLog

@@ -12,7 +12,7 @@ from agent.service.http.app import add_endpoints
 
 
 def openapi_document() -> dict[str, Any]:
-    """Return the document with a fixed version, since a release alone does not change the interface."""
+    """Return the OpenAPI document. Its version is fixed, since a release alone does not change the interface."""
     app = FastAPI(title="volcal", version="1", summary="Calibration service of one machine.")
     add_endpoints(app)
     return app.openapi()

@@ -24,7 +24,7 @@ _SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user",
 
 
 def without_secrets(document: Any) -> Any:
-    """Return the document without the values, at any depth, whose key suggests a secret."""
+    """Return the document without the values whose key suggests a secret, at any depth."""
     if isinstance(document, Mapping):
         return {
             key: REMOVED if _SECRET.search(str(key)) and value is not None else without_secrets(value)
@@ -48,7 +48,8 @@ def diagnostics_zip(settings: Settings, status: Mapping[str, Any], events: Seque
 
 
 def _journal_copy(state_directory: Path) -> bytes:
-    """Return a consistent copy while a run may write; its settings have no secrets."""
+    """Return a copy of the journal as file content, with secrets removed from the settings. It is consistent even if a
+    run is writing at the same time."""
     with tempfile.TemporaryDirectory() as directory:
         return copy_journal(state_directory, Path(directory), without_secrets).read_bytes()
 

@@ -21,7 +21,7 @@ MAX_CONCURRENCY = 64
 
 
 class HttpEndpoint:
-    """HTTP server of the service; `make_app` makes the application from the control. Port 0 means any free port."""
+    """HTTP server of the service. `make_app` creates the application for a control. Port 0 means any free port."""
 
     name = "http"
 

@@ -1,8 +1,8 @@
 """Checks of every request before it is processed: addressed host, origin and size.
 
-A foreign page open in the panel's browser can send requests to loopback. It does not know the token. In addition, a
-foreign `Host` indicates DNS rebinding and a foreign `Origin` a request of another page; both are refused, for reading
-as well.
+A foreign page open in the panel's browser can send requests to loopback. It does not have the token, so it
+cannot send commands. A foreign `Host` header indicates DNS rebinding, and a foreign `Origin` header a request of
+another page: both are refused even if the request only reads.
 """
 
 from __future__ import annotations
@@ -89,7 +89,10 @@ def require_token(
 
 
 def _limit_body(receive: Receive) -> Receive:
-    """Count the bytes as they arrive, for bodies without a stated length, and refuse those that are too long."""
+    """Return a `receive` that counts the bytes of a body as they arrive and refuses a body that is too long.
+
+    It covers bodies without a stated length.
+    """
     received = 0
 
     async def counted() -> Message:
@@ -119,7 +122,7 @@ def _problem(status: HTTPStatus, detail: str, hint: str) -> Problem:
 
 
 def _host_name(address: str) -> str:
-    """Return the host name without the port; empty if there is none."""
+    """Return the host name of `address` without the port; an empty text if it has none."""
     try:
         return (urlsplit(address).hostname or "").lower()
     except ValueError:

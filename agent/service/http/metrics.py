@@ -1,4 +1,4 @@
-"""`/metrics` for Prometheus: from history and the current status. Behind the guard, without token."""
+"""`/metrics` for Prometheus, from the history and the current status. Requests pass the guard but need no token."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PATH = "/metrics"
 
 
 def mount_metrics(app: FastAPI, app_state: AppState) -> None:
-    """Add the route (an `agent.service.http.app.Extension`). The database client is loaded by the first request."""
+    """Add the route; an `agent.service.http.app.Extension`. The first request imports the database client."""
     cache = _MetricsCache()
 
     @app.get(PATH, include_in_schema=False)
@@ -35,7 +35,7 @@ def mount_metrics(app: FastAPI, app_state: AppState) -> None:
 
 
 class _MetricsCache:
-    """Cache of runs and trends, which are fitted again only if the runs have changed."""
+    """Cache of the runs and their trends. The trends are fitted again only if runs or history settings have changed."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -44,7 +44,7 @@ class _MetricsCache:
         self._trends: tuple[Trend, ...] = ()
 
     def text(self, settings: Settings, status: Status) -> str:
-        """Return the text page. Raise LinkLost or ConfigurationError if history cannot be read."""
+        """Return the metrics as text. Raise LinkLost or ConfigurationError if the history cannot be read."""
         from agent.history.database_url import database_address  # noqa: PLC0415
         from agent.history.metrics import metrics_text  # noqa: PLC0415
         from agent.history.store import HistoryStore  # noqa: PLC0415
@@ -72,7 +72,7 @@ class _MetricsCache:
 
 
 def live_gauges(status: Status) -> dict[str, float]:
-    """Return gauges of the current status."""
+    """Return the gauges of the current status by name."""
     return {
         "run_under_way": float(status.state not in AT_REST),
         "run_fraction": status.fraction,

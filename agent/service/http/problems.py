@@ -70,7 +70,7 @@ def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONRespo
 
 
 def install(app: FastAPI) -> None:
-    """Install handlers, so that every error of a request is answered with a problem document."""
+    """Install handlers that answer every error of a request with a problem document."""
 
     @app.exception_handler(errors.VolcalError)
     def volcal_error(_: Request, error: errors.VolcalError) -> JSONResponse:
@@ -116,4 +116,4 @@ def _first_of(error: RequestValidationError) -> Problem:
 DOCUMENTED: dict[int | str, dict[str, Any]] = {
     "4XX": {"model": Problem, "description": "Problem document: cause, location and remedy"}
 }
-"""Value for `responses` of the routes."""
+"""Value of the argument `responses` of the routes, which documents their problem documents."""

@@ -95,6 +95,7 @@ def plan(app_state: AppStateDependency) -> dict[str, Any]:
 
 
 def status_now(app_state: AppState) -> StatusView:
-    """Return status and event number. The number is read first: an event in between is sent again rather than lost."""
+    """Return the status with the number of the last event. The number is read before the status, so that an event in
+    between is sent to the client once more instead of being lost."""
     number = app_state.event_log.last_number
     return status_view(app_state.control.status(), number)

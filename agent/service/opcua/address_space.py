@@ -1,4 +1,4 @@
-"""OPC UA address space: the nodes of the model, updated from the status, and its events."""
+"""OPC UA address space: the nodes of `agent.service.opcua.model`, updated from the status, and the events."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from agent.service.opcua.model import (
 
 
 class AddressSpace:
-    """Nodes under one root object; used in the server's loop only."""
+    """Nodes under one root object. Must be used only in the server's event loop."""
 
     def __init__(self, server: Server, guarded: GuardedServer, control: Control) -> None:
         self._server = server
@@ -59,7 +59,7 @@ class AddressSpace:
         await self._add_events(root)
 
     async def show(self, status: Status) -> None:
-        """Write the values that have changed since the last call."""
+        """Write to the nodes all values of the status that have changed since the last call."""
         for variable in VARIABLES:
             await self._write(variable.path, variable.of(status))
         refusal = self._calls.last_refusal
@@ -119,7 +119,8 @@ class AddressSpace:
         self._guarded.free_methods = free
 
     def _callback(self, name: str) -> Callable[..., Awaitable[Any]]:
-        """Return the callback of a method, which runs in a thread so that the loop is not blocked.
+        """Return the callback of the OPC UA method `name`; it executes the method in a thread, so as not to block the
+        loop.
 
         The nodes are updated before the client receives the result.
         """
@@ -142,7 +143,7 @@ class AddressSpace:
             self._events[kind.name] = generator
 
     def _id(self, path: str) -> ua.NodeId:
-        """Return the path as identifier, which does not change between starts of the service."""
+        """Return the node identifier made from the path; it is the same after every start of the service."""
         return ua.NodeId(ua.String(path), ua.Int16(self._index))
 
     def _name(self, name: str) -> ua.QualifiedName:

@@ -1,4 +1,4 @@
-"""OPC UA certificates: the server's own, generated at its first start, and those of the trusted clients."""
+"""OPC UA certificates: the server's own certificate, generated at its first start, and those of the trusted clients."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from drivers.errors import ConfigurationError
 
 VALIDITY: Final = timedelta(days=3650)
 CLOCK_TOLERANCE: Final = timedelta(days=1)
-"""The certificate is backdated by this, so that a client whose clock is slow accepts it."""
+"""Time by which the certificate is backdated, so that a client whose clock is slow accepts it."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class OwnCertificate:
 
 
 def own_certificate(directory: Path, application_uri: str, host_name: str, address: str) -> OwnCertificate:
-    """Return the server's certificate and key under `directory`, generated if missing (key with mode 0600).
+    """Return the server's certificate and key in `directory`; generate them if they are missing (key with mode 0600).
 
     Raise ConfigurationError if they cannot be read or written, or if the certificate has expired.
     """
@@ -61,7 +61,7 @@ def is_trusted(certificate: bytes | None, directory: Path) -> bool:
 
 
 def _certificates_in(directory: Path) -> Iterable[x509.Certificate]:
-    """Yield the certificates among the files; other files (a README, an incomplete copy) are ignored."""
+    """Yield the certificates in the directory. Other files (a README, an incomplete copy) are ignored."""
     for path in sorted(directory.glob("*")) if directory.is_dir() else ():
         if path.is_file():
             try:
@@ -103,7 +103,10 @@ def _refuse_expired(path: Path) -> None:
 
 
 def _self_signed(key: rsa.RSAPrivateKey, uri: str, host_name: str, address: str) -> x509.Certificate:
-    """Return a certificate by OPC 10000-6, 6.2.2: application URI, host names, usages of an application instance."""
+    """Return a self-signed certificate of an application instance as specified in OPC 10000-6, 6.2.2.
+
+    It contains the application URI, host name and address, and the key usages.
+    """
     name = x509.Name(
         [x509.NameAttribute(NameOID.COMMON_NAME, "volcal"), x509.NameAttribute(NameOID.ORGANIZATION_NAME, host_name)]
     )
@@ -141,7 +144,7 @@ def _pem(key: rsa.RSAPrivateKey) -> bytes:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """Write the file with its mode from the first byte on, so that a key is never readable by others."""
+    """Write a file that has `mode` from its creation on, so that a key is at no time readable by others."""
     path.unlink(missing_ok=True)
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
         file.write(data)

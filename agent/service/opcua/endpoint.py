@@ -24,7 +24,8 @@ log = structlog.get_logger()
 
 
 class OpcUaEndpoint:
-    """Endpoint that runs the server's loop in one thread. `token`: that of the service, sent by clients as password."""
+    """Endpoint that runs the server's loop in one thread. `token`: access token of the service, which clients send as
+    password."""
 
     def __init__(self, settings: OpcUaSettings, state_directory: Path, token: str) -> None:
         self._settings = settings
@@ -47,8 +48,8 @@ class OpcUaEndpoint:
         return self._settings.trusted_clients or self._directory / "trusted"
 
     def start(self, control: Control) -> None:
-        """Open the endpoint. Raise ConfigurationError if asyncua is missing, or for an invalid certificate or
-        address."""
+        """Open the endpoint. Raise ConfigurationError if asyncua is missing, or if the certificate or the address is
+        invalid."""
         opened: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(control, opened), name="opc ua", daemon=True)
         self._thread.start()

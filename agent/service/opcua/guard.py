@@ -1,8 +1,8 @@
-"""Access control over OPC UA, enforced at the session where asyncua does not.
+"""Access control of the OPC UA server, enforced by the session because asyncua does not enforce it.
 
-asyncua does not pass the user to a method, so the session checks each call. It binds a session to any channel that
-names its authentication token, a small number, before checking who activates it, and leaves it bound if that fails;
-here a session stays with the channel that created it.
+asyncua does not pass the user to a method, so the session checks each call. asyncua also binds a session to any channel
+that names the session's authentication token, which is a small number: it does so before it checks the user, and
+keeps the binding if the check fails. Here only the channel that created a session can use it.
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ log = structlog.get_logger()
 
 
 def refusal_result(code: int) -> ua.CallMethodResult:
-    """Return the result of a method that was not executed."""
+    """Return the result with status `code` for a method that was not executed."""
     return ua.CallMethodResult(StatusCode=ua.StatusCode(ua.UInt32(code)))
 
 
 class ClientAuthentication(UserManager):
-    """Authentication: the certificate of the channel must be trusted; in addition the token or, if allowed, none."""
+    """Authentication of clients: the certificate must be trusted, and the token is required except for anonymous
+    reading."""
 
     def __init__(self, token: str, trusted_clients: Path, *, anonymous_reading: bool) -> None:
         self._token = token.encode()
@@ -48,8 +49,8 @@ class ClientAuthentication(UserManager):
         password: str | None = None,
         certificate: bytes | None = None,
     ) -> User | None:
-        """Return the user, or None if refused. `certificate`: that of the secure channel, whose client has proved to
-        hold its key."""
+        """Return the user, or None if the client is refused. `certificate`: certificate of the secure channel; the
+        client has already proved that it holds the private key."""
         if not is_trusted(certificate, self._trusted_clients):
             log.warning("OPC UA client refused", reason="certificate not trusted")
             return None
@@ -62,12 +63,12 @@ class ClientAuthentication(UserManager):
 
 
 class GuardedSession(InternalSession):
-    """Session of a client: methods that move or write require the token, nodes cannot be written."""
+    """Session of a client. Methods that move the machine or write require the token; nodes cannot be written."""
 
     iserver: GuardedServer
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Execute the requests in order; those not allowed are refused individually."""
+        """Execute the requests in order; a request that is not allowed is refused without affecting the others."""
         return [await self._call(request) for request in params]
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
@@ -84,7 +85,8 @@ class GuardedSession(InternalSession):
 
 
 class GuardedServer(InternalServer):
-    """Server whose sessions are guarded. `free_methods`: methods, by id, that need no token."""
+    """Server whose sessions are `GuardedSession` objects. `free_methods`: by method id, True if the method needs no
+    token."""
 
     def __init__(self, users: ClientAuthentication) -> None:
         super().__init__(user_manager=users)
@@ -97,5 +99,5 @@ class GuardedServer(InternalServer):
         return kind(self, self.aspace, self.subscription_service, name, user=user or nobody, external=external)
 
     def lookup_external_session(self, auth_token: Any) -> InternalSession | None:
-        """Return None: after a lost connection a client must create a new session."""
+        """Return None, so that a client must create a new session after it has lost its connection."""
         return None

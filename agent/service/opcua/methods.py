@@ -1,4 +1,4 @@
-"""Execution of OPC UA methods on the control, and conversion of refusals."""
+"""Execution of OPC UA methods on the control, and conversion of its errors to OPC UA results."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ log = structlog.get_logger()
 
 
 class MethodCalls:
-    """OPC UA methods by name; callable from any thread except that of the server's loop.
+    """OPC UA methods by name. They may be called from any thread except the one of the server's loop.
 
-    `last_refusal`: reason of the last refusal, since OPC UA itself transmits only a number.
+    `last_refusal`: reason for which a method was last refused, since OPC UA itself transmits only a number.
     """
 
     def __init__(self, control: Control) -> None:
@@ -47,7 +47,7 @@ class MethodCalls:
             return self._last_refusal
 
     def call(self, name: str, arguments: Sequence[ua.Variant]) -> Any:
-        """Execute the method; return its output arguments, or a refusal, for asyncua to send."""
+        """Execute the method and return its output arguments, or the refusal, in the form that asyncua sends."""
         try:
             result = self._methods[name](*_values(name, arguments))
         except VolcalError as error:
@@ -86,9 +86,9 @@ _KINDS: dict[str, type] = {"String": str, "Double": float, "Int32": int, "Boolea
 
 
 def _values(name: str, arguments: Sequence[ua.Variant]) -> list[Any]:
-    """Return the arguments, checked against their declaration, since asyncua does not check them.
+    """Return the values of the arguments after checking them against their declaration; asyncua does not check them.
 
-    Null stands for an empty text or array. Raise InputError if number or types do not match.
+    Null stands for an empty text or array. Raise InputError if the number of arguments or a type is wrong.
     """
     declared = _INPUTS[name]
     if len(arguments) != len(declared):

@@ -1,8 +1,8 @@
 """OPC UA nodes, methods and events as data; docs/reference/opc-ua.md shows the same tables.
 
 Names and their order follow OPC 40210 (GMSType, CorrectionType apart) and OPC 40501-1 (ProductionType, MonitoringType,
-NotificationType) where they define one. The nodes belong to this program's own namespace and have base types: none is
-an instance of a type of those specifications.
+NotificationType) if they define one. The nodes belong to this program's own namespace and have only base types of OPC
+UA: none is an instance of a type of those two specifications.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ PROGRAM_STATES: Final = {
     S.ABORTED: "Aborted",
     S.FAULTED: "Aborted",
 }
-"""States of ProductionStateMachineType (OPC 40501-1, 8.4.8)."""
+"""State of ProductionStateMachineType (OPC 40501-1, 8.4.8) for each state of a run."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """Readable node: `path` below the root, `form` the name of its built-in type (with [] for an array)."""
+    """Readable node. `path`: below the root; `form`: name of its built-in type, followed by [] for an array."""
 
     path: str
     form: str
@@ -61,7 +61,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Method:
-    """Method. `free`: it can only stop motion and therefore needs no token."""
+    """OPC UA method. `free`: no token is needed, because the method can only stop motion."""
 
     name: str
     inputs: tuple[Argument, ...]
@@ -161,7 +161,7 @@ OWN_VARIABLES: Final = (
     (REFUSED_CODE, "Int32", "alarm code of the last refused method call; 0 none"),
     (REFUSED_TEXT, "String", "text of the last refusal with its remedy"),
 )
-"""Path, form and meaning of the variables maintained by the server itself."""
+"""Path, form and meaning of the variables that do not come from the status but are maintained by the server."""
 
 METHODS: Final = (
     Method(

@@ -1,4 +1,4 @@
-"""OPC UA server: start, update from status and events, stop."""
+"""OPC UA server: its start, its updates from status and events, and its stop."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
 REFRESH_S: Final = 0.5
-"""Longest delay of a node behind the status if no event reports a change."""
+"""Longest delay in s until the nodes show a change of the status that no event has reported."""
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True)
 class ServerFiles:
-    """Directories of the certificates, and the access token."""
+    """Directory of the server's certificate, directory of the trusted clients' certificates, and the access token."""
 
     directory: Path
     trusted_clients: Path
@@ -36,7 +36,7 @@ class ServerFiles:
 
 
 class OpcUaServer:
-    """One run of the server: `serve` ends when `stop` is set; `opened` is called once it listens."""
+    """OPC UA server, which publishes a `Control`. Each object serves once, from `serve` until it is stopped."""
 
     def __init__(self, settings: OpcUaSettings, files: ServerFiles, control: Control) -> None:
         self._settings = settings
@@ -44,7 +44,8 @@ class OpcUaServer:
         self._control = control
 
     async def serve(self, stop: asyncio.Event, opened: Callable[[], None]) -> None:
-        """Serve until `stop` is set. Raise ConfigurationError if the server cannot be opened."""
+        """Serve until `stop` is set; call `opened` once the server listens. Raise ConfigurationError if it cannot be
+        opened."""
         server, space = await self._open()
         try:
             opened()
@@ -75,7 +76,8 @@ class OpcUaServer:
         return server, space
 
     async def _secure(self, server: Server) -> None:
-        """Configure the single endpoint, signed and encrypted; an unsecured channel only lists endpoints."""
+        """Configure the only endpoint, which is signed and encrypted. An unsecured channel can do no more than list
+        it."""
         host = socket.gethostname()
         uri = f"urn:{host}:volcal"
         own = own_certificate(self._files.directory, uri, host, self._settings.host)
@@ -100,7 +102,11 @@ class OpcUaServer:
             known = await self._refresh(space, known)
 
     async def _refresh(self, space: AddressSpace, known: tuple[str, tuple[int, ...]]) -> tuple[str, tuple[int, ...]]:
-        """Update the nodes before sending events about them, so that a client notified of a change also reads it."""
+        """Update the nodes, then send events about changes, so that a client that receives an event reads the new
+        values.
+
+        `known`: state and alarm codes at the last update. Return the current ones.
+        """
         try:
             status = self._control.status()
         except Exception:

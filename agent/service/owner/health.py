@@ -1,8 +1,8 @@
-"""Liveness of the run's thread, which decides whether systemd's watchdog is fed.
+"""Liveness of the thread of a run, on which the feeding of systemd's watchdog depends.
 
-Every wait of a driver and every step gives a beat. If something can move, missing beats mean a hang after seconds;
-while the thread computes (preflight, identification, writing results after the last state) it gives no beats and is
-allowed minutes. Between runs nothing can hang.
+Every wait of a driver and every step gives a beat. While the machine can move, the thread is considered hung after
+seconds without a beat. While the thread computes (preflight, identification, writing results after the final state) it
+gives no beats and is allowed minutes. Between runs nothing can hang.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ COMPUTING = frozenset({RunState.PREFLIGHT, RunState.IDENTIFYING})
 
 
 class Health:
-    """Time of the last beat. `now`: seconds of a clock that is independent of the engine."""
+    """Monitor of the time since the last beat. `now`: function that returns s of a clock independent of the engine."""
 
     def __init__(self, now: Callable[[], float], *, hang_timeout_s: float, computing_s: float) -> None:
         self._now = now
@@ -26,12 +26,13 @@ class Health:
         self._concluding = False
 
     def begin_run(self) -> None:
-        """Start monitoring a run."""
+        """Start to monitor a run."""
         self._concluding = False
         self.beat()
 
     def begin_conclusion(self) -> None:
-        """Allow the longer time from now on: the run is in its final state, nothing moves, its results are written."""
+        """Allow the longer time from now on. The run is in its final state: nothing moves while its results are
+        written."""
         self._concluding = True
         self.beat()
 

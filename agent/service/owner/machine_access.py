@@ -1,4 +1,4 @@
-"""Short accesses to the machine between runs, and the devices of a run whose questions go to the endpoints."""
+"""Short accesses to the machine between runs, and the devices of a run, whose questions go to the endpoints."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from drivers.clock import Clock
 from drivers.roles import MachineStatus
 
 CONSOLE = "console-operator"
-"""Plugin of the console; a service has none, so its questions go to the endpoints."""
+"""Driver that asks questions on the console. The service has no console, so it asks at the endpoints instead."""
 
 
 @dataclass(frozen=True)
 class MachineAccess:
-    """Access to the machine through `devices`."""
+    """Access to the machine through its `devices`."""
 
     devices: Devices = field(default_factory=Devices)
 
     def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
-        """Open the machine, read its status, close it again; nothing moves."""
+        """Connect to the machine, read its status and disconnect. Nothing moves."""
         with self._opened_rig(settings, base) as rig:
             return rig.machine.status()
 
@@ -50,9 +50,10 @@ class MachineAccess:
                 rig.close()
 
     def devices_for_run(self, clock_settings: ClockSettings, questions: Questions, *, attended: bool) -> Devices:
-        """Return the devices of one run: its clock, and the same rig with the endpoints in place of the console.
+        """Return the devices of one run: its clock, and the rig of `devices` with the endpoints in place of the
+        console.
 
-        The clock is made now. Raise ConfigurationError if it cannot be created.
+        The clock is created in this call. Raise ConfigurationError if that fails.
         """
         clock = self.devices.make_clock(clock_settings)
 

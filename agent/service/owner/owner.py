@@ -1,4 +1,4 @@
-"""Owner of the machine: one run at a time, whichever endpoint asks for it."""
+"""Owner of the machine, which carries out one run at a time, whichever endpoint requests it."""
 
 from __future__ import annotations
 
@@ -129,7 +129,8 @@ class Owner:
     # ------------------------------------------------------------------ for the service itself
 
     def reload(self, settings: Settings) -> None:
-        """Use `settings` for the next runs. Raise Busy while a run is in progress."""
+        """Use `settings` for the next runs. Raise Busy while a run is in progress, UserError if `state_directory`
+        differs."""
         with self._changed:
             self._require_nothing_runs()
             if settings.state_directory != self.settings.state_directory:
@@ -140,7 +141,8 @@ class Owner:
             self.settings = settings
 
     def close(self, within_s: float) -> bool:
-        """Accept no more requests; hold, withdraw and end the run in progress. Return True if it ended in time."""
+        """Accept no more runs; hold the run in progress, withdraw the probe and end it. Return True if it ended in
+        time."""
         with self._changed:
             self._closing = True
             if self._running is not None:
@@ -156,8 +158,8 @@ class Owner:
     def reconcile(self) -> None:
         """Compare the compensation in the controller with the journal of the last run, and undo an unverified table.
 
-        Done at the start and again after an interrupted run. Raise DeviceError if the machine cannot be reached; it is
-        then repeated before the next run.
+        Effective once after the start and once after each run that ended aborted or faulted. Raise DeviceError if the
+        machine cannot be reached; the comparison is then repeated before the next run.
         """
         if not self._reconciled:
             found = self._parts.machine.reconcile(self.settings, self._parts.config.parent)
@@ -165,7 +167,8 @@ class Owner:
             self._board.show_reconciliation(found)
 
     def reconcile_if_reached(self) -> None:
-        """Reconcile as `reconcile`; if the machine is still off, leave it to the next run."""
+        """Call `reconcile`; log its error (the machine may still be off), since the next run reconciles first
+        anyway."""
         try:
             self.reconcile()
         except VolcalError as error:
@@ -217,15 +220,15 @@ class Owner:
         return run.run_id
 
     def _slot_minutes(self, request: RunRequest) -> float | None:
-        """Return the available machine time in min; None for no limit. Raise if a run without consent may not start
-        now."""
+        """Return the available machine time in min; None for no limit. Raise GateRefused or PermissionMissing if a run
+        without consent may not start now."""
         self.reconcile()
         slots = [request.slot_minutes, None if request.consent else self._unattended_minutes()]
         return min((slot for slot in slots if slot is not None), default=None)
 
     def _unattended_minutes(self) -> float | None:
-        """Return the minutes until the permitted hours end, None for no limit. Raise if no run may start now without
-        consent."""
+        """Return the minutes until the permitted hours end; None for no limit. Raise GateRefused or PermissionMissing
+        if no run may start now without consent."""
         service, circumstances = self.settings.service, self._parts.circumstances()
         left = minutes_until_end(circumstances, service.hours)
         require_warm(circumstances, service.warm_up_minutes)
@@ -288,5 +291,5 @@ class Owner:
 
 
 def _end_of(error: VolcalError) -> RunState:
-    """Return the final state of a run that failed before it started: nothing has moved."""
+    """Return the final state of a run that failed before it started, so that nothing has moved."""
     return RunState.REFUSED if isinstance(error, (PlanRefused, UserError)) else RunState.FAULTED

@@ -23,14 +23,14 @@ from twin.units import S_PER_MIN
 
 
 def current_circumstances() -> Circumstances:
-    """Return the current circumstances. The monotonic clock of Linux starts when the computer is switched on."""
+    """Return the local time and the time since switch-on, at which Linux's monotonic clock starts."""
     return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
 
 
 @dataclass(frozen=True)
 class OwnerParts:
-    """Components of the owner. `config`: the settings file, for messages and relative paths; `carry_out`, `resume`: as
-    in `agent.runs.session` and `agent.runs.resume.resume`."""
+    """Components of the owner. `config`: the settings file, for messages and relative paths; `carry_out`: function as
+    in `agent.runs.session`; `resume`: function as in `agent.runs.resume`."""
 
     config: Path
     event_log: EventLog

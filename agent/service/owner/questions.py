@@ -1,4 +1,4 @@
-"""Questions of a run to the operator: shown at every endpoint, the first answer counts."""
+"""Questions of a run to the operator. Every endpoint shows them, and the first answer counts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ POLL_S = 0.1
 
 
 class Questions:
-    """Questions of the run in progress; at most one is open."""
+    """Questions of the run in progress, of which at most one is open at a time."""
 
     def __init__(self, changed: Callable[[Question | None, str], None]) -> None:
         self._changed = changed
@@ -38,7 +38,7 @@ class Questions:
         return question
 
     def answer(self, number: int, yes: bool) -> None:
-        """Answer question `number`. Raise UserError if it is not open or has been answered already."""
+        """Answer question `number`. Raise UserError if it is not open or has already been answered."""
         with self._lock:
             question = self._open
             if question is None or question.number != number:
@@ -59,7 +59,8 @@ class Questions:
 
 @dataclass(frozen=True)
 class ServiceOperator:
-    """Implementation of the role Operator. It waits on the run's own clock, so that hold and abort take effect.
+    """Device with the role Operator that asks at the endpoints. It waits by the run's clock, so that hold and abort
+    work.
 
     `attended`: a person at the machine has consented to the start and can answer.
     """
@@ -70,7 +71,8 @@ class ServiceOperator:
     attended: bool
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Return the answer. Raise PermissionMissing if the run is unattended or no answer comes in time."""
+        """Ask, and return True for yes. Raise PermissionMissing if the run is unattended or if no answer comes in
+        time."""
         if not self.attended:
             raise PermissionMissing(
                 f"no operator is present to answer: {request.text}",

@@ -1,4 +1,4 @@
-"""Hooks of the service into its runs, and the limit on their machine time."""
+"""Hooks that connect the service to its runs, and the limit on the machine time of a run."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from agent.settings.schema import ClockSettings, NightlySettings
 
 @dataclass(frozen=True)
 class RunHooksFactory:
-    """Factory of the hooks that connect a run to status board, watchdog, time slot and the questions at the
-    endpoints."""
+    """Factory of the hooks that connect a run to the status board, the watchdog, the time limit and the questions asked
+    at the endpoints."""
 
     parts: OwnerParts
     questions: Questions
@@ -63,7 +63,7 @@ class RunHooksFactory:
 
 
 def require_within(preflight: PreflightResult, slot_minutes: float | None) -> None:
-    """Raise PlanRefused if the run takes longer than the time available (None: no limit)."""
+    """Raise PlanRefused if the run takes longer than the available machine time in min (None: no limit)."""
     needed = preflight.machine_minutes
     if slot_minutes is not None and needed > slot_minutes:
         raise PlanRefused(
@@ -73,6 +73,7 @@ def require_within(preflight: PreflightResult, slot_minutes: float | None) -> No
 
 
 def night_slot(request: RunRequest, nightly: NightlySettings, available_minutes: float | None) -> float:
-    """Return the minutes of a night: as requested or else as set in the settings, limited to those available."""
+    """Return the machine time of a night in min, from the request or else the settings, limited to the time
+    available."""
     slot = nightly.slot_minutes if request.slot_minutes is None else request.slot_minutes
     return slot if available_minutes is None else min(slot, available_minutes)

@@ -1,4 +1,4 @@
-"""Mailbox of one run of the service: requests to it from its reservation to its end."""
+"""Mailbox of one run of the service, which takes requests to the run from its reservation to its end."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from agent.execution.supervisor import Supervisor
 
 
 class RunMailbox:
-    """Requests to one run; those made before its supervisor exists are delivered when it is attached."""
+    """Mailbox of requests to one run. A request to abort or interrupt it that comes before the run has a supervisor is
+    delivered when the supervisor is attached."""
 
     def __init__(self, run_id: str, alive: Callable[[], None]) -> None:
         self.run_id = run_id
@@ -19,7 +20,7 @@ class RunMailbox:
         self._end_request: Callable[[Supervisor], None] | None = None
 
     def attach(self, supervisor: Supervisor) -> None:
-        """Connect the run's supervisor; the hook `agent.runs.run_context.RunHooks.attach`."""
+        """Connect the supervisor of the run. Used as the hook `agent.runs.run_context.RunHooks.attach`."""
         with self._lock:
             supervisor.heartbeat = self._alive
             self._supervisor = supervisor
@@ -27,11 +28,14 @@ class RunMailbox:
                 self._end_request(supervisor)
 
     def abort(self, reason: str) -> None:
-        """Abort the run. The first reason is retained."""
+        """Abort the run. An earlier request to abort or interrupt it remains in force with its reason."""
         self._end(lambda supervisor: supervisor.request_abort(reason))
 
     def interrupt(self, reason: str) -> None:
-        """Interrupt the run because the service must stop; it can be resumed. The first reason is retained."""
+        """Interrupt the run because the service must stop; the run can be resumed.
+
+        An earlier request to abort or interrupt it remains in force with its reason.
+        """
         self._end(lambda supervisor: supervisor.request_interruption(reason))
 
     def _end(self, end_request: Callable[[Supervisor], None]) -> None:

@@ -1,7 +1,7 @@
-"""Conditions for starting a run without consent of a person at the machine: hour, warm-up, permissions.
+"""Conditions for starting a run without the consent of a person at the machine: hour, warm-up, permissions.
 
-A timer only sends requests. A request at the wrong hour, on a machine that has just been switched on, or on one that
-does not permit motion is refused before anything moves; this is not a fault, so the next night is not affected.
+A timer only sends requests. A request is refused before anything moves if the hour is wrong, if the machine has just
+been switched on, or if it does not permit motion. A refusal is not a fault, so the next night is not affected.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MINUTES_A_DAY = 1440.0
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Time of a start: `now` in local time; `up_minutes` since the computer at the machine was switched on."""
+    """Time of a start. `now`: local time; `up_minutes`: minutes since the computer at the machine was switched on."""
 
     now: datetime
     up_minutes: float
@@ -37,7 +37,8 @@ def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
 
 
 def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> float | None:
-    """Return the minutes left of the permitted hours; None if none are set. Raise GateRefused outside of them."""
+    """Return the minutes until the permitted hours end; None if none are set. Raise GateRefused outside of these
+    hours."""
     if not hours:
         return None
     now = 60.0 * circumstances.now.hour + circumstances.now.minute + circumstances.now.second / 60.0
@@ -52,7 +53,7 @@ def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> flo
 
 
 def require_permission(status: MachineStatus) -> None:
-    """Raise PermissionMissing if the controller does not permit motion."""
+    """Raise PermissionMissing if the machine has a fault or the controller does not permit motion."""
     if status.state is MotionState.FAULT:
         raise PermissionMissing(f"the machine has a fault: {status.fault}", hint="clear the fault at the machine")
     if status.missing:
@@ -61,6 +62,7 @@ def require_permission(status: MachineStatus) -> None:
 
 
 def _span(text: str) -> tuple[float, float]:
-    """Return begin and length in minutes; equal times mean the whole day."""
+    """Return the beginning and the length of a time span such as `22:00-05:00` in min; equal times mean the whole
+    day."""
     begins, ends = (60.0 * int(t[:2]) + int(t[3:]) for t in text.split("-"))
     return begins, (ends - begins) % MINUTES_A_DAY or MINUTES_A_DAY
