@@ -1,7 +1,8 @@
 """Access token: its holder may move the machine and write tables.
 
-It is stored in a file that only its owner can read: the one passed by systemd (LoadCredential=token:…), the one named
-in the settings, or one that the service creates in the state directory, so that a first start needs no preparation.
+The token is stored in a file that only the file's owner can read: the one passed by systemd (LoadCredential=token:…),
+the one named in the settings, or one that the service creates in the state directory, so that a first start needs no
+preparation.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ def token_path(settings: Settings, environment: Mapping[str, str] = os.environ) 
 
 
 def make_token(settings: Settings) -> None:
-    """Create a token in the state directory if neither systemd nor the settings name one and none exists."""
+    """Create a token file in the state directory if it does not exist and neither systemd nor the settings name
+    another."""
     path = token_path(settings)
     if settings.service.token_file is not None or path.exists():
         return

@@ -1,6 +1,6 @@
 """Read-only HTTP routes of the engineer view: curves, maps, trends, value of the position set, tables, reports.
 
-They belong to the page and may change with it; they are not part of the documented interface.
+The routes belong to the page and may change with it; they are not part of the documented interface.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
 
 
 def page_router() -> APIRouter:
-    """Return the router, with caches: results of an ended run never change, so they are computed once."""
+    """Return the router. It caches results, since those of a run that has ended never change."""
     router = APIRouter(prefix="/api/page", include_in_schema=False, responses=DOCUMENTED)
     results, set_values = ResultCache(), SetValueCache()
     trends = cache(_trend_cache)
@@ -80,7 +80,7 @@ def page_router() -> APIRouter:
 
 
 def _trend_cache() -> TrendCache:
-    """Return the cache of trends. The database client is loaded with the first request."""
+    """Return the cache of trends. The database client is imported here, at the first request."""
     from agent.service.page.trends import TrendCache  # noqa: PLC0415
 
     return TrendCache()

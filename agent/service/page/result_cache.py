@@ -1,4 +1,4 @@
-"""Results of a run as numbers for figures: error functions with bands, maps of the workspace."""
+"""Results of a run as numbers for figures: error functions with uncertainty bands, and maps of the workspace."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twin.arrays import Array
 
 Document = dict[str, Any]
 SQUARENESSES = ("C0Y", "B0Z", "A0Z")
-"""Squareness errors: the three of the 21 errors of ISO 230-1 that are a single number."""
+"""Squareness errors, which are those of the 21 errors of ISO 230-1 that consist of a single number."""
 MAX_CACHED = 16
 
 
@@ -31,17 +31,20 @@ class ResultCache:
         self._cached: dict[tuple[str, str, str], Document] = {}
 
     def curves(self, directory: Path, run_id: str) -> Document:
-        """Return the error functions. Raise InputError if the run has no estimate."""
+        """Return the error functions of a run. Raise InputError if the run has no estimate."""
         return self._of("curves", directory, run_id, _curves)
 
     def maps(self, directory: Path, run_id: str) -> Document:
-        """Return the maps. Raise InputError as `curves`."""
+        """Return the maps of a run. Raise InputError if the run has no estimate."""
         return self._of("maps", directory, run_id, _maps)
 
     def _of(
         self, what: str, directory: Path, run_id: str, make: Callable[[ReportData, IdentificationData], Document]
     ) -> Document:
-        """Return a document from the cache. A run in progress is not cached, since its estimate may still change."""
+        """Return document `what` of a run from the cache, otherwise from `make`.
+
+        A run in progress is not cached, since its estimate may still change.
+        """
         key = (what, str(directory), run_id)
         with self._lock:
             if key not in self._cached:
@@ -106,7 +109,7 @@ def _maps(data: ReportData, identification: IdentificationData) -> Document:
 
 
 def _plane(plane: PlaneMap) -> Document:
-    """Return a plane. `length_um`: rows of constant y over all x."""
+    """Return the map of one plane. `length_um`: one row per y with the values at all x."""
     return {
         "z_mm": plane.z_mm,
         "x_mm": [float(plane.x_mm[0]), float(plane.x_mm[-1])],

@@ -1,4 +1,4 @@
-"""Expected benefit of the position set, and increase of the expected error without each position."""
+"""Expected benefit of the position set, and loss of accuracy if any one of its positions were omitted."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ Document = dict[str, Any]
 
 
 class SetValueCache:
-    """Cache of the last document; safe to use from any thread."""
+    """Cache of the document that was computed last; safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: tuple[str, Document] | None = None
 
     def document(self, job: Job) -> Document:
-        """Return the document. Raise ConfigurationError if no position of the set is reachable."""
+        """Return the document of `set_value_document`. Raise ConfigurationError if no position of the set is
+        reachable."""
         key = job.settings.model_dump_json()
         with self._lock:
             if self._cached is None or self._cached[0] != key:
@@ -35,9 +36,11 @@ class SetValueCache:
 
 
 def set_value_document(job: Job) -> Document:
-    """Return the expected errors of the machine family before and after measuring the set, in µm, rigidly aligned.
+    """Return the volumetric errors expected for the machine family before and after measuring the position set.
 
-    `lost_um` of a position: increase of the error after the set if this position were omitted.
+    They are in µm, rigidly aligned.
+
+    `lost_um` of a position is the increase of the error after the measurement if this position were omitted.
     """
     with translated(ConfigurationError, key="procedure.position_set"):
         candidates = build_candidates(

@@ -1,4 +1,4 @@
-"""Static files of the page behind the guard of the HTTP endpoint: document, assets, drawing scripts of the preview."""
+"""Static files of the page, behind the guard of the HTTP endpoint: document, assets, drawing scripts of the preview."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ CONTENT_SECURITY_POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
-"""Policy: no inline scripts or styles, no external resources."""
+"""Policy that forbids inline scripts, inline styles and external resources."""
 
 
 def mount_page(app: FastAPI, _: AppState) -> None:
-    """Add `/`, `/assets/…`, `/drawing/…` and `/api/page/…`. File names have no version, so browsers revalidate each
-    time."""
+    """Add `/`, `/assets/…`, `/drawing/…` and `/api/page/…`. Browsers must revalidate files each time, since the file
+    names contain no version."""
     own, drawing = _directory("agent.service.page") / "assets", _directory("agent.planning.preview")
     scripts = {path.name: path for path in drawing.glob("*.js")}
 
@@ -50,7 +50,7 @@ def mount_page(app: FastAPI, _: AppState) -> None:
 
 
 async def _with_policy(request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
-    """Add the security policy except to `/api/`, since reports have inline styles."""
+    """Add the content security policy to every response except those of `/api/`, since reports have inline styles."""
     response = await call_next(request)
     if not request.url.path.startswith("/api/"):
         response.headers["Content-Security-Policy"] = CONTENT_SECURITY_POLICY
@@ -59,6 +59,6 @@ async def _with_policy(request: Request, call_next: Callable[[Request], Awaitabl
 
 
 def _directory(package: str) -> Path:
-    """Return the directory of a package's data; the packages are installed as directories."""
+    """Return the directory with the data files of a package, which is always installed as a directory."""
     with as_file(files(package)) as path:
         return path

@@ -19,14 +19,16 @@ Document = dict[str, Any]
 
 
 def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role: str) -> str:
-    """Return the table as CSV. Raise InputError if the stored state is that no table was active."""
+    """Return the table as CSV. Raise InputError if `image` is None: the run stored that no table was active."""
     if image is None:
         raise InputError(f"run {run_id} stored no table as {role}", hint="bank 0 contains no table")
     return format_table(table_of(image, tool_offset_mm))
 
 
 def table_difference(one: TableImage | None, other: TableImage | None) -> Document:
-    """Return `other` minus `one` in µm at their nodes: per axis the largest difference with its location, and the rms.
+    """Return the difference `other` minus `one` over all nodes, in µm.
+
+    For each axis the document contains the largest difference with its location, and the rms.
 
     A missing table counts as zero. Raise InputError if the tables have different grids.
     """
@@ -59,7 +61,7 @@ def _axis(change: Array, image: TableImage, axis: str) -> Document:
 
 
 def _corrections(table: TableImage | None, like: TableImage) -> Array:
-    """Return the corrections, (nx, ny, nz, 3) in µm."""
+    """Return the corrections, (nx, ny, nz, 3) in µm; zeros on the grid of `like` if there is no table."""
     if table is None:
         return np.zeros((*like.shape, 3))
     return UM_PER_MM * table.resolution_mm * table.counts.astype(np.float64)

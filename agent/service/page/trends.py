@@ -22,14 +22,17 @@ Document = dict[str, Any]
 
 
 class TrendCache:
-    """Cache of trends, recomputed only if the runs have changed; safe to use from any thread."""
+    """Cache of the trends, which are computed again only if the runs have changed; safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: dict[str | None, tuple[object, Document]] = {}
 
     def document(self, settings: Settings, of: str | None) -> Document:
-        """Return the document. Raise LinkLost or ConfigurationError if history cannot be read."""
+        """Return the trends; `of`: an error whose parameters are shown, None for volumetric errors and the 21 errors.
+
+        Raise LinkLost or ConfigurationError if the history cannot be read.
+        """
         with closing(HistoryStore(database_address(settings))) as store:
             digests = dict(store.digests(store.address.machine))
             if has_journal(settings.state_directory) and not set(run_ids(settings.state_directory)) <= set(digests):
@@ -53,14 +56,14 @@ def _document(runs: Sequence[StoredRun], settings: Settings, of: str | None) -> 
 
 
 def _is_selected(series: Series, of: str | None) -> bool:
-    """Return True for a series to be shown; names of parameters contain a bracket, names of errors do not."""
+    """Return True if a series is to be shown. Names of parameters contain a bracket, names of errors do not."""
     if of is None:
         return series.name in VOLUMETRIC or "[" not in series.name
     return series.name.startswith(f"{of}[")
 
 
 def _trend(trend: Trend) -> Document:
-    """Return the trend with the fitted line and its band."""
+    """Return the trend with the values of the fitted line and the half width of its band."""
     drift = trend.drift
     half = (
         []
@@ -77,5 +80,5 @@ def _trend(trend: Trend) -> Document:
 
 
 def _utc(run: StoredRun) -> str:
-    """Return the start in UTC; SQLite does not store the zone."""
+    """Return the start of the run as text with the zone UTC, which SQLite does not store."""
     return run.started.replace(tzinfo=None).isoformat() + "Z"

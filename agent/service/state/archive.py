@@ -1,4 +1,4 @@
-"""The journal as plain documents for the endpoints, read through connections that never delay the run."""
+"""Content of the journal as plain documents for the endpoints, read through connections that never delay a run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Document = dict[str, Any]
 
 
 class UnknownRun(InputError):
-    """The journal has no run with this identity, or the run has no such document."""
+    """The journal has no run with the requested identity, or the run does not have the requested document."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Archive:
     reports: Callable[[str], Path]
 
     def runs(self, limit: int, before: str | None = None) -> list[Document]:
-        """Return summaries of at most `limit` runs, the latest first; `before`: only runs started before that one."""
+        """Return summaries of at most `limit` runs, the latest first. `before`: identity of a run; only earlier
+        runs."""
         if not has_journal(self.directory):
             return []
         with self._reading() as reader:
@@ -38,7 +39,7 @@ class Archive:
             return [self._summary(counts) for counts in reader.run_counts(limit, before_run)]
 
     def run(self, run_id: str) -> Document:
-        """Return the summary of a run, its request, gates and decisions."""
+        """Return the summary of a run with its request, gates and decisions."""
         with self._reading() as reader:
             run = _run(reader, run_id).run
             (counts,) = reader.run_counts(1, run + 1)
@@ -59,24 +60,25 @@ class Archive:
         }
 
     def balls(self, run_id: str) -> list[Document]:
-        """Return the balls in the order measured."""
+        """Return the records of the measured balls, in the order of measurement."""
         with self._reading() as reader:
             return [{"key": ball.key, **ball.record} for ball in reader.balls(_run(reader, run_id).run)]
 
     def temperatures(self, run_id: str) -> list[Document]:
-        """Return readings; `minutes` of machine time since the first step of the run."""
+        """Return the temperature readings. `minutes`: machine time in min since the first step of the run."""
         with self._reading() as reader:
             rows = reader.temperatures(_run(reader, run_id).run)
         return [{"minutes": row.minutes, "celsius": row.record} for row in rows]
 
     def events(self, run_id: str, limit: int, after: int = 0) -> list[Document]:
-        """Return events in the order written; `after`: the number of the last one already known."""
+        """Return at most `limit` events of the run in the order written; `after`: number of the last event already
+        known."""
         with self._reading() as reader:
             rows = reader.events(_run(reader, run_id).run, after=after, limit=limit)
         return [{"number": row.number, "at": row.at, "kind": row.kind, "record": row.record} for row in rows]
 
     def estimate(self, run_id: str) -> Document:
-        """Return the estimate file's document. Raise UnknownRun if the run has no estimate."""
+        """Return the content of the estimate file. Raise UnknownRun if the run has no estimate."""
         with self._reading() as reader:
             text = reader.last_estimate(_run(reader, run_id).run)
         if text is None:
@@ -85,7 +87,8 @@ class Archive:
         return document
 
     def report(self, run_id: str) -> Path:
-        """Return the report's file. Raise UnknownRun if there is none, InputError if it cannot be made."""
+        """Return the path of the report. Raise UnknownRun if the run has not ended, InputError if it cannot be
+        rendered."""
         with self._reading() as reader:
             ended = _run(reader, run_id).ended
         if ended is None:
@@ -93,7 +96,7 @@ class Archive:
         return self.reports(run_id)
 
     def tables(self, limit: int) -> list[Document]:
-        """Return at most `limit` stored tables, the latest first: backups, staged and restored ones."""
+        """Return at most `limit` stored tables (backups, staged and restored tables), the latest first."""
         if not has_journal(self.directory):
             return []
         with self._reading() as reader:
@@ -126,7 +129,7 @@ def _run(reader: JournalReader, run_id: str) -> RunRow:
 
 
 def _table(row: TableRow) -> Document:
-    """Return a stored table; an empty bank has neither grid nor checksum."""
+    """Return the facts of a stored table. The grid and the checksum are None if the bank was empty."""
     return {
         "run_id": row.run_id,
         "at": row.at,

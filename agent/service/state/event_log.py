@@ -1,4 +1,4 @@
-"""Events of the service, numbered without gaps: a ring of the latest ones, and queues of subscribers."""
+"""Events of the service, numbered without gaps: a ring buffer of the latest events, and queues of subscribers."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from agent.execution.encoding import to_json
 from agent.service.control import Event
 
 MOST_EVENTS = 2000
-"""A full calibration makes some 400 events; so a page that was disconnected for a whole run still gets all of it."""
+"""A full calibration produces about 400 events, so a page that was disconnected during a whole run can get all of
+them."""
 MOST_QUEUED = 1000
 
 
 class EventLog:
-    """Event log; any thread may publish and read."""
+    """Log of the service's events. Any thread may publish and read."""
 
     def __init__(self, retained: int = MOST_EVENTS, queue_limit: int = MOST_QUEUED) -> None:
         self._ring: deque[Event] = deque(maxlen=retained)
@@ -39,7 +40,7 @@ class EventLog:
             callback()
 
     def publish(self, kind: str, text: str, data: Mapping[str, Any] | None = None) -> Event:
-        """Append an event and return it; `data` is converted to JSON values as in the journal."""
+        """Append an event and return it. `data` is converted to JSON values in the same way as in the journal."""
         plain = json.loads(to_json(data or {}))
         with self._lock:
             self._number += 1
@@ -58,8 +59,11 @@ class EventLog:
             return self._number
 
     def since(self, number: int) -> tuple[bool, tuple[Event, ...]]:
-        """Return (lost, events after `number`). `lost`: some of them are no longer retained, or `number` dates from
-        before a restart of the service; the reader must then fetch the status again."""
+        """Return (lost, events after `number`).
+
+        `lost`: some of these events are no longer retained, or `number` dates from before a restart of the service. All
+        retained events are then returned, and the reader must fetch the status again.
+        """
         with self._lock:
             first = self._ring[0].number if self._ring else self._number + 1
             lost = number > self._number or number + 1 < first
@@ -67,7 +71,7 @@ class EventLog:
 
     @contextmanager
     def subscribe(self) -> Iterator[Queue[Event]]:
-        """Provide a queue of the events from now on."""
+        """Yield a queue that receives all events until the block ends."""
         queue: Queue[Event] = Queue()
         with self._lock:
             self._queues.append(queue)
@@ -79,7 +83,8 @@ class EventLog:
 
     @contextmanager
     def call_on_event(self, callback: Callable[[], object]) -> Iterator[None]:
-        """Call `callback` after every event, on the publisher's thread; it must return at once."""
+        """Call `callback` after every event and on `close`, in the thread that publishes or closes; it must return at
+        once."""
         with self._lock:
             self._callbacks.append(callback)
         try:
@@ -90,7 +95,7 @@ class EventLog:
 
 
 def _put(queue: Queue[Event], event: Event, limit: int) -> None:
-    """Append an event; a full queue first drops its oldest progress event, otherwise its oldest event."""
+    """Append an event. A full queue first drops its oldest progress event or, if it has none, its oldest event."""
     with queue.mutex:
         waiting = queue.queue
         if len(waiting) >= limit:

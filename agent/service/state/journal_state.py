@@ -1,4 +1,5 @@
-"""State between two runs, from the journal: the machine as it was left, and the end of the last run."""
+"""State between two runs, read from the journal: the state in which the machine was left, and how the last run
+ended."""
 
 from __future__ import annotations
 
@@ -40,12 +41,13 @@ class UnacknowledgedEnd:
 
 @dataclass(frozen=True)
 class JournalState:
-    """Reads through its own connections, which never delay the run that writes."""
+    """Reader of the state between two runs. It has connections of its own, which never delay a run that is writing."""
 
     directory: Path
 
     def unacknowledged_end(self) -> UnacknowledgedEnd | None:
-        """Return the last run if it was aborted, faulted or interrupted, and no reset has acknowledged that."""
+        """Return the end of the last run if it was aborted, faulted or interrupted and no reset has acknowledged this;
+        otherwise None."""
         if not has_journal(self.directory):
             return None
         with open_journal(self.directory, JournalFailed) as reader:
@@ -63,7 +65,8 @@ class JournalState:
         return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, Alarm(INTERRUPTED_CODE, text, hint))
 
     def acknowledge(self, run_id: str | None) -> None:
-        """Acknowledge the end of a run durably. Raise JournalFailed if that cannot be written."""
+        """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if this cannot be
+        written."""
         if run_id is None or not has_journal(self.directory):
             return
         journal = Journal(self.directory)
@@ -73,7 +76,8 @@ class JournalState:
             journal.close()
 
     def idle_status(self, settings: Settings, base: Path) -> IdleStatus:
-        """Return the known state, empty if there is none. A journal that cannot be read is logged, not raised."""
+        """Return the state of the machine as far as the journal shows it. If it cannot be read, log the error and
+        return an empty state."""
         try:
             active_bank, unfinished = self._active_bank(), unfinished_run(self.directory)
             before_um, now_um = _volumetric_errors(settings, base)
@@ -99,12 +103,13 @@ def _acknowledged(reader: JournalReader, run: int) -> bool:
     """Return True if a reset has acknowledged the end of the run.
 
     A reset stores the event "acknowledged" with the run, so that an unacknowledged fault survives a restart of the
-    service. A resumed run enters states after it, so a later fault of the same run must be acknowledged again."""
+    service. A run that is resumed enters new states after this event, so a later fault must be acknowledged again."""
     return reader.last_event_number(run, "acknowledged") > reader.last_event_number(run, "state")
 
 
 def _volumetric_errors(settings: Settings, base: Path) -> tuple[float | None, float | None]:
-    """Return VE in µm, aligned, expected by the last accepted night: without a table, and with the one active since."""
+    """Return the VE in µm, aligned, of the machine as estimated on the last accepted night: without a table, and with
+    the table that has been active since. Both are None if there is no such night."""
     job = prepare_job(settings, base)
     last = reference_for(job)
     if last is None:

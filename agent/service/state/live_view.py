@@ -1,7 +1,7 @@
 """Data of the live view: machine, artefact in every position, and the path of the tip.
 
-During a run it is the path of that run's own preflight; before any run the plan of the settings, computed once and
-cached.
+During a run the path comes from the preflight of that run. Otherwise it is the plan made from the settings, computed
+once and cached.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class LiveView:
         self._current = (run_id, job, preflight)
 
     def end_run(self) -> None:
-        """Return to the plan of the settings after the end of the run."""
+        """Show the plan of the settings again, because the run has ended."""
         self._current = None
 
     def plan(self, settings: Settings, base: Path) -> Document:
-        """Return the plan of the run in progress, otherwise of the next one (`run_id` is then null)."""
+        """Return the plan of the run in progress, otherwise that of the next run (its `run_id` is null)."""
         current = self._current
         run_id = None if current is None else current[0]
         key = (run_id, None if run_id else settings.model_dump_json())
@@ -56,7 +56,7 @@ class LiveView:
 
 
 def machine_facts(job: Job) -> Document:
-    """Return limits, tool, stations and position set, for drawing and for the start dialog."""
+    """Return limits, tool, stations and position set of the machine, for drawings and for the start dialog."""
     machine, settings = job.machine, job.settings
     return {
         "machine": machine.name,

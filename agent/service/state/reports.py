@@ -1,4 +1,4 @@
-"""Queue of the reports of runs: rendered one after the other in subprocesses when the machine is free again."""
+"""Queue of the reports of runs, which are rendered one after the other in subprocesses once the machine is free."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ REPORT = "report.html"
 
 
 def no_report_yet(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
-    """Return no files: the `ReportRenderer` of a run that must not wait for its report."""
+    """Return no files. `ReportRenderer` for runs that must not wait for their reports."""
     return {}
 
 
 class ReportQueue:
-    """Renders reports in a background thread; a report still missing when the service stops is rendered on request."""
+    """Queue of reports, rendered in a background thread. A report missing when the service stops is rendered on
+    request."""
 
     def __init__(
         self, directory: Path, make: Callable[[Path, str], Mapping[str, str | bytes]] = render_html_in_subprocess
@@ -41,8 +42,8 @@ class ReportQueue:
     def request(self, run_id: str) -> None:
         """Queue the report of a run that has ended; return at once.
 
-        A report from before the run was resumed is removed first: if this process ended now, it would be taken for the
-        current one."""
+        An older report, written before the run was resumed, is removed first: if this process died now, the older
+        report would be taken for the current one."""
         with self._asking:
             self._outdated.add(run_id)
             self._remove(self._directory / run_id / REPORT)
@@ -54,7 +55,10 @@ class ReportQueue:
                 self._thread.start()
 
     def path(self, run_id: str) -> Path:
-        """Return the file, rendered now if it is missing or outdated. Raise as `render_html_in_subprocess`."""
+        """Return the path of the report; render it first if it is missing or outdated.
+
+        Raise the errors of the renderer, by default `render_html_in_subprocess`.
+        """
         path = self._directory / run_id / REPORT
         with self._making:
             if run_id in self._outdated or not path.is_file():

@@ -1,4 +1,4 @@
-"""Status of the machine, assembled from the announcements and steps of the run."""
+"""Status of the service, assembled from the announcements and the steps of the run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class IdleStatus:
-    """State of the machine between runs, from the journal; VE in µm, aligned, of the last accepted night."""
+    """State of the machine between runs, from the journal. The VE is in µm, aligned, from the last accepted night."""
 
     ve_before_um: float | None = None
     ve_now_um: float | None = None
@@ -38,7 +38,7 @@ class IdleStatus:
 
 @dataclass
 class StatusBoard:
-    """Status of the service: written by the run's thread, readable from any thread. Publishes every change of state."""
+    """Board with the status of the service, which any thread may read. Every change of the state is published."""
 
     machine: str
     event_log: EventLog
@@ -67,7 +67,7 @@ class StatusBoard:
         self._change(**vars(idle))
 
     def show_unacknowledged_end(self, state: RunState, run_id: str, kind: str, alarm: Alarm) -> None:
-        """Enter the unacknowledged end of a run from before the service started."""
+        """Enter the state in which a run ended before this start of the service, if no reset has acknowledged it."""
         self._change(run_id=run_id, kind=kind, alarms=(alarm,))
         self.enter(state, alarm.text)
 
@@ -77,7 +77,7 @@ class StatusBoard:
         self.enter(RunState.IDLE, "reset")
 
     def show_reconciliation(self, result: Reconciliation) -> None:
-        """Show the bank reported by the controller; an instruction to a person becomes an alarm."""
+        """Show the active bank that the controller reports. An instruction to a person is shown as an alarm."""
         self._change(active_bank=result.active_bank, written_not_active=result.waiting_bank)
         self.event_log.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
         log.info("reconciled", text=result.text)
@@ -102,7 +102,7 @@ class StatusBoard:
         self.enter(RunState.PREFLIGHT, f"{kind} requested by {source}")
 
     def on_announcement(self, announcement: Announcement) -> None:
-        """Update status and event log from an announcement of the run."""
+        """Update the status and the event log with an announcement of the run."""
         data = announcement.data
         match announcement.kind:
             case "state":
@@ -117,7 +117,7 @@ class StatusBoard:
         self.event_log.publish(announcement.kind, announcement.text, data)
 
     def on_step(self, step: Step, result: object) -> None:
-        """Update the status after a step. Called by the engine at every step, so it must take microseconds only."""
+        """Update the status after a step. The engine calls this at every step, so it must take only microseconds."""
         now = self._status
         match step:
             case TouchTowards():
@@ -134,7 +134,7 @@ class StatusBoard:
                 self._change(step=step.key)
 
     def show_question(self, question: Question | None, text: str) -> None:
-        """Show a question, or with None that it is closed; `text` then gives the outcome."""
+        """Show an open question. None: the question is closed, and `text` states the outcome."""
         self._change(question=question)
         data = {} if question is None else {"number": question.number, "station": question.station}
         self.event_log.publish("question", text, {"open": question is not None, **data})
@@ -145,7 +145,7 @@ class StatusBoard:
         self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
     def alarm(self, alarm: Alarm) -> None:
-        """Add an alarm after those already open: the first one is the cause."""
+        """Add an alarm after those already open. The first alarm of the list is the cause."""
         self._change(alarms=(*self._status.alarms, alarm))
         data = {"code": alarm.code, "hint": alarm.hint, "where": dict(alarm.where)}
         self.event_log.publish("alarm", alarm.text, data)

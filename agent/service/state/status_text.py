@@ -1,4 +1,4 @@
-"""Plain-text status of the machine from the run state and the key of the step."""
+"""Description of the current activity in plain words, from the state of the run and the key of its step."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MOVING = frozenset({S.MEASURING, S.VERIFYING, S.HELD})
 
 
 def doing(state: RunState, step: str, kind: str | None) -> str:
-    """Return one line; it includes station, orientation and ball while something is measured."""
+    """Return the activity as one line, which includes station, orientation and ball during a measurement."""
     words = _STATES[state]
     place = _place(step) if state in _MOVING else ""
     if state is S.MEASURING and not place and kind is not None:
