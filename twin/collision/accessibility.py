@@ -1,4 +1,4 @@
-"""Accessibility of balls for a straight probe: no collision at the touch points, during approach and in between."""
+"""Accessibility of balls for a straight probe: no collision during approach, at the touch points and between them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,13 @@ from twin.collision.geometry import Capsule, Point, point, translate_point
 from twin.collision.probe_geometry import ProbeGeometry
 
 STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
-"""Direction of the stylus; the probe geometry describes probes that point along +Y."""
+"""Direction of the stylus; the probe geometry describes only probes that point along +Y."""
 
 AT_CONTACT_MM = 0.5
-"""Clearance in mm during the touch itself; the ball locates the tip there, and its holder is fixed to the ball."""
+"""Clearance in mm during the touch itself.
+
+It can be small, because the touched ball locates the tip, and the ball's holder is fixed to the ball.
+"""
 
 FIVE_TOUCHES = approach_directions(5, STYLUS_AXIS)
 
@@ -38,9 +41,9 @@ def measuring_scene(
     elevation_rad: float,
     other_bodies: Sequence[Body] = (),
 ) -> tuple[Array, Scene]:
-    """Return nominal ball centres (N, 3) mm in the workpiece frame and the scene of all bodies, for one position.
+    """Return nominal ball centres (N, 3) mm in the workpiece frame and the collision scene for one position.
 
-    `other_bodies`: other bodies in the workspace.
+    The scene contains all bodies, including `other_bodies` in the workspace.
     """
     pose = mount_pose(location_mm, geometry, azimuth_rad, elevation_rad)
     around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, location_mm, pose), *other_bodies)
@@ -60,10 +63,10 @@ def accessible_balls(
     """Return (N,) bool: balls that can be touched along every one of `directions` (k, 3), the pole first.
 
     `contact_mm` is ball radius plus tip radius; a touch begins `approach_mm` outside contact and stops `overtravel_mm`
-    beyond it. The whole path is checked: along the stylus from the plane before the ball to the start of the touch,
-    from there to the stop, and in that plane from one touch to the next. Probe and ram extend straight back along -Y
-    from every tip position, so during the approach along Y only the tip sweeps new volume; a tip elongated backwards
-    represents it.
+    beyond it. The whole path is checked: along the stylus from a plane in front of the ball to the start of each touch,
+    from there to the stop, and within that plane from one touch to the next. Probe and ram extend straight back along
+    -Y from every tip position, so during the approach along Y only the tip sweeps new volume. A tip elongated backwards
+    represents this volume.
     """
     # Tip centres relative to the ball centre: start of each touch, and its projection into the plane before the ball.
     out = contact_mm + approach_mm
@@ -118,6 +121,9 @@ def _with_long_tip(moving: tuple[Body, ...], length_mm: float) -> list[Body]:
 def _unexpected_pairs(
     scene: Scene, lower: Point, upper: Point, clearance_mm: float, expected: set[tuple[str, str]]
 ) -> list[bool]:
-    """Return one entry per pair of bodies whose boxes overlap in the region, without computing exact distances."""
+    """Return a list with one True for each pair of bodies whose boxes overlap in the region, except `expected` pairs.
+
+    No exact distances are computed.
+    """
     pairs = scene.near_pairs(lower, upper, clearance_mm)
     return [True for i, j in pairs if (scene.moving[i].name, scene.obstacles[j].name) not in expected]

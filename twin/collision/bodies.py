@@ -40,7 +40,7 @@ def post_name(index: int) -> str:
 def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> tuple[Body, ...]:
     """Return balls, posts and bar at `pose`.
 
-    The bar is divided into pieces from post to post: the boxes around short pieces of an oblique bar are tighter, which
+    The bar is divided into pieces from post to post. Boxes around short pieces of an oblique bar are tighter, which
     makes the box test more selective.
     """
     centres = pose.apply(artefact.balls)

@@ -1,4 +1,4 @@
-"""Collisions of probe and ram on a straight move: box test first, then exact distances."""
+"""Collisions of probe and ram with other bodies on a straight move: a box test first, then exact distances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NOTHING: Mapping[tuple[str, str], float] = {}
 
 @dataclass(frozen=True)
 class Hit:
-    """First contact of a move: fraction of the move (0..1) and the two bodies."""
+    """First contact on a move: fraction of the move (0..1) and the names of the two bodies."""
 
     fraction: float
     moving: str
@@ -25,7 +25,7 @@ class Hit:
 
 
 class Scene:
-    """Moving bodies (relative to the tip centre) among stationary ones; create a new scene if those move.
+    """Moving bodies (relative to the tip centre) among stationary ones; if the latter move, a new scene is needed.
 
     The boxes around the moving bodies and the sorted extents of the boxes around the stationary ones are precomputed.
     """
@@ -47,7 +47,8 @@ class Scene:
     ) -> Hit | None:
         """Return the first contact (within `clearance_mm`) of a straight move of the tip centre from `start` to `end`.
 
-        `ignored`: (moving, obstacle) names that are allowed to touch. Exact for translation; mm.
+        `ignored`: pairs of names (moving, obstacle) that are allowed to touch. Coordinates in mm. The result is exact,
+        because the bodies only translate. Returns None if there is no contact.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         first: Hit | None = None
@@ -63,10 +64,10 @@ class Scene:
     def is_free(
         self, start: Point, end: Point, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float] = _NOTHING
     ) -> bool:
-        """Return True if every two bodies keep `clearance_mm` from each other on the move from `start` to `end`.
+        """Return True if all moving bodies keep `clearance_mm` from all obstacles on the move from `start` to `end`.
 
-        `reduced_mm`: (moving, obstacle) names → smaller clearance of that pair. Bodies that are closer at the start may
-        move apart, as in `first_hit`.
+        `reduced_mm`: map from a pair of names (moving, obstacle) to its smaller clearance. Bodies that are closer than
+        the clearance at the start may move apart, as in `first_hit`.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         for i, j in self.near_pairs(start, end, clearance_mm):
@@ -81,9 +82,10 @@ class Scene:
         return Scene(self.moving, [Body(body.name, body.shape.translated(by)) for body in self.obstacles])
 
     def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = (), at_most: float = math.inf) -> float:
-        """Return the smallest distance in mm of any two bodies with the tip centre at `tip`; negative if they overlap.
+        """Return the smallest distance in mm between a moving body and an obstacle with the tip centre at `tip`.
 
-        Distances beyond `at_most` are not computed: the result is then `at_most`, which is faster.
+        The distance is negative if they overlap. Distances beyond `at_most` are not computed, which is faster: if all
+        are larger, the result is `at_most`. `ignored`: pairs of names (moving, obstacle) that are left out.
         """
         smallest = at_most
         for i, j in self.near_pairs(tip, tip, at_most):
@@ -93,7 +95,9 @@ class Scene:
         return smallest
 
     def near_pairs(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
-        """Return indices (moving, obstacle) of the pairs whose boxes, swept along the move, overlap."""
+        """Return indices (moving, obstacle) of the pairs whose boxes, one swept along the move, come within the
+        clearance.
+        """
         (x0, y0, z0), (x1, y1, z1) = start, end
         x0, x1 = (x0 - clearance_mm, x1 + clearance_mm) if x0 < x1 else (x1 - clearance_mm, x0 + clearance_mm)
         y0, y1 = (y0 - clearance_mm, y1 + clearance_mm) if y0 < y1 else (y1 - clearance_mm, y0 + clearance_mm)
@@ -116,10 +120,11 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class _Spans:
-    """Extents of bodies on one axis. A set of bodies is an integer with bit j for body j.
+    """Extents of bodies along one axis. A set of bodies is an integer in which bit j stands for body j.
 
-    `lowers`: lower bounds in ascending order; `begun[n]`: the bodies of the first n. `uppers`: upper bounds in
-    ascending order; `left[n]`: all bodies except those of the first n.
+    `lowers`: lower bounds in ascending order; `begun[n]`: the set of the n bodies with the smallest lower bounds.
+    `uppers`: upper bounds in ascending order; `left[n]`: the set of all bodies except the n with the smallest upper
+    bounds.
     """
 
     lowers: Sequence[float]
@@ -136,5 +141,5 @@ class _Spans:
         return cls([low for low, _ in from_below], [*begun], [high for high, _ in from_above], [*left][::-1])
 
     def met(self, low: float, high: float) -> int:
-        """Return the bodies whose extent overlaps `low` to `high`, ends included."""
+        """Return the set of bodies whose extent overlaps the interval from `low` to `high`, ends included."""
         return self.begun[bisect_right(self.lowers, high)] & self.left[bisect_left(self.uppers, low)]

@@ -1,9 +1,9 @@
 """Fastest collision-free path of the tip between two points among stationary bodies.
 
-A path is a sequence of straight moves, each from rest to rest. Candidates are ordered by duration; the first that keeps
-its clearance along all moves, by the exact swept distance of every pair of bodies, is the fastest of them. The
-candidates need not include the shortest path among the obstacles, but they always include a free one if the caller
-names one.
+A path is a sequence of straight moves, each from rest to rest. Candidate paths are tested in order of duration. The
+first that keeps the clearance along all moves, according to the exact swept distance of every pair of bodies, is the
+fastest free candidate. The candidates need not include the shortest path among the obstacles. A free path is always
+found if the caller adds one to the candidates.
 """
 
 from __future__ import annotations
@@ -25,34 +25,37 @@ from twin.collision.sphere_prefilter import SceneSpheres, SpherePrefilter
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
 """Retract distances of the candidates in mm, measured from the end that is nearer to the ram."""
 CORNER_FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
-"""Position of the corner of one-corner candidates as a fraction of the distance between both ends."""
+"""Positions of the corner of one-corner candidates, as fractions of the distance from start to end."""
 _SHARES = np.array(CORNER_FRACTIONS)[:, None, None]
 
 RETRACT_SLANT = 0.2
-"""Lateral motion per retract distance away from a surface, so that the stylus leaves the surface at once."""
+"""Lateral motion away from the surface per unit of retract distance, so that the stylus leaves the surface at once."""
 
 
 @dataclass(frozen=True)
 class AxisDynamics:
-    """Rapid speed and acceleration of the axes X, Y, Z; `command_s` is added for each move."""
+    """Rapid speed and acceleration of the axes X, Y, Z; `command_s` is the additional time in s for each move."""
 
     rapid_mm_per_s: Point
     acceleration_mm_per_s2: Point
     command_s: float = 0.0
 
     def seconds(self, corners: Array) -> Array:
-        """Return the duration (n,) in s of paths through `corners` (n, k, 3), the ends included."""
+        """Return the duration (n,) in s of n paths through `corners` (n, k, 3) mm, which include start and end."""
         return np.asarray(self.moving_seconds(corners) + self.command_s * (corners.shape[1] - 1))
 
     def moving_seconds(self, corners: Array) -> Array:
-        """Return the duration without the time for commands."""
+        """Return the duration (n,) in s of the same paths without the additional time for each move."""
         moves = travel_times(corners[:, :-1], corners[:, 1:], self.rapid_mm_per_s, self.acceleration_mm_per_s2)
         return np.asarray(moves.sum(axis=1))
 
 
 @dataclass(frozen=True)
 class Clearances:
-    """Required clearances: `clearance_mm` for all pairs of bodies except those (moving, obstacle) in `reduced_mm`."""
+    """Required clearances in mm.
+
+    `reduced_mm` contains those of single pairs of names (moving, obstacle); `clearance_mm` is that of all other pairs.
+    """
 
     clearance_mm: float
     reduced_mm: Mapping[tuple[str, str], float] = field(default_factory=dict)
@@ -60,7 +63,7 @@ class Clearances:
 
 @dataclass(frozen=True)
 class FreePath:
-    """Corners between start and end, and the total duration in s."""
+    """Corners of a path between start and end, and its total duration in s."""
 
     corners: tuple[Point, ...]
     seconds: float
@@ -68,7 +71,7 @@ class FreePath:
 
 @dataclass(frozen=True, eq=False)
 class PathCandidates:
-    """Candidate paths: `corners` (n, k, 3) and their number per path, `counts` (n,), at least one.
+    """Candidate paths: `corners` (n, k, 3) mm and `counts` (n,), the number of corners of each path, at least one.
 
     A path with fewer than k corners repeats its last one.
     """
@@ -78,7 +81,7 @@ class PathCandidates:
 
     @classmethod
     def of(cls, groups: Sequence[Array]) -> PathCandidates:
-        """Combine arrays (n, k, 3) of n candidates with k corners each."""
+        """Combine groups of candidates; each group is an array (n, k, 3) of n paths with k corners."""
         total, most = sum(map(len, groups)), max(group.shape[1] for group in groups)
         corners, counts, begin = np.empty((total, most, 3)), np.empty(total, dtype=np.int_), 0
         for group in groups:
@@ -99,7 +102,7 @@ class PathCandidates:
 
 @dataclass(frozen=True, eq=False)
 class PrefilteredScene:
-    """Scene together with its spheres for a fast collision test."""
+    """Scene together with the spheres in it, for a fast first collision test."""
 
     scene: Scene
     spheres: SceneSpheres
@@ -112,7 +115,7 @@ class PrefilteredScene:
 def direct_path(
     scene: Scene, dynamics: AxisDynamics, start: Point, end: Point, clearances: Clearances
 ) -> FreePath | None:
-    """Return the straight path if it is free; no other path is faster."""
+    """Return the straight path if it is free, otherwise None; no other path is faster."""
     if not scene.is_free(start, end, clearances.clearance_mm, clearances.reduced_mm):
         return None
     return FreePath((), float(dynamics.seconds(np.array([[start, end]]))[0]))
@@ -126,7 +129,9 @@ def fastest_path(
     candidates: PathCandidates,
     clearances: Clearances,
 ) -> FreePath | None:
-    """Return the fastest free candidate, None if none is free; of equal candidates the earlier one."""
+    """Return the fastest free candidate, or None if no candidate is free; of equally fast ones the earlier is
+    returned.
+    """
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
     spheres = SpherePrefilter(prefiltered.spheres, clearances.clearance_mm, clearances.reduced_mm)
@@ -148,16 +153,16 @@ def fastest_path(
 
 
 def _legs(start: Point, corners: tuple[Point, ...], end: Point) -> list[tuple[Point, Point]]:
-    """Return the moves in the direction in which each has to be checked.
+    """Return the moves of a path, each in the direction in which it has to be checked.
 
-    Both ends are given and may be closer to a body than the clearance. A move is therefore checked starting from its
-    given end, so that bodies that move away from each other do not count.
+    Start and end are given and may be closer to a body than the clearance. A move is therefore checked from its given
+    end, because the check permits bodies that are too close at first but move away from each other.
     """
     return [(end, corners[-1]), *pairwise((start, *corners))]
 
 
 def _stops(start: Point, corners: Array, end: Point) -> Array:
-    """Return corners (n, k, 3) with both ends, as (n, k + 2, 3)."""
+    """Return corners (n, k, 3) with start and end added, as an array (n, k + 2, 3)."""
     stops = np.empty((len(corners), corners.shape[1] + 2, 3))
     stops[:, 0], stops[:, 1:-1], stops[:, -1] = start, corners, end
     return stops
@@ -166,11 +171,12 @@ def _stops(start: Point, corners: Array, end: Point) -> Array:
 def retract_candidates(
     start: Point, end: Point, back: Array, limit: float, lateral: Array | None = None
 ) -> list[Array]:
-    """Return candidates (n, k, 3) for `fastest_path`: one corner, or out, across and in, for each of `RETRACTS_MM`.
+    """Return candidates (n, k, 3) for `fastest_path`, for each distance of `RETRACTS_MM`.
 
-    `back` (3,): unit vector along a machine axis in which the probe retracts, at most to the coordinate `limit` against
-    it. `lateral` (3,): displacement away from the touched surface at the start; it grows by `RETRACT_SLANT` during the
-    retract.
+    A candidate has one corner, or it retracts, crosses and advances. `back` (3,): unit vector along a machine axis in
+    which the probe retracts; `limit`: smallest coordinate along -`back` that the probe may reach. `lateral` (3,):
+    direction away from the touched surface at the start; the lateral displacement grows by `RETRACT_SLANT` per unit of
+    retract distance.
     """
     first, last = np.array(start), np.array(end)
     # Coordinates against `back`; each retract gives a plane in which the probe crosses over.

@@ -1,8 +1,8 @@
 """Capsules and boxes: their distances, and the first contact of one that moves in a straight line.
 
-Points are (x, y, z) in mm. The distance between two convex bodies is convex in a translation of one of them, so the
-tangent of the distance is below it: stepping to the root of the tangent never passes the first contact and converges to
-it quadratically. That is why `swept_contact` is exact and needs few evaluations.
+Points are (x, y, z) in mm. The distance between two convex bodies is a convex function of the translation of one of
+them, so its tangent is never above it. Repeated steps to the zero of the tangent therefore never pass the first
+contact, and they converge to it quadratically. For this reason `swept_contact` is exact and needs few evaluations.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from twin.errors import DataError
 
 Point = tuple[float, float, float]
 Separation = tuple[float, Point]
-"""Distance between two surfaces (negative inside) and the unit vector from the second body to the first."""
+"""Distance between two surfaces in mm (negative inside) and the unit vector from the second body to the first."""
 
 _Axes = tuple[float, float, float, float, float, float, float, float, float, float]
-"""Two segments u and v, their products u·u, v·v, u·v, and (u·u)(v·v) - (u·v)², 0 if they are parallel."""
+"""Components of two segments u and v, the products u·u, v·v, u·v, and (u·u)(v·v) - (u·v)², which is 0 if u and v are
+parallel.
+"""
 
 CONTACT_TOLERANCE_MM = 1e-6
 _MAX_TANGENTS = 60
@@ -97,8 +99,8 @@ def swept_contact(
 ) -> float | None:
     """Return the fraction of `displacement` (0..1) at which the bodies come within `clearance_mm`, or None.
 
-    `moving` is first translated by `start`. Bodies that are already within the clearance there count only if the motion
-    brings them closer.
+    `moving` is first translated by `start`. Bodies that are already within the clearance at this start are in contact
+    only if the motion brings them closer.
     """
     if isinstance(moving, Capsule) and isinstance(obstacle, Capsule):
         return _swept_capsules(moving, obstacle, displacement, clearance_mm, start)
@@ -126,7 +128,10 @@ def swept_contact(
 def _swept_capsules(
     moving: Capsule, obstacle: Capsule, displacement: Point, clearance_mm: float, start: Point
 ) -> float | None:
-    """Compute `swept_contact` of two capsules with the same tangents; translation invariants are computed once."""
+    """Compute `swept_contact` for two capsules by the same tangent steps.
+
+    Quantities that a translation does not change are computed only once.
+    """
     reach = moving.radius + obstacle.radius + clearance_mm
     axes = _axes(moving, obstacle)
     (ax, ay, az), (bx, by, bz), (wx, wy, wz) = moving.a, obstacle.a, displacement
@@ -176,10 +181,10 @@ def _axes(first: Capsule, second: Capsule) -> _Axes:
 
 
 def _gap_of_axes(axes: _Axes, x: float, y: float, z: float) -> Point:
-    """Return the vector from the second axis to the first at their closest points; (x, y, z) is that from start to
-    start.
+    """Return the vector from the second axis to the first at their closest points.
 
-    Ericson, Real-Time Collision Detection, 5.1.9, in plain floats: ten times as fast as arrays of three.
+    (x, y, z) is the vector from the start of the second axis to the start of the first. Ericson, Real-Time Collision
+    Detection, 5.1.9, in plain floats, which is ten times as fast as with arrays of three.
     """
     ux, uy, uz, vx, vy, vz, uu, vv, uv, determinant = axes
     along_u, along_v = ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
@@ -205,8 +210,8 @@ def _capsule_from_box(a: Point, b: Point, radius: float, lower: Point, upper: Po
 def _closest_on_segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -> Point:
     """Return the point of the segment closest to the box.
 
-    The squared distance along a segment is convex, with kinks at the planes of the faces; the root of its piecewise
-    linear slope is the minimum.
+    The squared distance is convex along the segment. Its slope is piecewise linear, with kinks at the planes of the
+    faces, and the minimum is at the root of the slope.
     """
     d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     kinks = [0.0, 1.0]
@@ -227,7 +232,10 @@ def _closest_on_segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -
 
 
 def _slope_to_box(a: Point, d: Point, s: float, lower: Point, upper: Point) -> float:
-    """Return half the derivative of the squared distance at a + s·d; linear between two kinks."""
+    """Return half the derivative with respect to s of the squared distance of a + s·d from the box.
+
+    It is linear in s between two planes of faces.
+    """
     here = (a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2])
     inside = _clamped_into(here, lower, upper)
     return sum((p - q) * step for p, q, step in zip(here, inside, d, strict=True))
@@ -242,8 +250,9 @@ def _between_boxes(lower: Point, upper: Point, second: Box) -> Separation:
 
 
 def _direction(origin: Point, target: Point) -> Separation:
-    """Return distance and unit vector from `origin` to `target`; NaN if they coincide, so that no motion counts as
-    away.
+    """Return distance and unit vector from `origin` to `target`.
+
+    If they coincide, the vector is NaN, so that no motion is considered to lead away.
     """
     x, y, z = target[0] - origin[0], target[1] - origin[1], target[2] - origin[2]
     distance = math.sqrt(x * x + y * y + z * z)

@@ -1,4 +1,4 @@
-"""Locations of an artefact, with the balls inside the travel and those accessible to the probe."""
+"""Locations of an artefact on a machine, and the balls that are inside the travel and accessible to the probe."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _AccessKey = tuple[float, float, float, float, int]
 class MeasuringLayout:
     """Locations of an artefact on a machine, for one tool.
 
-    `locations_mm`: station number → (3,) mount location in the workpiece frame. `lower_mm`, `upper_mm` (3,): travel
-    limits minus the travel needed for touching. `contact_mm`: ball radius plus tip radius; `approach_mm`: distance
-    outside contact at which a touch begins; `overtravel_mm`: distance beyond contact at which it stops; `directions`
-    (k, 3): touch directions for every ball.
+    `locations_mm`: map from station number to mount location (3,) in the workpiece frame. `lower_mm`, `upper_mm` (3,):
+    travel limits minus the travel needed for touching. `contact_mm`: ball radius plus tip radius; `approach_mm`:
+    distance outside contact at which a touch begins; `overtravel_mm`: distance beyond contact at which it stops;
+    `directions` (k, 3): touch directions for every ball.
 
     `artefact` defines the ball numbers of observations. If each station has its own artefact, `own_artefacts` contains
-    them and `artefact` is their combination in the order of the stations. `neighbours`: station → bodies of other
-    mounts and their loads in the workspace during the measurement at that station.
+    them and `artefact` is their combination in the order of the stations. `neighbours`: map from station number to the
+    bodies of the other mounts and their artefacts that are in the workspace while that station is measured.
     """
 
     artefact: Artefact
@@ -54,18 +54,18 @@ class MeasuringLayout:
     _accessible: dict[_AccessKey, Mask] = field(default_factory=dict, init=False, repr=False)
 
     def nominal(self, position: Position) -> Array:
-        """Return the axis positions (N, 3) of all balls at `position` for the nominal mount location."""
+        """Return the axis positions (N, 3) mm of all balls at `position` if the mount is at its nominal location."""
         azimuth, elevation = math.radians(position.azimuth_deg), math.radians(position.elevation_deg)
         pose = mount_pose(self.location(position.station), self.mount, azimuth, elevation)
         return pose.apply(self.artefact_at(position.station).balls) - self.tool_offset_mm
 
     def reachable(self, position: Position, predicted: Array) -> Mask:
-        """Return (N,) bool: balls of `position` inside the travel and not obstructed."""
+        """Return (N,) bool: balls of `position` that are inside the travel at `predicted` (N, 3) mm, and accessible."""
         inside = is_reachable(predicted, self.lower_mm, self.upper_mm, np.zeros(3))
         return np.logical_and(inside, self.accessible(position))
 
     def accessible(self, position: Position) -> Mask:
-        """Return (N,) bool: balls of `position` at which neither artefact nor mount obstructs the probe."""
+        """Return (N,) bool: balls of `position` at which no body (artefact, mount, neighbours) obstructs the probe."""
         location = self.location(position.station)
         other_bodies = self.neighbours.get(position.station, ())
         among = position.station if other_bodies else 0

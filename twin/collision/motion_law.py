@@ -1,7 +1,7 @@
-"""Motion laws: distance of an axis along its path as a function of time, in closed form.
+"""Motion laws: distance along a path as a function of time, in closed form.
 
-A law is a sequence of phases of constant acceleration, so any instant can be evaluated in any order and the end is
-known when the motion begins. mm (or degrees) and s.
+A law is a sequence of phases of constant acceleration. Instants can therefore be evaluated in any order, and the end of
+the motion is known when it begins. Units are mm (or degrees) and s.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from twin.arrays import Array
 from twin.collision.geometry import Point
 
 _NO_TIME_S = 1e-300
-"""Shorter than any move; without motion the ramp is 0 / this."""
+"""Time shorter than that of any move; it replaces a zero divisor, so that the ramp of a move of zero length is 0."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """Constant acceleration from `start_s` on, beginning at `distance` with `speed`."""
+    """Phase of constant acceleration that begins at `start_s`, at `distance` and with `speed`."""
 
     start_s: float
     duration_s: float
@@ -44,7 +44,7 @@ class Phase:
     def time_at(self, distance: float) -> float:
         """Return the first instant at `distance`, which must be within this phase.
 
-        The form 2s / (v + √(v² + 2as)) of the root loses no digits.
+        The root is computed as 2s / (v + √(v² + 2as)), which avoids cancellation.
         """
         left = max(distance - self.distance, 0.0)
         root = math.sqrt(max(self.speed**2 + 2.0 * self.acceleration * left, 0.0))
@@ -54,7 +54,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class MotionLaw:
-    """Distance along a path over time; at rest before its first and after its last phase."""
+    """Distance along a path as a function of time; at rest before the first phase and after the last."""
 
     phases: tuple[Phase, ...]
 
@@ -130,7 +130,7 @@ def trapezoid(start_s: float, length: float, speed: float, acceleration: float) 
 
 
 def travel_time_s(length: float, speed: float, acceleration: float) -> float:
-    """Return the duration of `trapezoid` in s."""
+    """Return the duration in s of the motion that `trapezoid` describes."""
     _, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
     return ramp_s + cruise_s + ramp_s
 
@@ -138,9 +138,11 @@ def travel_time_s(length: float, speed: float, acceleration: float) -> float:
 def travel_times(
     starts: Array, ends: Array, speed_per_axis: Sequence[float], acceleration_per_axis: Sequence[float]
 ) -> Array:
-    """Return the durations (...) in s of straight moves from rest to rest, (..., 3) mm each.
+    """Return the durations (...) in s of straight moves from rest to rest, from `starts` (..., 3) to `ends` (..., 3) in
+    mm.
 
-    Every axis keeps its own speed and acceleration limit. Same as `travel_time_s` on `straight_path`, for many moves.
+    Every axis keeps its own speed and acceleration limit. The durations equal those of `travel_time_s` on
+    `straight_path`.
     """
     lengths = np.abs(np.asarray(ends, dtype=np.float64) - starts)
     # L / a (in s²) and L / v (in s) of the limiting axis: with a = L / accelerating and v = L / cruising along the path
@@ -153,12 +155,15 @@ def travel_times(
 
 
 def _largest(per_axis: Array) -> Array:
-    """Return the maximum over the last axis of (..., 3), by columns: faster than one reduction per three numbers."""
+    """Return the maximum over the last axis of an array (..., 3).
+
+    It compares whole columns, which is faster than a reduction over groups of three numbers.
+    """
     return np.asarray(np.maximum(np.maximum(per_axis[..., 0], per_axis[..., 1]), per_axis[..., 2]))
 
 
 def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[float, float, float]:
-    """Return top speed, duration of one ramp and duration at top speed."""
+    """Return the top speed, the duration of one ramp in s and the duration at top speed in s."""
     top = min(speed, math.sqrt(acceleration * length))
     cruise_s = max(length - top * top / acceleration, 0.0) / top if top > 0.0 else 0.0
     return top, top / acceleration, cruise_s
@@ -199,8 +204,9 @@ def straight_path(start: Point, target: Point) -> StraightPath:
 
 
 def entry_distance(tip: Point, path: StraightPath, centre: Point, reach: float) -> float | None:
-    """Return the distance along `path` at which a tip starting at `tip` comes within `reach` of `centre` from
-    outside.
+    """Return the distance along `path` at which a tip that starts at `tip` comes within `reach` of `centre`.
+
+    Returns None if it starts within `reach` or never comes within it.
     """
     # |m + s d|² = reach²: s² + 2 (m·d) s + (m² - reach²) = 0; the first root, in the form without cancellation
     mx, my, mz = tip[0] - centre[0], tip[1] - centre[1], tip[2] - centre[2]

@@ -1,4 +1,6 @@
-"""Bodies in the workspace while one station is measured: the other mounts with their artefacts, parked."""
+"""Bodies in the workspace while one station is measured: the mounts of the other stations with their parked
+artefacts.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ def neighbour_bodies(
 ) -> dict[int, tuple[Body, ...]]:
     """Map each station to the bodies of all other stations' mounts, parked at azimuth and elevation `parked_deg`.
 
-    Body names contain their station. The mount of a station without its own artefact is empty, because the carried
-    artefact is being measured elsewhere.
+    The name of a body contains the number of its station. The mount of a station without an artefact of its own is
+    empty, because the artefact that is moved between stations is at the measured one.
     """
     parked = {
         station: _named(station, _parked_bodies(geometry, location, own_artefacts.get(station), parked_deg))

@@ -1,4 +1,7 @@
-"""Geometry of the probe. A module of its own, because settings are read without numpy, which the bodies need."""
+"""Geometry of the probe.
+
+This is a module of its own, because the settings import it without loading numpy, which the collision bodies need.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ProbeGeometry:
-    """Lengths along the tool from the tip centre back to the ram face; mm.
+    """Lengths in mm along the tool, from the tip centre back to the ram face.
 
-    `reach_mm` is the total length (the tool offset along Y); everything behind the stem is probe body. Square ram.
+    `reach_mm` is the total length (the tool offset along Y). Everything between stem and ram face is probe body; the
+    ram is square.
     """
 
     tip_radius_mm: float = 3.0

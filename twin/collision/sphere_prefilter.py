@@ -1,7 +1,7 @@
-"""Closed-form test of spheres passing spheres: straight moves that certainly bring two of them too close together.
+"""Fast closed-form test that finds straight moves on which two spheres certainly come too close.
 
-Nearly every path that is not free brings the stylus tip too close to a ball, mostly the same ball as the previous path.
-This test takes a microsecond and is done before the exact search.
+On nearly every path that is not free the stylus tip comes too close to a ball, mostly to the same ball as on the path
+tested before. This test takes a microsecond and is done before the exact search.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _CLOSING_MM2 = 1e-6
 
 @dataclass(frozen=True)
 class SphereBody:
-    """Body that is a sphere."""
+    """Collision body that is a sphere."""
 
     name: str
     centre: Point
@@ -40,9 +40,10 @@ class SceneSpheres:
 
 
 class SpherePrefilter:
-    """Fast test for pairs of spheres that come closer than their clearance; a subset of the test of `Scene.is_free`.
+    """Fast test for pairs of spheres that come closer than their clearance.
 
-    Every pair keeps `clearance_mm`, or less if `reduced_mm` lists it. The pair that collided last is tested first.
+    It finds a part of the collisions that `Scene.is_free` finds. The clearance of a pair is `clearance_mm`, or a
+    smaller value if `reduced_mm` contains the pair. The pair that collided last is tested first.
     """
 
     def __init__(self, spheres: SceneSpheres, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float]) -> None:
@@ -61,7 +62,7 @@ class SpherePrefilter:
     def certainly_hits(self, start: Point, end: Point) -> bool:
         """Return True if two spheres certainly come too close on the move from `start` to `end`.
 
-        False is not a proof: the exact search may still find a collision.
+        If the result is False, the exact search may still find a collision.
         """
         x, y, z = start
         dx, dy, dz = end[0] - x, end[1] - y, end[2] - z

@@ -1,9 +1,9 @@
-"""Swept volume of a rotating artefact: the depth to which the probe may stay in front of it during any rotation.
+"""Swept volume of a rotating artefact, and the depth to which the probe may stay in front of it during the rotation.
 
-Both axes of a mount rotate at once, neither is guaranteed to lead, and a mount may also stop halfway. The swept set is
-therefore that of every pair of angles between the old and the new ones. Bodies are covered by spheres, angles are
-sampled, and each sphere is inflated by the largest motion of its points between two samples, so the set is never too
-small.
+Both axes of a mount rotate at once, neither is guaranteed to lead, and a mount may also stop halfway. The swept volume
+is therefore the union over every pair of azimuth and elevation between the old and the new angles. Bodies are covered
+by spheres, angles are sampled, and each sphere is enlarged by the largest motion of its points between two samples, so
+the computed volume is never too small.
 """
 
 from __future__ import annotations
@@ -36,13 +36,15 @@ class SphereCover:
 
     @property
     def reach_mm(self) -> float:
-        """Largest distance of any rotating point from the mount location."""
+        """Largest distance in mm of any rotating point from the mount location."""
         return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
 
 
 def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCover:
-    """Cover balls, posts and bar with spheres in slabs along the bar, and the shaft; centres relative to the mount
-    location.
+    """Return spheres that enclose the rotating bodies, with centres relative to the mount location.
+
+    The bar is cut into slabs along its axis, and one sphere covers all of the balls, posts and bar in a slab. The shaft
+    is covered by spheres along its own axis.
     """
     points, radii = _covered(artefact, mount)
     slab = np.floor(points[:, 0] / SLAB_MM).astype(int)
@@ -63,16 +65,16 @@ def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCove
 
 @dataclass(frozen=True, eq=False)
 class TurnSweep:
-    """Largest depth (along +Y) of the tip at each point (x, z) of a grid, relative to the mount location.
+    """Largest permissible y of the tip centre during a turn, on a grid of x and z relative to the mount location.
 
-    `deepest` (k, k): y of the tip centre; infinite where nothing passes.
+    `deepest` (k, k) mm: y of the tip centre; infinite where no body passes. The probe approaches along +Y.
     """
 
     reach_mm: float
     deepest: Array
 
     def at(self, x: Array, z: Array) -> Array:
-        """Return the largest y of the tip centre at (x, z), arrays of the same shape."""
+        """Return the largest permissible y of the tip centre in mm at (x, z), arrays of the same shape."""
         middle = len(self.deepest) // 2
         column = np.rint(np.asarray(x) / CELL_MM).astype(int) + middle
         row = np.rint(np.asarray(z) / CELL_MM).astype(int) + middle
@@ -89,7 +91,9 @@ def turn_sweep(
     *,
     clearance_mm: float,
 ) -> TurnSweep:
-    """Compute the swept depth of a turn between two pairs of azimuth and elevation, in any order and at any speeds.
+    """Compute how deep the tip may stay during a turn between two pairs of azimuth and elevation in degrees.
+
+    The result is valid for any order and any speeds of the two rotations.
 
     `stationary`: shapes that do not rotate, relative to the mount location.
     """
@@ -105,8 +109,9 @@ def turn_sweep(
 
 
 def _covered(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
-    """Return points of the artefact and the radii to be covered around them, dense enough to cover everything in
-    between.
+    """Return points of balls, posts and bar, and the radius (mm) of a sphere around each point.
+
+    The points are dense enough for the spheres to cover the bodies completely.
     """
     balls = artefact.balls
     feet = balls.copy()
@@ -127,9 +132,9 @@ def _covered(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
 def _turned(
     cover: SphereCover, start_deg: MountAngles, end_deg: MountAngles
 ) -> tuple[tuple[Array, Array, Array], Array]:
-    """Return x, y, z (azimuths, elevations, m) of the spheres at every sample of the angles, and their radii (m,).
+    """Return x, y, z of the m sphere centres at all sampled angles, and the radii (m,) of the spheres, in mm.
 
-    The radii are enlarged by the motion between two samples.
+    x, y and z broadcast to (azimuths, elevations, m). The radii are enlarged by the motion between two samples.
     """
     (azimuths, half_azimuth), (elevations, half_elevation) = (
         _samples(a, b) for a, b in zip(start_deg, end_deg, strict=True)
@@ -145,7 +150,10 @@ def _turned(
 
 
 def _front(centres: tuple[Array, Array, Array], radii: Array, half: int) -> Array:
-    """Return the nearest y of all spheres over each cell; spheres of similar size are dilated sideways together."""
+    """Return for each grid cell (x, z) the smallest y of all spheres over it.
+
+    Spheres of similar size are dilated sideways together.
+    """
     x, y, z = centres
     width = 2 * half + 1
     front = np.full((width, width), np.inf)
@@ -165,22 +173,26 @@ def _cells(lengths_mm: Array) -> NDArray[np.intp]:
 
 
 def _samples(start_deg: float, end_deg: float) -> tuple[Array, float]:
-    """Return angles in rad, both ends included, and half of their step."""
+    """Return sampled angles in rad, both ends included, and half of the step between them."""
     count = math.ceil(abs(end_deg - start_deg) / STEP_DEG) + 1
     angles = np.radians(np.linspace(start_deg, end_deg, count))
     return angles, 0.5 * math.radians(abs(end_deg - start_deg)) / max(count - 1, 1)
 
 
 def _dilated(front: Array, by_mm: float) -> Array:
-    """Return the minimum within `by_mm` sideways; one more cell is included because positions are rounded to cells."""
+    """Return for each cell the minimum of `front` within `by_mm` sideways.
+
+    One more cell is included on every side, because positions are rounded to cells.
+    """
     reach = math.ceil(by_mm / CELL_MM) + 1
     return _least_around(_least_around(front, reach).T, reach).T
 
 
 def _least_around(values: Array, reach: int) -> Array:
-    """Return along the first axis the minimum of each value and its `reach` neighbours on both sides.
+    """Return, along the first axis, the minimum of each value and its `reach` neighbours on both sides.
 
-    The minimum over a window of twice the width is the smaller of two windows, so a wide window takes few steps.
+    The minimum over a window is the smaller of the minima over two windows of half the width, so a wide window takes
+    few steps.
     """
     width, target = 1, 2 * reach + 1
     beside = np.full((reach, *values.shape[1:]), np.inf)

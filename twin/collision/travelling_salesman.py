@@ -1,7 +1,8 @@
-"""Order of visiting points at least cost: exact for few points, improved by exchanges for more.
+"""Order of least cost in which to visit points: exact for few points, improved by exchanges for more.
 
-Costs may differ between the two directions and may be expensive to compute. They are requested one by one from the
-caller's function, and an exchange is not evaluated if the lower bound of its new legs exceeds the cost of the old ones.
+The cost of a leg may depend on its direction and may be expensive to compute. Costs are therefore requested one by one
+from the caller's function, and an exchange is not evaluated if the lower bound of its new legs exceeds the cost of the
+old ones.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ def shortest_tour(
     cost: Callable[[Node, Node], float],
     lower_bound: Callable[[Node, Node], float],
 ) -> list[Node]:
-    """Return `nodes` in the order of least cost from `start` to `end` (None: any end).
+    """Return `nodes` in the order of least cost from `start` to `end`; if `end` is None, the tour may end anywhere.
 
-    `lower_bound(a, b)`: a lower bound of `cost(a, b)` that is cheap to compute. Up to `MAX_EXACT_NODES` the result is
-    optimal (Held and Karp 1962); beyond, no exchange of two legs and no move of up to three nodes improves it. Of equal
-    orders the one earlier in `nodes` is returned.
+    `lower_bound(a, b)`: lower bound of `cost(a, b)` that is cheap to compute. Up to `MAX_EXACT_NODES` nodes the result
+    is optimal (Held and Karp 1962); for more nodes, no exchange of two legs and no move of up to three nodes improves
+    it. If several orders cost the same, the one that is earlier in `nodes` is returned.
     """
     if len(nodes) <= MAX_EXACT_NODES:
         return _exact(nodes, start, end, cost)
@@ -39,7 +40,7 @@ def _stops(order: Sequence[Node], start: Node, end: Node | None) -> list[Node]:
 
 
 def _exact(nodes: Sequence[Node], start: Node, end: Node | None, cost: Callable[[Node, Node], float]) -> list[Node]:
-    """Find the best order by dynamic programming over subsets and their last node (Held and Karp)."""
+    """Return the best order by dynamic programming over subsets of nodes and their last node (Held and Karp)."""
     costs = [[0.0 if a is b else cost(a, b) for b in nodes] for a in nodes]
     best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {
         (1 << index, index): (cost(start, node), (index,)) for index, node in enumerate(nodes)
@@ -94,7 +95,10 @@ def _cheaper(
     cost: Callable[[Node, Node], float],
     lower_bound: Callable[[Node, Node], float],
 ) -> bool:
-    """Return True if the tour over `stops` costs less than the tour with the legs `old`; common legs cancel."""
+    """Return True if the tour over `stops` costs less than the tour with the legs `old`.
+
+    Only legs that the two tours do not share are compared.
+    """
     legs = list(pairwise(stops))
     new = [leg for leg in legs if leg not in old]
     kept = set(legs)

@@ -1,1 +1,1 @@
-"""Compensation tables, the formats of controllers, and corrected part programs."""
+"""Compensation tables, their export to the formats of controllers, and correction of part programs."""

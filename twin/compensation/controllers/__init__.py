@@ -1,5 +1,6 @@
-"""Compensation tables in the formats of real controllers: the text, and the parts of a table that a format loses.
+"""Export of compensation tables to the formats of real controllers.
 
-One module per format. Each knows how its controller reads its file, so signs, references and limits are defined there
-and nowhere else. Nothing here reads or writes files.
+One module per format. Each defines how its controller reads its file, so signs, references and limits are defined there
+and nowhere else. An export also reports the features of a table that the format cannot represent. Nothing here reads or
+writes files.
 """

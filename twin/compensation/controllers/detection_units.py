@@ -1,4 +1,4 @@
-"""Corrections as integer multiples of a detection unit times a magnification, as FANUC stores them."""
+"""Corrections as integer multiples of a detection unit times a magnification, as FANUC controllers store them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MAGNIFICATION = FormatOption[int | None](
 
 @dataclass(frozen=True)
 class CountUnit:
-    """Value of one count: `detection_unit_um` times `magnification`."""
+    """Value of one count: `detection_unit_um` (µm) times `magnification`."""
 
     detection_unit_um: float
     magnification: int
@@ -40,7 +40,7 @@ class CountUnit:
         return np.round(values_mm / self.mm).astype(np.int64)
 
     def values(self, counts: CountArray) -> Array:
-        """Return the values in mm of counts of any shape."""
+        """Return the values in mm that correspond to an array of counts."""
         return np.asarray(self.mm * counts, dtype=np.float64)
 
     def whole(self, length_mm: float, what: str) -> int:
@@ -54,9 +54,10 @@ class CountUnit:
 
 
 def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, increments: bool) -> CountUnit:
-    """Return the requested magnification, or the smallest with which every written number is at most `most`.
+    """Return the unit with the requested or else the smallest magnification for which all written numbers fit.
 
-    `increments`: the written numbers are differences of the counts along (n,). DataError if no magnification fits.
+    A number fits if its absolute value is at most `most`. `increments`: if True, the written numbers are the
+    differences of successive counts. Raises DataError if no magnification fits.
     """
     requested = choices[MAGNIFICATION]
     tried = range(1, LARGEST_MAGNIFICATION + 1) if requested is None else [requested]
@@ -75,5 +76,8 @@ def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, 
 
 
 def format_reference(reference: Array) -> str:
-    """Format the machine position of the reference point from which points are counted; no parameter contains it."""
+    """Format the machine position of the reference point, for the operator.
+
+    The compensation points are counted from this point, but no parameter contains it.
+    """
     return ", ".join(f"{value:.10g}" for value in reference.tolist())

@@ -1,4 +1,4 @@
-"""Input and output of the formats of controllers, and the format itself."""
+"""Definition of an export format of a controller, with its input and its output."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Facts = Mapping[str, str | int | float]
 
 @dataclass(frozen=True, eq=False)
 class TableEstimate:
-    """Estimate that a table was built from: `parameters` (p,) and their `covariance` (p, p)."""
+    """Estimate from which a table was built: `parameters` (p,) of `model` and their `covariance` (p, p)."""
 
     model: ErrorModel
     parameters: Array
@@ -28,7 +28,7 @@ class TableEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ExportSource:
-    """A table, and its estimate if there is one."""
+    """Table to be exported, and the estimate it was built from if there is one."""
 
     table: CompensationTable
     estimate: TableEstimate | None = None
@@ -38,9 +38,10 @@ class ExportSource:
 class ControllerExport:
     """Result of an export.
 
-    `files`: name to text. `correction`: correction that the files make the controller add, rounded as they are,
-    whichever sign the controller wants. `losses`: features of the table that the format cannot represent, in words.
-    `facts`: figures that have to be set by hand.
+    `files`: map from file name to text. `correction`: function that returns the correction that the controller adds if
+    it reads these files; it contains their rounding, and its sign does not depend on the sign convention of the format.
+    `losses`: descriptions of the features of the table that the format cannot represent. `facts`: values that have to
+    be set by hand.
     """
 
     files: Mapping[str, str]

@@ -1,8 +1,8 @@
-"""FANUC three-dimensional error compensation: a lattice of at most 25 points per axis, trilinear in between.
+"""FANUC three-dimensional error compensation: a lattice of at most 25 points per axis, with trilinear interpolation.
 
-Additional manual Series 30i-A, A-79351E: eight corners weighted by the position within the cell. Parameter numbers, the
-order of the points and the sign are from experience. The punched data format is not public, so the points are a list to
-be entered with the machine builder's tool.
+The additional manual Series 30i-A, A-79351E, describes the interpolation: eight corners weighted by the position within
+the cell. Parameter numbers, order of the points and sign are from experience. The format of the punched data is not
+public, so the export lists the points, to be entered with the machine builder's tool.
 """
 
 from __future__ import annotations

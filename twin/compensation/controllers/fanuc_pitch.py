@@ -1,8 +1,9 @@
 """FANUC stored pitch error compensation: increments in integer detection units times a magnification.
 
-Parameter manual 0i-PB (B-63980EN), 3620 to 3624 with its example: compensation number n belongs to the interval that
-ends, in positive direction, at reference + (n - 3620) x 3624; the amount at a position is the sum from the reference
-point to there. That amounts are added to the command is from experience, and so is the form of the punched data.
+The parameter manual 0i-PB (B-63980EN) describes parameters 3620 to 3624 with an example: compensation number n belongs
+to the interval that ends, in positive direction, at reference + (n - P3620) × P3624, where P is the value of the
+parameter. The compensation at a position is the sum of the increments from the reference point to that position. It is
+from experience that the controller adds it to the command, and so is the form of the punched data.
 """
 
 from __future__ import annotations
@@ -75,7 +76,11 @@ def _parameters(
     steps: tuple[float, float, float],
     unit: CountUnit,
 ) -> str:
-    """Return lines `N number A axis P value ...`: 3620 reference, 3621 farthest -, 3622 farthest +, 3623, 3624."""
+    """Return lines `N number A axis P value ...` for the parameters 3620 to 3624.
+
+    3620 is the number of the reference point, 3621 that of the farthest point in negative direction, 3622 that of the
+    farthest point in positive direction, 3623 the magnification and 3624 the interval.
+    """
     rows = {
         3620: [first + index for first, index in zip(firsts, indices, strict=True)],
         3621: [first + min(index, 1) for first, index in zip(firsts, indices, strict=True)],

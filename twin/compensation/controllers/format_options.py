@@ -1,4 +1,4 @@
-"""Options of the formats: each format declares those that it reads, and a user interface offers what is declared."""
+"""Options of the export formats: each format declares the options it reads, and a user interface offers these."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Names = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class WholeNumber:
-    """Integers from `minimum` to `maximum`; None: no upper bound."""
+    """Option values that are integers from `minimum` to `maximum`; None means no upper bound."""
 
     minimum: int
     maximum: int | None = None
@@ -21,24 +21,27 @@ class WholeNumber:
 
 @dataclass(frozen=True)
 class PositiveNumber:
-    """Numbers greater than zero."""
+    """Option values that are numbers greater than zero."""
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of a few words."""
+    """Option values that are one of a few words."""
 
     words: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Switch:
-    """True if the option is set."""
+    """Option that is True if it is set."""
 
 
 @dataclass(frozen=True)
 class Text:
-    """Text of the form `form`, for example `X,Y,Z`. `parse` returns its value; ValueError says how to write it."""
+    """Option values given as text of the form `form`, for example `X,Y,Z`.
+
+    `parse` returns the value of a text; its ValueError describes the correct form.
+    """
 
     form: str
     parse: Callable[[str], Any]
@@ -62,7 +65,7 @@ class FormatOption(Generic[Value]):
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Values set by the user, by option key; `choices[OPTION]` is the value or the option's default.
+    """Values set by the user, by option key; indexing with an option returns its value or its default.
 
     `opposite_sign`: write every value with the opposite of the documented sign, for a controller that was found to
     count the other way.
@@ -98,7 +101,7 @@ def _names(text: str) -> Names:
 REFERENCE_MM = FormatOption[Triple | None](
     "reference_mm", Text("X,Y,Z", _triple), None, "Reference point [default: the anchor]."
 )
-"""Machine position of the reference point; None: the table's anchor."""
+"""Machine position in mm of the reference point; if None, the table's anchor is used."""
 
 AXIS_NAMES = FormatOption[Names | None]("axes", Text("X1,Y1,Z1", _names), None, "Names of X, Y, Z in the controller.")
-"""Axis names of the controller for X, Y, Z; None: the usual names of the format."""
+"""Names of the axes X, Y, Z in the controller; if None, the usual names of the format are used."""

@@ -1,4 +1,4 @@
-"""Input of `volcal gcode correct`: the neutral table and its side file."""
+"""Input files of `volcal gcode correct`: the neutral CSV table and its JSON side file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Grid of a table as a controller requires it: evenly spaced, few enough points, small enough values."""
+"""Checks that a table meets a controller's requirements on spacing, number of points and size of values, and
+resampling.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES
 
 LARGEST_CORRECTION_MM = 1.0
-"""Largest plausible correction; also the default of Siemens MD32720 $MA_CEC_MAX_SUM."""
+"""Largest plausible correction in mm; also the default of Siemens MD32720 $MA_CEC_MAX_SUM."""
 
 _EVEN = 1e-6  # relative to a step
 _ON_A_NODE_MM = 1e-6
@@ -59,12 +61,15 @@ def require_points(table: CompensationTable, most: Shape, format_name: str) -> N
 
 
 def _thinned(count: int, most: int) -> int:
-    """Return the largest number of points that fits and is a subset of the grid, so that the steps stay round."""
+    """Return the largest number of points, at most `most`, that is a subset of `count` points, so that the steps stay
+    round.
+    """
     return next(n for n in range(min(count, most), 1, -1) if (count - 1) % (n - 1) == 0)
 
 
 def resample_table(table: CompensationTable, points: Shape) -> CompensationTable:
-    """Resample the table to an evenly spaced grid of `points` nodes over the same range, read as the controller would.
+    """Resample the table to an evenly spaced grid of `points` nodes over the same range, interpolating as a controller
+    does.
 
     A new node is marked as extrapolated if an extrapolated node contributes to it.
     """
@@ -86,7 +91,10 @@ def resample_table(table: CompensationTable, points: Shape) -> CompensationTable
 
 
 def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, float] | None) -> Array:
-    """Return the machine position (3,) of the reference point, by default the anchor; DataError outside the grid."""
+    """Return the machine position (3,) mm of the reference point, by default the anchor.
+
+    Raises DataError if it is outside the grid.
+    """
     point = table.anchor.point_mm if wanted_mm is None else np.array(wanted_mm, dtype=np.float64)
     for axis, nodes, value in zip(AXES, table.nodes, point.tolist(), strict=True):
         if not nodes[0] - _ON_A_NODE_MM <= value <= nodes[-1] + _ON_A_NODE_MM:

@@ -1,12 +1,14 @@
 """Volumetric compensation of the ISG kernel (Beckhoff TwinCAT CNC TF5280): error motions by ISO 230-1 in ISG_CSV.
 
-Manual TF5280, "ISG CSV format": blocks separated by `#`, each with a header line of argument axes and parameter names,
-mm and rad; `//` begins a comment; several argument columns allow any dependency, here Y and Z for the cross-effect;
-interpolation GRID is linear on a grid. The parameters are errors, and the kernel moves against them (P-VOLC-00009
-`negate` reverses that).
+Manual TF5280, "ISG CSV format": a file consists of blocks separated by `#`. Each block has a header line with its
+argument axes and parameter names; values are in mm and rad, and `//` begins a comment. A block may have several
+argument columns, here Y and Z for the cross-effect. The interpolation GRID is linear on a grid. The parameters are
+errors, and the kernel moves against them (P-VOLC-00009 `negate` reverses that).
 
-Squareness, and the rigid motion of the table's anchor, are written as slopes of straightness, because their meaning is
-unambiguous; A0Z, B0Z, C0Y may or may not rotate the parts that the axis carries. They are zeros in the first block.
+The squareness parameters A0Z, B0Z and C0Y are written as zeros in the first block, because the manual does not make
+certain whether they also rotate the parts that the axis carries. Squareness is written as slopes of straightness
+instead, whose meaning is unambiguous. The rotation of the table's anchor is also written as slopes of straightness, its
+translation as constants.
 """
 
 from __future__ import annotations
@@ -83,8 +85,9 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
 
 
 def _without_rigid_motion(motions: Motions, source: ExportSource) -> Motions:
-    """Subtract the rigid motion that the table leaves because of its anchor, so that the kernel adds what the table
-    adds.
+    """Return the motions minus the rigid motion that the table leaves uncorrected because of its anchor.
+
+    The kernel then adds the same correction as the table.
     """
     (shift_x, shift_y, shift_z, turn_x, turn_y, turn_z), _ = rigid_difference(source)
     table = source.table
@@ -113,8 +116,9 @@ def _rounded(motions: Motions) -> Motions:
 
 
 def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, axis_positions: Array) -> Array:
-    """Return the deviation (n, 3) mm to first order: each axis adds its displacements and rotates the parts it
-    carries.
+    """Return the deviation (n, 3) mm to first order.
+
+    Each axis adds its displacements, and its rotations rotate the parts it carries.
     """
     arm = np.repeat(table.tool_offset[None, :], len(axis_positions), axis=0)
     total = np.zeros_like(axis_positions)
@@ -132,7 +136,10 @@ def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, ax
 
 
 def _over_y_and_z(values: Array, table: CompensationTable, axis_positions: Array) -> Array:
-    """Interpolate bilinearly (n,), constant beyond the border."""
+    """Return `values`, given on the nodes of Y and Z, interpolated bilinearly at axis positions (n, 3), as (n,).
+
+    Beyond the border the values are constant.
+    """
     over_z = np.array([np.interp(axis_positions[:, 2], table.z, row) for row in values])
     inside = np.clip(axis_positions[:, 1], table.y[0], table.y[-1])
     cell = np.clip(np.searchsorted(table.y, inside, side="right") - 1, 0, len(table.y) - 2)

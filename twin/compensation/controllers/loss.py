@@ -1,4 +1,4 @@
-"""Volumetric error without a table, with the full table and with the reduced table of a controller."""
+"""Volumetric error that remains without a table, with the full table and with the table as reduced for a controller."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid, rms, volumetric_error
 
 LARGEST_MISMATCH_MM = 3e-4
-"""Largest rms difference of table and estimate, up to a rigid motion, in addition to the rounding of the table."""
+"""Largest rms difference in mm between table and estimate, apart from a rigid motion and the rounding of the table."""
 
 
 @dataclass(frozen=True)
 class CompensationLoss:
     """Volumetric error over the workspace.
 
-    `estimated`: True if it is that of the estimated machine, False if the machine is inferred from the table.
-    `unknown_mm`: contribution of the parameter uncertainty (rms, aligned), independent of the table; None without an
-    estimate.
+    `estimated`: True if the error is that of the estimated machine, False if the errors of the machine are inferred
+    from the table. `unknown_mm`: contribution of the parameter uncertainty (rms, aligned), which does not depend on the
+    table; None without an estimate.
     """
 
     before: VolumetricRms
@@ -41,7 +41,9 @@ class CompensationLoss:
 
 
 def compensation_loss(source: ExportSource, correction: Correction) -> CompensationLoss:
-    """Compute the volumetric error without a table, with the full one and with `correction`, on 60 x 20 x 20 points."""
+    """Compute the volumetric error on 60 × 20 × 20 points without a table, with the full table and with
+    `correction`.
+    """
     table, identified = source.table, source.estimate
     grid = evaluation_grid(_ranges(table))
     tool_points = grid + table.tool_offset
@@ -61,7 +63,8 @@ def compensation_loss(source: ExportSource, correction: Correction) -> Compensat
 def largest_correction(table: CompensationTable, correction: Correction) -> tuple[Array, Array]:
     """Return the node (3,) mm with the largest correction, and the correction (3,) mm there.
 
-    Enabling the compensation must move the axes by that amount, which shows on the machine whether the sign is right.
+    When the compensation is enabled at that node, the axes must move by that amount, which shows whether the sign is
+    right.
     """
     nodes = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     added = correction(nodes)
@@ -70,10 +73,10 @@ def largest_correction(table: CompensationTable, correction: Correction) -> tupl
 
 
 def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> None:
-    """Raise DataError if the table was not built from the estimate: another machine, tool or night.
+    """Raise DataError if table and estimate are not of the same machine, tool or night.
 
-    `resolution_mm`: resolution of the numbers in which the table was stored; rounding is half of it rms over three
-    axes.
+    `resolution_mm`: resolution of the numbers in which the table was stored. Rounding contributes at most half of it
+    (rms over three axes).
     """
     identified, table = source.estimate, source.table
     if identified is None:
@@ -92,10 +95,9 @@ def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> No
 
 
 def rigid_difference(source: ExportSource) -> tuple[Array, Array]:
-    """Return the rigid motion (6,) and the residual (n, 3) mm at the nodes that the estimated machine keeps with the
-    table.
+    """Return the rigid motion (6,) and the residual (n, 3) mm that remain if the table corrects the estimated machine.
 
-    The motion is in terms of `rigid_fields` about the anchor.
+    The residual is at the nodes of the table. The rigid motion is in terms of `rigid_fields` about the anchor.
     """
     identified, table = source.estimate, source.table
     if identified is None:

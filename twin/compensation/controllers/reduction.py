@@ -1,9 +1,9 @@
-"""Table reduced to the form a controller supports: functions of one axis, and products of two.
+"""Reduction of a table to functions of one axis position and products of two, as controllers support them.
 
-Over an even grid a field decomposes into a mean, a main effect of each axis and an interaction of each pair, all
-orthogonal to each other (analysis of variance), so omitting some of them is the best fit with the others. Small rigid
-motions of the workspace are means and main effects: the best reduction before a rigid alignment is also the best after
-it.
+On an even grid a field decomposes into a mean, a main effect of each axis and an interaction of each pair of axes, all
+orthogonal to each other (analysis of variance). If some of them are omitted, the others are therefore still the best
+fit. Small rigid motions of the workspace consist of means and main effects only, so the reduction that is best before a
+rigid alignment is also the best after it.
 """
 
 from __future__ import annotations
@@ -18,14 +18,17 @@ from twin.compensation.table import CompensationTable
 from twin.machine.kinematic_chain import AXES
 
 LEAST_RMS_MM = 2e-5
-"""Smallest rms contribution over the workspace for which a term is written."""
+"""Smallest rms contribution in mm over the workspace for which a term is written."""
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Values (n,) at nodes (n,) of the axis numbered `axis`; linear in between, constant beyond the ends."""
+    """Function of the position of the axis numbered `axis`, as values (n,) at nodes (n,).
+
+    Linear between the nodes, constant beyond the ends.
+    """
 
     axis: int
     nodes: Array
@@ -37,8 +40,9 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Correction added to the axis numbered `output`: a profile in mm, or a profile in mm times a second one of at most
-    1.
+    """Correction added to the axis numbered `output`.
+
+    It is a profile in mm, optionally times a second, dimensionless profile `factor` with values of at most 1.
     """
 
     output: int
@@ -56,7 +60,7 @@ class Term:
 
 
 def own_axis_profiles(table: CompensationTable, reference: Array) -> tuple[Profile, Profile, Profile]:
-    """Return for each axis its correction as a function of its own position, averaged over the other axes.
+    """Return for each axis its correction as a function of its own position, averaged over the other two positions.
 
     It is zero at the reference point (3,).
     """
@@ -65,8 +69,10 @@ def own_axis_profiles(table: CompensationTable, reference: Array) -> tuple[Profi
 
 
 def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tuple[Profile, ...], ...]:
-    """Return `[input][output]`: the correction of every axis as a function of every axis; zero at the reference point
-    (3,).
+    """Return `[input][output]`: the correction of each axis `output` as a function of the position of each axis
+    `input`.
+
+    Each profile is zero at the reference point (3,).
     """
     return tuple(
         tuple(_zeroed(_main_effect(table, source, output), reference) for output in range(3)) for source in range(3)
@@ -76,11 +82,11 @@ def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tup
 def select_terms(
     table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True
 ) -> tuple[Term, ...]:
-    """Select main effects and products of interactions, in order of the error they remove per table they need.
+    """Select main effects and products, in descending order of the error that a term removes per table it needs.
 
     Terms below `LEAST_RMS_MM` are omitted, as are those that no longer fit into `most_tables`. Interactions are
-    decomposed into products by singular values; no other products of the same number leave less. The sum of all terms
-    is zero at the reference point (3,) on every axis that has a main effect.
+    decomposed into products by singular values; no other set of as many products leaves a smaller error. The sum of all
+    terms is zero at the reference point (3,) on every axis that has a main effect.
     """
     found = [_as_term(_main_effect(table, source, output), output) for source in range(3) for output in range(3)]
     if products:
@@ -169,5 +175,5 @@ def _zeroed(profile: Profile, reference: Array) -> Profile:
 
 
 def round_profile(profile: Profile, decimals: int) -> Profile:
-    """Round the profile as written in the file; never -0."""
+    """Round the values of a profile to `decimals`, as written in the file; -0 becomes 0."""
     return replace(profile, values=np.round(profile.values, decimals) + 0.0)

@@ -35,7 +35,7 @@ FORMATS: Mapping[str, ExportFormat] = {
 
 
 def all_options() -> tuple[FormatOption[object], ...]:
-    """Return every option that a format declares, each once, in the order of the formats."""
+    """Return every option that any format declares, each once, in the order of the formats."""
     return tuple({option.key: option for one in FORMATS.values() for option in one.options}.values())
 
 

@@ -1,9 +1,9 @@
 """SINUMERIK sag and angularity error compensation (CEC): `$AN_CEC`, with multiplied tables.
 
-Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The values of all tables of an output axis are added;
-a table that names another in `$AN_CEC_MULT_BY_TABLE` (its index + 1) gives the product of both. The compensation value
-is measured minus desired position (4.4.1), and the axis moves against it. Tables that are only factors are not enabled
-themselves (SD41300).
+Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The values of all tables of an output axis are added.
+If a table names another one in `$AN_CEC_MULT_BY_TABLE` (by its index + 1), its value is the product of both. The
+compensation value is measured minus desired position (4.4.1), and the axis moves against it. Tables that are only
+factors are not enabled themselves (SD41300).
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ NO_PRODUCTS = FormatOption("no_products", Switch(), False, "Siemens CEC: no mult
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write one INI file with all tables, and a part program that enables those that are not mere factors."""
+    """Write one INI file with all tables, and a part program that enables all tables except those that are only
+    factors.
+    """
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD18342")
     if choices[MOST_TABLES] < 1:

@@ -1,8 +1,8 @@
 """SINUMERIK leadscrew and measuring system error compensation (LEC, MSEC): `$AA_ENC_COMP`.
 
-Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.2: a positive value makes the axis move in the negative
-direction, linear in between, constant beyond the ends, zero at the reference point; loading is possible only while
-MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS gives the number of points.
+Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.2. A positive value makes the axis move in the negative
+direction. Values are linear between the points, constant beyond the ends and zero at the reference point. Loading is
+possible only while MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS gives the number of points.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _ini(name: str, profile: Profile, step: float, choices: ExportOptions) -> st
 
 
 def number(value: float) -> str:
-    """Format a position with the digits it needs and a decimal point, so that it is read as REAL."""
+    """Format a position with as many digits as it needs and a decimal point, so that the control reads it as REAL."""
     text = f"{value:.12g}"
     return text if "." in text or "e" in text else f"{text}.0"
 
