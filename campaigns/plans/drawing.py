@@ -1,7 +1,7 @@
-"""Random but sensible case: machine, probe, artefact, mount, stations, procedure, and true errors of the world.
+"""Random but sensible case: machine, probe, artefact, mount, stations, procedure, and true errors.
 
-Every drawn case is one that an engineer could have written; whether it is consistent in every detail is for the agent's
-checks and its preflight to decide.
+Every drawn case is one that an engineer could have written. It may still be inconsistent in a detail; finding that out
+is the task of the agent's checks and its preflight.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from twin.artefact.position_set import POSITION_SETS, Position
 Document = dict[str, Any]
 ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")
 CANDIDATES = 24
-"""Number of orientations tried until enough of them are within reach."""
+"""Number of orientations drawn as candidates, of which enough must be within reach."""
 
 
 @dataclass(frozen=True)
 class DrawnCase:
-    """Drawn case: `job` as the agent has it, `scenario` with the true start, placement and errors.
+    """Drawn case: `job` as known to the agent, `scenario` with the true start position, placement and errors.
 
-    `interruption`: event in the second run of the plan, at the share `at_share` of its duration.
+    `interruption` is the event that interrupts the second run of the plan, after the fraction `at_share` of its
+    duration.
     """
 
     seed: int
@@ -41,7 +42,7 @@ class DrawnCase:
 
 
 class Dice:
-    """Random generator with the few draws needed here."""
+    """Random generator with the few kinds of draws that this campaign needs."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 20261])
@@ -74,8 +75,9 @@ class Sizes:
 
 
 def draw(seed: int, directory: Path) -> DrawnCase:
-    """Return the case of `seed`, with its files written into `directory`. Raises UserError if the agent already refuses
-    it.
+    """Return the case of `seed`, and write its files into `directory`.
+
+    Raises UserError if the agent refuses these files.
     """
     dice = Dice(seed)
     sizes = _sizes(dice)
@@ -150,8 +152,9 @@ def _sizes(dice: Dice) -> Sizes:
 
 
 def _machine(dice: Dice, sizes: Sizes) -> tuple[Document, list[list[float]]]:
-    """Return a machine whose travel surrounds the stations: retreat plane before the first, far end of the bar behind
-    it.
+    """Return a machine whose travel surrounds the stations, and the stations' locations in mm.
+
+    In Y the travel extends from the retreat plane, in front of the artefact, towards its far end behind the mount.
     """
     stations, gap = dice.whole(1, 4), dice.between(100, 700)
     half, sweep = 0.5 * sizes.bar["length_mm"], sizes.sweep
@@ -197,7 +200,7 @@ def _artefact(sizes: Sizes) -> Document:
 
 
 def _procedure(dice: Dice, sizes: Sizes) -> Document:
-    """Return a procedure with limits wide enough for the drawn noise; this campaign is about motion."""
+    """Return a procedure whose limits are wide enough for the drawn noise, because this campaign tests only motion."""
     approach = dice.between(1.5, 6)
     touches = dice.one_of(*[5] * 26, 9, 9, 13, 25)
     return {
@@ -229,7 +232,7 @@ def _procedure(dice: Dice, sizes: Sizes) -> Document:
 
 
 def _with_positions(dice: Dice, settings: Document, directory: Path) -> Job:
-    """Return a job with orientations found within reach of the layout: from S1 to S3, from a grid, or arbitrary."""
+    """Return a job with orientations that are within reach: from sets S1 to S3, from a grid, or arbitrary ones."""
     places = len(settings["stations"]["places_mm"])
     stations = sorted({dice.whole(1, places) for _ in range(dice.whole(1, 2))})
     provisional = {**settings, "procedure": {**settings["procedure"], "position_set": "S3", "stations": stations}}
@@ -267,7 +270,9 @@ def _orientation(dice: Dice) -> tuple[float, float]:
 
 
 def _position_file(dice: Dice, listed: list[Position], directory: Path) -> str:
-    """Write the positions as CSV or TOML; return a named set if none of the drawn ones is within reach."""
+    """Write the positions as CSV or TOML and return the file's path; return a named set if no drawn position is in
+    reach.
+    """
     if not listed:
         return str(dice.one_of("S1", "S2", "S3"))
     listed.sort(key=lambda p: p.station)
@@ -283,7 +288,7 @@ def _position_file(dice: Dice, listed: list[Position], directory: Path) -> str:
 
 
 def _scenario(dice: Dice, settings: Document, machine: Document, seed: int) -> Scenario:
-    """Return the true world, with errors up to one and a half times those of the shipped one."""
+    """Return the scenario of the true world, with errors up to one and a half times those of the shipped scenario."""
     low = [machine["axes"][axis]["range_mm"][0] for axis in "XYZ"]
     high = [machine["axes"][axis]["range_mm"][1] for axis in "XYZ"]
     start = [
@@ -329,7 +334,7 @@ def with_start(scenario: Scenario, start_mm: tuple[float, float, float]) -> Scen
 
 
 def toml(document: Document) -> str:
-    """Return a document of tables as TOML, inline from the second level on."""
+    """Return a document of tables as TOML text, with inline tables from the second level on."""
     return "".join(f"{name} = {_inline(value)}\n" for name, value in document.items() if value is not None)
 
 

@@ -1,8 +1,8 @@
-"""Independent collision check: dense samples in time, obstacles as point clouds, and its own arithmetic.
+"""Independent collision check with dense samples in time, obstacles as point clouds, and its own arithmetic.
 
 It shares no distance function with the planner or the simulated world. From the world it takes only facts: axis
-positions at an instant, mount angles, location of the artefact. A capsule at rest is a row of points `SPACING_MM` apart
-with a radius; the probe is a point, two segments along Y and a box.
+positions at an instant, mount angles and location of the artefact. A capsule at rest is a row of points `SPACING_MM`
+apart with a radius; the probe is a point, two segments along Y and a box.
 """
 
 from __future__ import annotations
@@ -18,18 +18,22 @@ from simulators.world.world import World
 from twin.arrays import Array
 
 SPACING_MM = 1.0
-"""Spacing of the points; the nearest point is at most half of it away, which at 4 mm distance adds 0.03 mm."""
+"""Spacing of the points in a row. The point nearest to the probe is off by at most half of it along the row, which adds
+0.03 mm to a distance of 4 mm."""
 STEP_MM = 0.75
-"""Step of the tip, or of the end of a turning bar, between two samples."""
+"""Largest motion of the tip, or of the end of a turning bar, between two samples."""
 TURN_STEP_MM = 3.0
 TOLERANCE_MM = 0.05
-"""Error of a zero clearance due to spacing, steps and the machine's own error."""
+"""Error of a computed clearance of zero, caused by the spacing, the steps and the machine's own error."""
 CHUNK = 256
 
 
 @dataclass(frozen=True)
 class PointCloud:
-    """Points (n, 3) with radii (n,) and the body of each. `ball[k]`: number of the ball, else -1."""
+    """Points (n, 3) and their radii (n,), in mm.
+
+    `body`: index in `names` of the body of each point; `ball`: number of the ball of each point, -1 if it is on none.
+    """
 
     points: Array
     radii: Array
@@ -40,8 +44,9 @@ class PointCloud:
 
 @dataclass
 class JudgeResult:
-    """Result of the check. `smallest_mm`: smallest clearance of all pairs except stylus and ball, where contact is
-    intended.
+    """Result of the check.
+
+    `smallest_mm`: smallest clearance of all pairs of bodies except stylus and ball, between which contact is intended.
     """
 
     samples: int = 0
@@ -62,7 +67,7 @@ class ProbeDimensions:
 
 
 class CollisionJudge:
-    """Checks one run on `world`, slice by slice, before the world advances."""
+    """Checks one run on `world`, one interval of time at a time, before the world advances by that interval."""
 
     def __init__(self, world: World, job: Job) -> None:
         self._world = world
@@ -94,7 +99,7 @@ class CollisionJudge:
         return self._seen
 
     def _watch_turn(self, before_s: float, after_s: float) -> None:
-        """Check a turn of the bar, whose pose follows from the encoder angles alone."""
+        """Check a turn of the bar, with its pose computed from the encoder angles alone."""
         self._flush()
         self._snapshot = None
         workpiece = self._world.workpiece
@@ -124,7 +129,7 @@ class CollisionJudge:
 
 
 def pose(place: Array, shaft_mm: float, azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array]:
-    """Return the middle of the bar (3,) and the directions of the artefact's axes as columns (3, 3)."""
+    """Return the middle of the bar (3,) in mm and the directions of the artefact's axes as columns (3, 3)."""
     a, e = math.radians(azimuth_deg), math.radians(elevation_deg)
     along = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     inward = np.array([-math.sin(a), math.cos(a), 0.0])
@@ -132,7 +137,7 @@ def pose(place: Array, shaft_mm: float, azimuth_deg: float, elevation_deg: float
 
 
 def build_cloud(job: Job, place: Array, centre: Array, rotation: Array) -> PointCloud:
-    """Return all obstacles except the table: balls, posts, bar, shaft, pedestal."""
+    """Return points of all obstacles except the table: balls, posts, bar, shaft and pedestal."""
     mount, balls = job.settings.mount, job.artefact.balls
     parts: list[tuple[str, Array, float, int]] = []
     for number, ball in enumerate(balls):
@@ -162,13 +167,13 @@ def build_cloud(job: Job, place: Array, centre: Array, rotation: Array) -> Point
 
 
 def _row(start: Array, end: Array) -> Array:
-    """Return points (n, 3) from `start` to `end`, both included."""
+    """Return points (n, 3) at most `SPACING_MM` apart from `start` to `end`, both included."""
     count = max(1, math.ceil(float(np.linalg.norm(end - start)) / SPACING_MM)) + 1
     return np.asarray(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start))
 
 
 def judge_tips(seen: JudgeResult, tips: Array, cloud: PointCloud, dimensions: ProbeDimensions) -> None:
-    """Check the tip centres `tips` (n, 3) against the obstacles."""
+    """Add to `seen` the collisions and the smallest clearance of the probe with its tip centre at `tips` (n, 3)."""
     for first in range(0, len(tips), CHUNK):
         part = tips[first : first + CHUNK]
         seen.samples += len(part)
@@ -180,7 +185,9 @@ def judge_tips(seen: JudgeResult, tips: Array, cloud: PointCloud, dimensions: Pr
 
 
 def _near(tips: Array, cloud: PointCloud, dimensions: ProbeDimensions) -> NDArray[np.bool_]:
-    """Return the mask of points that any part of the probe could approach, from a box around all tip positions."""
+    """Return the mask of points that any part of the probe could approach, according to a box around all tip
+    positions.
+    """
     low, high = tips.min(axis=0), tips.max(axis=0)
     room = max(dimensions.half, dimensions.body_radius, dimensions.tip) + 10.0
     low, high = low - room, high + room
@@ -210,7 +217,11 @@ def _pairs(seen: JudgeResult, tips: Array, cloud: PointCloud, dimensions: ProbeD
 
 
 def _from_segment(aside: Array, y: Array, low: float, high: float) -> Array:
-    """Return the distance to the segment of the tool axis between `low` and `high`."""
+    """Return the distance of points to the segment of the tool axis between `low` and `high`.
+
+    The points are given by `aside`, the square of their distance from the axis in mm², and their coordinate `y` along
+    it.
+    """
     along = np.maximum(np.maximum(y - high, low - y), 0.0)
     return np.asarray(np.sqrt(aside + along * along))
 
@@ -228,7 +239,7 @@ def _note(seen: JudgeResult, name: str, distance: Array, meant: NDArray[np.bool_
 
 
 def _table(seen: JudgeResult, tips: Array, dimensions: ProbeDimensions) -> None:
-    """Check the table, whose top is a plane for y >= 0, unbounded in X and towards the back."""
+    """Check the clearance to the table, whose top is a plane for y >= 0, unbounded in X and towards positive Y."""
     ahead, low = tips[:, 1], tips[:, 2]
     for name, front, radius in (
         ("tip", 0.0, dimensions.tip),

@@ -1,4 +1,4 @@
-"""Run kind that only moves: everything that a calibration measures, without identification and without writing."""
+"""Run kind with all motion and measurements of a calibration, but without identification and without writing tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.clock import VirtualClock
 
 
 class MotionOnlyRun(GuardedRun):
-    """Whole procedure from the permissions on; it ends like every other run."""
+    """Run of the whole procedure, starting with the check of permissions; it ends like every other run."""
 
     def _work(self) -> None:
         self._begin()
@@ -25,7 +25,9 @@ class MotionOnlyRun(GuardedRun):
 
 @dataclass
 class MotionOnlyKind:
-    """Kind with one preflight from the current position; a second run of the same plan starts there too."""
+    """Run kind with one preflight, made from the current position; a second run of the same plan must start there
+    too.
+    """
 
     name: str = "moving"
 
@@ -39,7 +41,7 @@ class MotionOnlyKind:
 
 
 class AlarmClock(VirtualClock):
-    """Clock that calls the action given to `at` once its instant passes.
+    """Clock that calls an action, given to `at`, once the instant given with it has passed.
 
     `watch(before_s, after_s)` is called before every advance.
     """

@@ -1,4 +1,6 @@
-"""Test of the judge: random straight moves among the bodies, its verdict compared with the simulated world's."""
+"""Test of the judge (`judge.py`): its verdicts on random straight moves among the bodies, compared with the
+simulator's.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,13 @@ from simulators.world.mount import AZIMUTH, ELEVATION
 from simulators.world.world import World
 
 UNDECIDED_MM = 0.25
-"""Distance from contact within which verdicts are not compared, because steps and spacing make them uncertain."""
+"""Clearance or overlap below which verdicts are not compared, because steps and spacing make them uncertain."""
 FREE_AT_START_MM = 2.0
 
 
 @dataclass(frozen=True)
 class JudgeComparison:
-    """Comparison of verdicts. `disagreed`: disagreements, by seed and move."""
+    """Comparison of verdicts. `disagreed` describes each disagreement, with its seed and move."""
 
     moves: int = 0
     collisions: int = 0
@@ -40,7 +42,7 @@ class JudgeComparison:
 
 
 def compare_judge(seed: int, moves: int) -> JudgeComparison:
-    """Compare the verdicts on unguarded moves between random positions in the case of `seed`."""
+    """Compare the verdicts of judge and simulator on unguarded moves between random positions in the case of `seed`."""
     with tempfile.TemporaryDirectory(prefix="volcal-provoked-") as directory:
         try:
             drawn = draw(seed, Path(directory))

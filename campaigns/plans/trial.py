@@ -1,4 +1,4 @@
-"""Trial of one drawn plan: preflight, run with errors, a second run interrupted, and their results."""
+"""Trial of one drawn plan: a preflight, a run with errors, and a second run that is interrupted."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ POSITION_TOLERANCE_MM = 0.01
 
 @dataclass
 class PlanTrial:
-    """Result of one plan. `refused`: reason if the plan never moved; `stopped`: why a run that moved did not end as
-    expected.
+    """Result of one plan.
 
-    `failures`: violated conditions. `seen`: result of the judge, if it watched.
+    `refused`: reason why nothing moved, if so; `stopped`: reason why a run that moved did not end as expected, if so;
+    `failures`: violated conditions; `seen`: result of the judge, None if it did not check this plan.
     """
 
     seed: int
@@ -47,7 +47,10 @@ class PlanTrial:
 
 
 def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
-    """Run everything for the plan of `seed`. Never raises for the agent's refusals; a traceback is a failure too."""
+    """Carry out all runs of the plan of `seed`.
+
+    Never raises: a refusal is part of the result, and a defect is a failure.
+    """
     trial, began = PlanTrial(seed), perf_counter()
     with memory_directory("plan") as directory:
         try:
@@ -83,7 +86,7 @@ def _run(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind, judged: bool)
 
 
 def _interrupted(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind) -> None:
-    """Run again from the start until the interruption; the withdrawal must end at the retreat plane."""
+    """Run the plan again and interrupt it; the withdrawal must end at the retreat plane."""
     assert kind.preflight is not None
     world, clock = World(drawn.scenario), AlarmClock()
     instant_s = drawn.at_share * kind.preflight.machine_seconds
@@ -125,7 +128,9 @@ def _carry_out(
 
 
 def reason_of(error: VolcalError) -> str:
-    """Return the kind of a refusal: its type and message without numbers and balls."""
+    """Return the type of a refusal and its message without numbers and ball names, so that like refusals can be
+    counted.
+    """
     words = re.sub(r"-?\d+(\.\d+)?", "#", error.message)
     return f"{type(error).__name__}: {words}"
 

@@ -1,1 +1,1 @@
-"""Run interrupted at every instant of every step, and resumed."""
+"""One run, interrupted at several instants of every step and resumed."""

@@ -1,8 +1,7 @@
-"""Short run that is interrupted: one machine in this process, and a kill switch that ends everything at a given
-instant.
+"""Short run to be interrupted, on one machine in this process, with a kill switch.
 
-A killed process executes nothing. Here journal, clock and devices are dead once the kill switch has been used: the
-run's own withdrawal and clean-up have no effect, as if there were no process.
+A killed process executes nothing. To simulate this, journal, clock and devices fail after the kill switch has been
+used, so the run's own withdrawal and clean-up have no effect.
 """
 
 from __future__ import annotations
@@ -34,22 +33,24 @@ from simulators.scenario import ScenarioDocument, build_scenario
 from simulators.world.world import World
 
 MOMENTS = ("before", "begun", "midway", "done", "durable")
-"""Instants of a step: before it is in the journal; journaled but not begun; in the middle of its motion; done but its
-result not durable; durable.
+"""Instants of a step at which the run may be killed.
+
+In this order: before the step is in the journal; journaled but not begun; in the middle of its motion; done, but its
+result is not durable; result durable.
 """
 
 STATE = Path("state")
-"""State directory; relative on purpose, so that a copy is resumed by changing into it."""
+"""State directory. The path is relative, so that a process resumes a copied state by changing the working directory."""
 
 BALLS = (0, 2, 5, 8, 10)
 
 
 class Killed(BaseException):
-    """Raised by everything that a killed process would no longer execute."""
+    """Raised by every operation that a killed process would no longer execute."""
 
 
 class KillSwitch:
-    """Alive until `kill`; `notify` is called at every instant of every step of the procedure before it passes."""
+    """Switch that is alive until `kill` is called; `notify` is called at each of the `MOMENTS` of every step."""
 
     def __init__(self, notify: Callable[[str, Step], None]) -> None:
         self.dead = False
@@ -67,7 +68,7 @@ class KillSwitch:
 
 @dataclass
 class KillableClock:
-    """Clock of one process on a machine that outlives it."""
+    """Clock of one process, for a simulated machine that outlives the process."""
 
     inner: Clock
     world: World
@@ -98,9 +99,7 @@ class KillableDevice:
 
 
 def patch_journal(kill_switch: KillSwitch) -> Callable[[], None]:
-    """Make every journal of this process notify the `kill_switch` of its steps; return the function
-    that undoes this.
-    """
+    """Make every journal of this process notify `kill_switch` of its steps. Return a function that undoes this."""
     begin, finish, execute = RunJournal.begin, RunJournal.finish, RunJournal._execute
 
     def patched_begin(self: RunJournal, step: Step) -> None:
@@ -129,7 +128,9 @@ def patch_journal(kill_switch: KillSwitch) -> Callable[[], None]:
 
 
 def cache_preflight() -> None:
-    """Cache the preflight of one case, which is the same every time; copies of this process inherit it."""
+    """Cache the result of the preflight, which is always the same for this case; forked copies of the process
+    inherit it.
+    """
     done: dict[Any, Any] = {}
 
     def once(job: Job, start_mm: Any = None, procedure: Any = None, watch: Any = never_interrupted) -> Any:
@@ -142,7 +143,7 @@ def cache_preflight() -> None:
 
 @dataclass
 class ResumeMachine:
-    """One machine, and the runs of one state directory on it."""
+    """One machine, and the agent's runs on it with one state directory."""
 
     world: World
 
@@ -158,7 +159,7 @@ class ResumeMachine:
 
     @property
     def table(self) -> list[int]:
-        """Active bank, and the CRC-32 of its contents."""
+        """Number of the active bank, and the CRC-32 of its contents."""
         controller = self.world.controller
         bank = controller.active_bank
         return [bank, table_digest(controller.banks[bank]) if bank else 0]
@@ -178,7 +179,8 @@ class ResumeMachine:
 def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
     """Write the files of a small case to `directory`, the working directory.
 
-    Five balls, two positions, one held out; errors so large, and gates so wide, that the table is written and verified.
+    The case has five balls, two positions and one held-out position. The errors are so large, and the gates so wide,
+    that the table is always written and verified.
     """
     artefact = (SHIPPED_CONFIGURATION / "artefacts" / "ball-bar-1500.toml").read_text()
     head, rows = artefact.split("balls = [\n")
@@ -224,7 +226,7 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
 
 
 def signature(machine: ResumeMachine) -> dict[str, Any]:
-    """Return everything that must not depend on an interruption: every figure with all its digits."""
+    """Return all results that must not depend on an interruption, with all digits of their numbers."""
     with open_journal(STATE) as reader:
         [row] = reader.runs()
         run = row.run

@@ -1,12 +1,13 @@
-"""Run interrupted at each instant of each step, resumed, and compared with the uninterrupted run.
+"""One run, interrupted at each instant of each step, resumed, and compared with the uninterrupted run.
 
-One run continues to its end; at every instant the process and its state directory are copied, and the run dies in the
-copy and is resumed on the machine as it was left. Every figure of every copy must equal that of the uninterrupted run,
-every touch must be made once, and the table must be the same.
+One run continues to its end. At every instant (`MOMENTS`) of its steps the process is forked and its state directory
+copied; in the copy the run is killed, and then resumed on the machine in the state in which the killed run left it.
+Every figure of every copy must equal that of the uninterrupted run, every touch must be recorded once, and the table
+must be the same.
 
     python -m campaigns.resume [--every 1] [--moments before,begun,midway,done,durable]
 
-Ends with one JSON line, and with exit code 0 only if nothing differs.
+The output ends with one line of JSON. The exit code is 0 only if nothing differs.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ from campaigns.resume.case import (
 
 @dataclass
 class InterruptionRecorder:
-    """Points at which copies of the run were interrupted, and the results of these copies."""
+    """Forks a copy of the run at each selected instant, has the copy killed there, and records these instants.
+
+    The results of the copies are files in the directory `results`.
+    """
 
     machine: ResumeMachine
     every: int
@@ -86,7 +90,7 @@ class InterruptionRecorder:
             self.kill_switch.kill()
 
     def conclude(self) -> None:
-        """Resume the dead run in a copy, and write its result."""
+        """Resume the killed run in this copy of the process, and write its result to a file."""
         try:
             ended = self.machine.resume()
             if ended.error is not None:
@@ -100,7 +104,7 @@ class InterruptionRecorder:
 
 
 def repeated_measurements() -> list[Any]:
-    """Return touches with a result, and balls, that occur more than once."""
+    """Return the keys of touches with a result, and of balls, that the journal contains more than once."""
     with open_journal(STATE) as reader:
         [run] = reader.runs()
         keys = [[row.key for row in rows] for rows in (reader.touches(run.run), reader.balls(run.run))]

@@ -1,1 +1,1 @@
-"""Machine and ball bar that warm up while they are measured against each other."""
+"""Calibrations during which machine and ball bar warm up."""

@@ -17,7 +17,7 @@ from campaigns.warming.row import WarmingRow
 
 @dataclass(frozen=True)
 class WarmingTrace:
-    """Temperatures reported with every ball, over minutes of machine time."""
+    """Temperatures in °C reported with every ball, and the machine time of each ball in minutes."""
 
     minutes: tuple[float, ...]
     machine_c: tuple[float, ...]

@@ -1,4 +1,4 @@
-"""Row of results for one machine that warms."""
+"""Row of results for one machine, with and without warming."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class WarmingRow:
-    """Results of one machine: true VCE, aligned, in µm.
+    """Results of one machine; errors are true VCE, rigidly aligned, in µm.
 
-    With the run's table: `constant` at 20 °C, `settled` at 23 °C, and `warm` while it warms from the one to the other;
-    `ratio` is warm over settled. From the ball centres of the warm run: `undrifted` without the machine's drift,
-    `untold` without any known temperature. `late`: warm, at the end of the whole run; `bare`: the same without any
-    table.
+    With the table written by the run: `constant` at 20 °C throughout, `settled` at 23 °C throughout, and `warm` while
+    machine and bar warm from 20 °C to 23 °C, evaluated at the last ball of the set; `ratio` is warm over settled.
+    With a table identified from the same ball centres as `warm`: `undrifted` without a drift of the machine, `untold`
+    also without the bar's temperature (20 °C is assumed). At the end of the whole warm run: `late` with its table,
+    `bare` without a table. `predicted_…` are the agent's own predictions.
     """
 
     seed: int

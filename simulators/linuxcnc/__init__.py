@@ -1,1 +1,1 @@
-"""Simulated plant for a real LinuxCNC: machine, balls and mount of the simulated world around a real controller."""
+"""Simulated plant (machine, balls and mount) around a real LinuxCNC controller."""

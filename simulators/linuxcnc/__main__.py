@@ -1,8 +1,9 @@
-"""`python -m simulators.linuxcnc`: a stock LinuxCNC with a simulated machine around it, running until standard input
-ends.
+"""`python -m simulators.linuxcnc`: a stock LinuxCNC with a simulated machine around it.
 
-The first line on standard output is one JSON object: `pid`, the process through which others enter the namespaces, and
-the addresses of the control channel and the CAN bus inside them.
+It runs until standard input ends.
+
+The first line on standard output is one JSON object. It gives `pid`, the process whose namespaces other programs enter,
+and the addresses of the control channel and the CAN bus inside these namespaces.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ def run(
 
 
 def _in_namespaces(arguments: list[str]) -> int:
-    """Run this program again in its own namespaces, and add to its ready line the process id for entering them."""
+    """Run this program again in namespaces of its own, and add to its ready line the process id needed to enter
+    them.
+    """
     command = unshare_command([sys.executable, "-m", "simulators.linuxcnc", *arguments, "--inside"])
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603  our own program
         assert process.stdout is not None  # noqa: S101  a pipe was requested above

@@ -1,4 +1,4 @@
-"""Stock LinuxCNC without a screen: started, switched on, homed and stopped."""
+"""Start, switch on, home and stop a stock LinuxCNC without a screen."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ JOINTS = 3
 class LinuxCncInstance:
     """Context manager for a running LinuxCNC.
 
-    `speed` is controller seconds per wall second; `directory` holds INI and HAL files and receives the log; `programs`
-    is searched first for whatever the HAL files load.
+    `speed` is controller seconds per wall second; `directory` holds INI and HAL files and receives the log; programs
+    that the HAL files load are searched for in `programs` first.
     """
 
     def __init__(self, directory: Path, ini: str, *, speed: float, programs: Path) -> None:
@@ -70,7 +70,9 @@ class LinuxCncInstance:
         return os.environ | {"HOME": HOME, "PATH": path, "RTAPI_UID": NOBODY, "RTAPI_FIFO_PATH": fifo}
 
     def _make_ready(self) -> None:
-        """Wait for the display's server, release the emergency stop, switch on and home."""
+        """Wait for the server of LinuxCNC's display program (linuxcncrsh), release the emergency stop, switch on and
+        home.
+        """
         deadline = Deadline.after(RealClock(), START_TIMEOUT_S)
         while not self._homed():
             if self._process is not None and self._process.poll() is not None:
@@ -82,7 +84,7 @@ class LinuxCncInstance:
             deadline.clock.sleep(POLL_S)
 
     def _homed(self) -> bool:
-        """Request the steps still missing and return True if the machine is on and homed."""
+        """Request the steps still missing; return True if the machine is on and homed."""
         try:
             reply = self._ask("get joint_homed", "get machine")
             if reply.count(" YES") < JOINTS:
@@ -93,8 +95,8 @@ class LinuxCncInstance:
         return "MACHINE ON" in reply
 
     def _ask(self, *lines: str) -> str:
-        """Send commands to linuxcncrsh, the last of them `get machine`, and return everything
-        answered up to that one.
+        """Send `lines` and then `get machine` to linuxcncrsh; return all text received up to the answer to the
+        latter.
         """
         with self._send(*lines) as link:
             answer = ""

@@ -1,4 +1,4 @@
-"""LinuxCNC and the plant around it as one machine: in its own namespaces, with CAN drives and a control channel."""
+"""LinuxCNC and the plant around it as one machine in its own namespaces, with CAN drives and a control channel."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ from simulators.wire.time_server import Ticker
 OWN_COMPONENTS: Final = Path(__file__).resolve().parent / "components"
 CAN: Final = "socketcand:127.0.0.1:29536"
 CONTROL: Final = ("127.0.0.1", 5022)
-"""Addresses as in config/linuxcnc/volcal.toml; in a network namespace no port is taken."""
+"""Addresses as in config/linuxcnc/volcal.toml.
+
+They can be fixed, because no port is in use in a new network namespace.
+"""
 BUILD_WITHIN_S: Final = 120.0
 
 
 def build(components: Path, out: Path) -> list[Path]:
-    """Compile the plant's component and the driver's components; return the modules that LinuxCNC loads.
+    """Compile the plant's and the driver's HAL components; return the paths of the modules that LinuxCNC loads.
 
     Raises ConfigurationError if a component does not compile.
     """
@@ -54,7 +57,7 @@ def _compile(command: list[str], directory: Path) -> None:
 
 
 class LinuxCncMachine:
-    """Context manager for the whole machine, used once and inside its own namespaces.
+    """Context manager for the whole machine. It can be entered once, inside the machine's own namespaces.
 
     `work` holds configuration and components and receives all other files.
     """

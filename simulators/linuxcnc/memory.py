@@ -1,6 +1,6 @@
 """File through which the plant's process and the servo thread of LinuxCNC share the simulated state.
 
-Layout as in `components/volcal_plant.h`: every field 8 bytes, little-endian.
+The layout is that of `components/volcal_plant.h`; every field has 8 bytes, little-endian.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _HEAD = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class DeviationGrid:
-    """Deviations `deviation_mm`, (nx, ny, nz, 3), at the bare axis positions origin + index * step."""
+    """Deviations `deviation_mm` (nx, ny, nz, 3) at the uncorrected axis positions origin + index * step, in mm."""
 
     origin_mm: Array
     step_mm: Array
@@ -74,7 +74,7 @@ class ProbeBehaviour:
 
 
 class PlantMemory:
-    """Shared memory written here and read by the servo thread; closing it leaves the file."""
+    """Shared memory, written here and read by the servo thread. Closing it does not remove the file."""
 
     def __init__(self, path: Path, grid: DeviationGrid, nature: ProbeBehaviour) -> None:
         size = _HEAD.itemsize + grid.deviation_mm.size * 8
@@ -94,7 +94,9 @@ class PlantMemory:
         self._read = 0
 
     def show(self, balls_mm: Array, *, drift_mm: tuple[float, float, float], temperatures_c: list[float]) -> None:
-        """Publish the balls (n, 3) in the workpiece frame, the drift and the temperatures."""
+        """Publish the ball centres (n, 3) in the workpiece frame, the thermal drift of the tip, and the
+        temperatures.
+        """
         if len(balls_mm) > BALLS:
             raise ConfigurationError(f"{len(balls_mm)} balls; the plant holds at most {BALLS}", key="artefacts")
         self._head["sequence"] += 1
@@ -105,7 +107,9 @@ class PlantMemory:
         self._head["sequence"] += 1
 
     def read_trace(self) -> Array:
-        """Return the tip positions (n, 3) since the previous call, beginning with the last one returned before."""
+        """Return the tip positions (n, 3) in mm since the previous call, starting with the last one that it
+        returned.
+        """
         written = int(self._head["traced"][0])
         first = max(self._read - 1, written - TRACE + 1, 0)
         self._read = written

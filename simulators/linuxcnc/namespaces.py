@@ -1,6 +1,9 @@
-"""Linux namespaces for one LinuxCNC, which has a single lock, fixed shared-memory keys and servers on all interfaces.
+"""Linux namespaces for one LinuxCNC.
 
-A program started here has its own network, IPC, mounts and processes; another enters them with `nsenter_command`.
+They are needed because LinuxCNC uses one lock, fixed shared-memory keys and servers on all interfaces.
+
+A program started here has its own network, IPC, mount and process namespaces; another program enters them with
+`nsenter_command`.
 """
 
 from __future__ import annotations
@@ -13,14 +16,15 @@ from pathlib import Path
 MODULES = Path("/usr/lib/linuxcnc/modules")
 TMP = Path("/tmp")  # noqa: S108  inside the namespace
 PROGRAMS = Path(__file__).resolve().parents[2]
-"""Location of volcal; programs in the namespace must find it even if it is under the outer /tmp."""
+"""Root directory of volcal; programs in the namespaces must find it even if it is under the outer /tmp."""
 HOME = str(TMP)
-"""LinuxCNC keeps its tool table in a file under HOME, so its clients must use the same HOME."""
+"""HOME of LinuxCNC and of its clients, which must agree because LinuxCNC stores its tool table in a file under HOME."""
 
 
 def unshare_command(command: list[str]) -> list[str]:
-    """Return a command that runs `command` as the first process of new namespaces, ending with the process that starts
-    it.
+    """Return a command that runs `command` as the first process of new namespaces.
+
+    `command` is killed when this `unshare` process ends.
     """
     return [
         "unshare",
@@ -37,7 +41,7 @@ def unshare_command(command: list[str]) -> list[str]:
 
 
 def nsenter_command(pid: int) -> list[str]:
-    """Return the prefix for a command that runs in the namespaces of process `pid`, as seen from here."""
+    """Return the prefix for a command to be run in the namespaces of process `pid`, the id outside the namespaces."""
     user = ["--user", "--preserve-credentials"] if _user() else []
     return ["nsenter", "--target", str(pid), *user, "--net", "--ipc", "--mount", "--pid", "env", f"HOME={HOME}"]
 
@@ -57,10 +61,10 @@ def unavailable_reason() -> str:
 
 
 def make_private(work: Path, modules: list[Path]) -> None:
-    """Prepare the namespaces; to be called first inside them.
+    """Prepare the namespaces; must be the first call inside them.
 
-    Brings loopback up, mounts a private /dev/shm and a private /tmp in which `work` and these programs keep their
-    paths, and adds `modules` to those that LinuxCNC loads.
+    Brings loopback up, mounts a private /dev/shm and a private /tmp in which `work` and the volcal programs are still
+    found at their old paths, and adds `modules` to those that LinuxCNC can load.
     """
     _run("ip", "link", "set", "lo", "up")
     # faketime names its shared memory by process ids, which restart in a new namespace
@@ -83,7 +87,9 @@ def make_private(work: Path, modules: list[Path]) -> None:
 
 
 def first_child(pid: int) -> int | None:
-    """Return the only child of a process, as `unshare --fork` has one; None before it exists."""
+    """Return the process id of the only child of process `pid`, such as that of `unshare --fork`; None before it
+    exists.
+    """
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
     return int(children[0]) if children else None
 

@@ -1,7 +1,7 @@
-"""World around LinuxCNC: the true machine, artefact and mount of every simulation, presented to the servo thread.
+"""World around LinuxCNC: the simulated true machine, artefact and mount, made available to the servo thread.
 
-The controller inside the simulated world is not used: LinuxCNC moves the axes, and a realtime component reports probe
-trips. Collisions are searched along the path that the tip has taken.
+The world's own simulated controller is not used: LinuxCNC moves the axes, and a realtime component reports probe
+trips. Collisions are searched for along the path that the tip has taken.
 """
 
 from __future__ import annotations
@@ -25,9 +25,7 @@ from twin.machine.true_machine import TrueMachine
 GRID_STEP_MM = 25.0
 STEM = "stem"
 NEAR_MM = 2.0
-"""Distance within which the stem may touch a ball that the tip is about to touch or leaves; it
-deflects with the tip.
-"""
+"""Gap between tip and ball up to which the stem may touch that ball, because it deflects with the tip."""
 
 
 class LinuxCncPlant:
@@ -78,7 +76,7 @@ class LinuxCncPlant:
         self._shown = snapshot
 
     def _look(self, snapshot: WorkpieceSnapshot, start: Point, end: Point) -> None:
-        """Record a collision when it begins; while it lasts it counts once."""
+        """Record a collision when it begins; a lasting collision counts once."""
         near = {
             (STEM, name)
             for name, ball in zip(snapshot.ball_names, snapshot.balls, strict=True)
@@ -97,7 +95,7 @@ class LinuxCncPlant:
 
 
 def _sample_field(machine: TrueMachine, scenario: Scenario) -> DeviationGrid:
-    """Sample the machine's deviation on a grid fine enough that interpolation is wrong by less than 0.1 µm."""
+    """Sample the machine's deviation on a grid so fine that interpolation errors are below 0.1 µm."""
     low, high = np.array(scenario.machine.limits, dtype=np.float64).T
     cells = np.maximum(np.ceil((high - low) / GRID_STEP_MM), 1).astype(int)
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, cells, strict=True)]

@@ -1,4 +1,4 @@
-"""`python -m simulators.linuxcnc` as a separate process, for tests and benchmarks outside its namespaces."""
+"""Run `python -m simulators.linuxcnc` as a separate process, for tests and benchmarks outside its namespaces."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ANSWER_WITHIN_S = 60.0
 _ASK = "import socket, sys; s = socket.create_connection((sys.argv[1], int(sys.argv[2])), 30); " + (
     "s.sendall(sys.argv[3].encode() + b'\\n'); print(s.makefile().readline())"
 )
-"""Program run in the network namespace, where the control channel listens."""
+"""Program, run inside the network namespace, that sends one request to the control channel."""
 
 
 class LinuxCncProcess:
-    """Context manager that runs LinuxCNC and its plant; neither outlives it."""
+    """Context manager that runs LinuxCNC and its plant, and ends both on exit."""
 
     def __init__(self, *, scenario: Path, configuration: Path, components: Path, work: Path, speed: float) -> None:
         self.work = work
@@ -64,7 +64,7 @@ class LinuxCncProcess:
 
     @property
     def bridge_command(self) -> list[str]:
-        """Value of a driver's option `bridge_command` for use outside the namespaces."""
+        """Value of the LinuxCNC driver's option `bridge_command` for use outside the namespaces."""
         return self.inside("/usr/bin/python3")
 
     def ask(self, request: str) -> dict[str, Any]:

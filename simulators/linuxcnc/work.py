@@ -1,4 +1,4 @@
-"""Working directory of a LinuxCNC: a copy of its configuration, so that the original is never written."""
+"""Working directory of a LinuxCNC: a copy of its configuration, so that the original is never modified."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ TABLES = "tables"
 
 
 def prepare_work_directory(configuration: Path, components: Path, work: Path) -> None:
-    """Copy INI, HAL and tool files and the components' HAL files (not the agent's settings), and make the table
-    directory.
+    """Copy INI, HAL and tool files and the components' HAL files, and make the directory for tables.
+
+    The agent's settings are not copied.
     """
     if not configuration.is_dir():
         raise ConfigurationError("no such directory", file=str(configuration))
