@@ -17,7 +17,7 @@ from typing import Protocol
 from drivers.errors import DeadlineExpired
 
 INTERRUPT_SLICE_S = 0.05
-"""Longest machine time until a hold or an abort is detected (agent design: 50 ms)."""
+"""Longest machine time in s until a hold or an abort is detected; the agent's design requires 50 ms."""
 
 
 class Clock(Protocol):
@@ -57,7 +57,7 @@ class ScaledClock:
 
 
 class VirtualClock:
-    """Clock that advances only when someone sleeps on it; listeners (a world, wire servers) advance with it."""
+    """Clock that advances only by calls of `sleep`; listeners (a simulated world, wire servers) advance with it."""
 
     def __init__(self) -> None:
         self._now = 0.0
@@ -73,7 +73,7 @@ class VirtualClock:
     def sleep(self, duration_s: float) -> None:
         """Advance by `duration_s`, at least to the next float64.
 
-        A shorter sleep would leave the time unchanged, and a loop that waits for an instant would never end.
+        A shorter advance would be lost by rounding, and a loop that waits for an instant would never end.
         """
         if duration_s > 0.0:
             self.advance_to(max(self._now + duration_s, math.nextafter(self._now, math.inf)))
@@ -89,9 +89,10 @@ class VirtualClock:
 class LockstepClock:
     """Virtual time shared with a simulator process: a sleep on this clock advances the simulated world.
 
-    The agent's side leads. A request is the line ``advance SECONDS\\n``; the peer answers ``ok\\n`` once the
-    simulated world has reached that instant. The clock is not a device and raises no fault: if the peer is
-    lost, time continues with the wall clock, so that the machine's own link reports the loss.
+    The agent's side is the master. A request is the line ``advance T\\n``, with T the clock's new time in s since its
+    start; the peer answers ``ok\\n`` once the simulated world has reached that time. The clock is not a device and
+    raises no fault: if the peer is lost, time continues with the wall clock, so that the machine's own link reports
+    the loss.
     """
 
     def __init__(self, host: str, port: int, *, answer_within_s: float = 10.0) -> None:
@@ -170,15 +171,15 @@ class InterruptibleClock:
 def without_interrupts(clock: Clock) -> Clock:
     """Return the clock beneath an `InterruptibleClock`, or `clock` itself.
 
-    For waits between a request and its answer: these must not be interrupted, and a hold or a STOP needs them itself
-    while the run is interrupted.
+    Use it for waits between a request and its answer: such a wait must not be interrupted, and hold and STOP themselves
+    send requests while the run is interrupted.
     """
     return clock.inner if isinstance(clock, InterruptibleClock) else clock
 
 
 @dataclass(frozen=True)
 class Deadline:
-    """Latest instant at which an awaited event is accepted, on a given clock."""
+    """Instant on a given clock by which an awaited event must occur."""
 
     clock: Clock
     expires_s: float
@@ -196,18 +197,18 @@ class Deadline:
         return self.clock.now() >= self.expires_s
 
     def raise_if_expired(self, awaited: str, *, hint: str = "", **where: str | int) -> None:
-        """Raise `DeadlineExpired`, naming the awaited event, if the deadline has passed."""
+        """Raise `DeadlineExpired` if the deadline has passed; its message contains `awaited`, the awaited event."""
         if self.expired:
             raise DeadlineExpired(f"timed out waiting for {awaited}", hint=hint, **where)
 
 
 def wall_seconds() -> float:
-    """Return a monotonic wall-clock time in s, for timing the agent itself and never for machine time."""
+    """Return a monotonic wall-clock time in s. It times the agent itself and must not be used as machine time."""
     return time.perf_counter()
 
 
 def utc_timestamp() -> str:
-    """Return the current civil time for records: ISO 8601, UTC, to the millisecond."""
+    """Return the current UTC time for records, in ISO 8601 format to the millisecond."""
     seconds = time.time()
     stamp = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(seconds))
     return f"{stamp}.{int(seconds * 1e3) % 1000:03d}Z"

@@ -1,4 +1,4 @@
-"""Trunk of the error tree, and the errors that a device, a link or its description can cause.
+"""Error classes: the base class `VolcalError`, errors in user input, and errors of devices and links.
 
 ::
 
@@ -9,19 +9,19 @@
     └── DeviceError               something on a link or in a device went wrong       exit code 3
         ├── LinkError
         │   ├── LinkLost          connection refused, reset, heartbeat gone
-        │   ├── LinkTimeout       the peer is there and does not answer
+        │   ├── LinkTimeout       the peer is connected but does not answer
         │   └── ProtocolError     an answer that the protocol does not allow
         ├── CommandRejected       the device understood and refused
         ├── MotionFault           motion ended in a fault (limit, following error, e-stop)
-        │   └── GuardTripped      the probe tripped in a move that was no touch
+        │   └── GuardTripped      the probe tripped in a move that was not a touch
         ├── DeadlineExpired       the device did not reach the awaited state in time
         ├── PermissionMissing     door open, not in automatic, spindle turning, no probe ...
         └── StoreError            compensation tables
             ├── ChecksumMismatch
             ├── ReadBackMismatch
-            └── NotActiveYet      written; the controller activates it only later
+            └── NotActiveYet      the table is written, but the controller activates it only later
 
-A run's own decisions (refused, aborted, busy) are the branch `RunError` of the application that uses the drivers.
+The application that uses the drivers adds a branch `RunError` for decisions of a run (refused, aborted, busy).
 
 Every error says what is wrong, where, and what to do; `str()` gives all three on one line.
 """
@@ -32,7 +32,11 @@ from typing import ClassVar, Self
 
 
 class VolcalError(Exception):
-    """Root of the tree. `where` holds named locations (device, link, step, file, key, row), `hint` what to do."""
+    """Base class of all errors of volcal's drivers and application.
+
+    `where` maps names of locations (device, link, step, file, key, row) to their values, such as file to its path;
+    `hint` tells the user what to do.
+    """
 
     exit_code: ClassVar[int] = 1
 
@@ -43,7 +47,7 @@ class VolcalError(Exception):
         self.where: dict[str, str] = {name: str(value) for name, value in where.items()}
 
     def at(self, **where: str | int) -> Self:
-        """Add locations known to a caller (a step key, a device name); names already present are kept."""
+        """Add locations known to a caller (a step key, a device name); existing entries are kept. Returns the error."""
         for name, value in where.items():
             self.where.setdefault(name, str(value))
         return self

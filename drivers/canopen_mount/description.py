@@ -1,4 +1,4 @@
-"""Optional EDS file of a drive (CiA 306): its identity, and a check that it lists the required objects."""
+"""Optional EDS file (CiA 306) of a drive: reading of the identity, and a check for the required objects."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from drivers.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class DriveDescription:
-    """Contents of the EDS file; empty if there is none."""
+    """Contents of a drive's EDS file; empty if the settings name no file."""
 
     dictionary: ObjectDictionary
     vendor_id: int | None = None
     product_code: int | None = None
 
     def with_identity(self, settings: AxisSettings) -> AxisSettings:
-        """Return the settings, with the identity from the EDS file where they contain none."""
+        """Return the settings with missing vendor id and product code filled in from the EDS file."""
         found = {"vendor_id": self.vendor_id, "product_code": self.product_code}
         missing = {name: value for name, value in found.items() if value and getattr(settings, name) is None}
         return settings.model_copy(update=missing)
@@ -30,7 +30,8 @@ class DriveDescription:
 def load_description(settings: AxisSettings, base_path: Path) -> DriveDescription:
     """Load the EDS file named in the settings, if any.
 
-    Raises ConfigurationError, naming the file and an object that is missing or not writable in it.
+    Raises ConfigurationError if the file cannot be read, or if a required object is missing, is not writable or has
+    another size; the error names the file and the object.
     """
     if settings.eds is None:
         return DriveDescription(ObjectDictionary())  # type: ignore[no-untyped-call]

@@ -28,7 +28,10 @@ POLL_S = 0.02
 HANDSHAKE_S = 1.0
 """Time limit in s for the set-point acknowledge and the mode display."""
 MAX_TRANSITIONS = 8
-"""Transitions until *operation enabled*: at most seven are needed; after eight the drive is going in circles."""
+"""Largest number of transitions to *operation enabled*.
+
+At most seven are needed, so a drive not enabled after eight is repeating states.
+"""
 
 _log = structlog.get_logger("canopen_mount")
 
@@ -36,7 +39,7 @@ _log = structlog.get_logger("canopen_mount")
 class Drive:
     """Drive of one axis; angles are mount angles in degrees.
 
-    Every wait is bounded. On an exception the mount, not this class, stops the drives, because both axes must stop.
+    Every wait is bounded. After an exception the mount stops the drives, not this class, because both axes must stop.
     """
 
     def __init__(
@@ -69,7 +72,8 @@ class Drive:
     def verify(self) -> None:
         """Verify that identity and units of the drive match the settings, and store its software limits.
 
-        Raises ProtocolError or ConfigurationError if not. Writes nothing, unless the settings say to write the units.
+        Raises ProtocolError if the identity differs, ConfigurationError if the units differ. Writes nothing unless
+        `units.write` is set; then differing units are written to the drive.
         """
         verify_identity(self.node, self.settings)
         verify_factors(self.node, self.settings)
@@ -86,7 +90,7 @@ class Drive:
         return self.state_of(self.node.read(objects.STATUSWORD))
 
     def require_within_limits(self, angle_deg: float) -> None:
-        """Raise CommandRejected if the angle is outside the limits; nothing is sent to the drive."""
+        """Raise CommandRejected if the angle is outside the limits of the settings or of the drive; send nothing."""
         lower, upper = self.settings.lower_deg, self.settings.upper_deg
         if not lower <= angle_deg <= upper:
             raise CommandRejected(
@@ -113,7 +117,7 @@ class Drive:
             )
 
     def prepare(self) -> None:
-        """Start the node by NMT and set its heartbeat, at opening and after a restart; moves nothing."""
+        """Set the node's heartbeat time and start it by NMT; required at opening and after a restart. Moves nothing."""
         self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)
         self.node.start()
         self._mode = None
@@ -122,9 +126,9 @@ class Drive:
         self._monitor.arm()
 
     def enable(self) -> None:
-        """Bring the drive to *operation enabled* by the state table.
+        """Bring the drive to *operation enabled* by the transitions in `ENABLE_TRANSITIONS`.
 
-        A drive found already enabled is stopped first. Faults found on the way are reset.
+        A drive that is already enabled when first queried is stopped before. A fault met on the way is reset.
         """
         if not self._prepared:
             self.prepare()
@@ -181,7 +185,7 @@ class Drive:
         return bool(self._statusword_in_motion() & states.TARGET_REACHED)
 
     def describe_unreached_target(self) -> str:
-        """Return the drive's own information on why it has not reached its target."""
+        """Return position, blocking limit and following error as text, for a drive that has not reached its target."""
         return describe_unreached_target(self.node, self._scale, self._target, self._direction)
 
     def start_homing(self, homing: HomingSettings) -> None:
@@ -206,7 +210,10 @@ class Drive:
         return done
 
     def quick_stop(self) -> None:
-        """Stop at once, without sleeping, since it also runs after the clock has aborted a wait."""
+        """Command a quick stop, without sleeping: it must also work after the clock has aborted a wait.
+
+        Raises MotionFault if the drive ignores the command.
+        """
         for _ in range(2):
             self.node.write(objects.CONTROLWORD, states.QUICK_STOP)
             if drive_state(self.node.read(objects.STATUSWORD)) is not DriveState.OPERATION_ENABLED:
@@ -216,7 +223,7 @@ class Drive:
     def release(self) -> None:
         """Switch off the motor's power; its brake or gear holds the mount.
 
-        Does nothing if the drive was not enabled from here: a mere observer must not stop another process' motion.
+        Does nothing if this object has not enabled the drive: a diagnosis must not stop another process' motion.
         """
         if self._enabled_here:
             self._enabled_here = False
@@ -229,7 +236,8 @@ class Drive:
     def check(self) -> list[int]:
         """Return the error codes of emergencies since the last call.
 
-        Raises MotionFault if the node has restarted or left its NMT state, LinkTimeout or LinkLost if it is silent.
+        Raises MotionFault if the node has restarted or left the NMT state *operational*, LinkTimeout or LinkLost if it
+        no longer answers.
         """
         try:
             return self._monitor.check()
@@ -239,7 +247,7 @@ class Drive:
             raise
 
     def check_in_motion(self) -> None:
-        """Check the node as `check` does, and raise MotionFault for an emergency that is not tolerated."""
+        """Call `check`, and raise MotionFault if it returns an emergency that the settings do not tolerate."""
         self._require_no_emergency(self.check())
 
     def _require_no_emergency(self, codes: list[int]) -> None:

@@ -24,7 +24,10 @@ _log = structlog.get_logger("canopen_mount")
 
 @dataclass(frozen=True)
 class Factor:
-    """Expected value of one object or of a ratio of two sub-indexes. `key` is its key in the axis settings."""
+    """Expected value of one object, or of a ratio stored in two sub-indexes.
+
+    `key` is the key in the axis settings from which the expected value comes.
+    """
 
     name: str
     entries: tuple[DriveObject, ...]
@@ -32,7 +35,7 @@ class Factor:
     key: str
 
     def agrees(self, found: tuple[int, ...]) -> bool:
-        """Return True if `found` equals the expected value. Ratios are compared as numbers: 36:1 equals 72:2."""
+        """Return True if `found` equals the expected value. Ratios are compared by value, so 36:1 equals 72:2."""
         if len(found) == 1:
             return found == self.values
         return bool(found[1]) and Fraction(*found) == Fraction(*self.values)
@@ -65,15 +68,15 @@ def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
 
 
 def read_factor(node: DriveNode, factor: Factor) -> tuple[int, ...] | None:
-    """Return the drive's value; None if it does not have the object."""
+    """Return the value or ratio in the drive; None if the drive does not have the object."""
     found = [node.read_optional(entry) for entry in factor.entries]
     return None if None in found else tuple(value for value in found if value is not None)
 
 
 def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
-    """Verify the drive's factors, first writing differing ones if the settings say so. Moves nothing.
+    """Verify the drive's factors. If `units.write` is set, write differing ones before verifying them. Moves nothing.
 
-    Raises ConfigurationError, naming object and key, for a factor that differs.
+    Raises ConfigurationError, naming object and key, if a factor still differs.
     """
     for factor in expected_factors(settings):
         found = read_factor(node, factor)
@@ -87,7 +90,7 @@ def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
 
 
 def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
-    """Return (ok, text) of one factor for the diagnosis. Reads only."""
+    """Return the diagnosis of one factor: True if it agrees or is not in the drive, and a text. Reads only."""
     found = read_factor(node, factor)
     if found is None:
         return True, f"{factor}: the drive has no such object, not compared"
@@ -108,5 +111,5 @@ def _mismatch(factor: Factor, found: tuple[int, ...]) -> ConfigurationError:
 
 
 def _format_values(factor: Factor, values: tuple[int, ...]) -> str:
-    """Return ratios in decimal, codes and bit patterns in hexadecimal."""
+    """Format values as text: a ratio in decimal, a code or bit pattern in hexadecimal."""
     return f"0x{values[0]:X}" if len(factor.entries) == 1 else " : ".join(str(value) for value in values)

@@ -9,7 +9,7 @@ from drivers.canopen_mount.node import DriveNode
 from drivers.canopen_mount.scale import AxisScale
 
 SWITCHES = {-1: "negative limit switch", 1: "positive limit switch"}
-"""Limit switches by the direction of counts that they block: bits 0 and 1 of 0x60FD."""
+"""Names of the limit switches (bits 0 and 1 of 0x60FD), by the direction of counts in which each blocks motion."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ def read_soft_limits(node: DriveNode) -> SoftLimits | None:
 
 
 def active_switches(node: DriveNode) -> dict[int, str]:
-    """Return the active limit switches by the direction of counts that they block."""
+    """Return the names of the active limit switches, by the direction of counts (-1 or 1) that each blocks."""
     inputs = node.read_optional(objects.DIGITAL_INPUTS) or 0
     return {direction: name for direction, name in SWITCHES.items() if inputs & (1 if direction < 0 else 2)}
 
 
 def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
-    """Return the limit that blocks the turn to `target` counts; an empty string if none is known.
+    """Return a text on the limit that blocks the turn to `target` counts; an empty string if none is known.
 
     `direction` is 1 for increasing counts, -1 for decreasing ones.
     """

@@ -23,7 +23,7 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class CanopenMount:
-    """Rotary mount on a CAN bus. `stop` may be called from another thread than the one that waits."""
+    """Rotary mount on a CAN bus. `stop` may be called while another thread waits for the end of a motion."""
 
     def __init__(
         self, settings: CanopenMountSettings, context: DeviceContext, networks: CanNetworks = PROCESS_NETWORKS
@@ -60,7 +60,10 @@ class CanopenMount:
         self._disconnect()
 
     def stop(self) -> None:
-        """Quick-stop both drives; idempotent. If one fails, the other is stopped nevertheless."""
+        """Quick-stop both drives; idempotent.
+
+        The second drive is stopped even if the first one fails; then the error of the first failure is raised.
+        """
         failures: list[DeviceError] = []
         for drive in self._drives:
             try:
@@ -83,7 +86,8 @@ class CanopenMount:
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
         """Turn both axes together, wait until they are in position and settled, and return the encoder angles.
 
-        Raises CommandRejected (limits, not homed: nothing was sent), MotionFault, DeadlineExpired, LinkError.
+        Raises CommandRejected, before anything is sent, if a limit is exceeded or an axis is not homed; MotionFault,
+        DeadlineExpired, LinkError.
         If an exception ends the wait, both drives are quick-stopped before it propagates.
         """
         drives = self._require_open()
@@ -107,7 +111,7 @@ class CanopenMount:
         return Orientation(azimuth.angle_deg(), elevation.angle_deg())
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Diagnose adapter and drives; reads only. A closed mount is connected during the diagnosis."""
+        """Diagnose adapter and drives; reads only. If the mount is closed, connect for the diagnosis only."""
         was_open = self._link is not None
         try:
             if not was_open:

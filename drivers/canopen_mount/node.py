@@ -29,10 +29,11 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class DriveNode:
-    """CANopen node of a drive, called `axis` in messages. SDO exchanges take up to twice `sdo_timeout_s` of wall time.
+    """CANopen node of a drive; error messages call it by the name `axis`.
 
-    An exchange without an answer is repeated once, for reads and writes alike: writing the same value twice changes
-    nothing, because targets are absolute and commands in the controlword take effect on the rising edge of a bit.
+    An SDO exchange takes up to twice `sdo_timeout_s` of wall time, since it is repeated once if there is no answer. Writes
+    may be repeated like reads: writing the same value twice changes nothing, because targets are absolute and commands
+    in the controlword take effect on the rising edge of a bit.
     """
 
     def __init__(
@@ -65,7 +66,8 @@ class DriveNode:
     def read(self, entry: DriveObject) -> int:
         """Read an object.
 
-        Raises LinkLost, LinkTimeout, ProtocolError, CommandRejected (the node has no such object).
+        Raises LinkLost, LinkTimeout, ProtocolError, and CommandRejected if the node refuses (for example because it has
+        no such object).
         """
         data = self.read_bytes(entry)
         if len(data) != entry.size:
@@ -86,7 +88,7 @@ class DriveNode:
             raise
 
     def read_text(self, index: int) -> str:
-        """Return a visible string; an empty one if the node does not have the object."""
+        """Return the visible string at `index`; an empty string if the node refuses to read it."""
         try:
             data = self._transfer(f"0x{index:04X}", lambda: self._node.sdo.upload(index, 0))
         except CommandRejected:
@@ -97,12 +99,12 @@ class DriveNode:
         return bytes(self._transfer(str(entry), lambda: self._node.sdo.upload(entry.index, entry.subindex)))
 
     def write(self, entry: DriveObject, value: int) -> None:
-        """Write an object. Raises the errors of `read`; CommandRejected contains the drive's reason."""
+        """Write an object. Raises the errors of `read`; the text of CommandRejected contains the drive's reason."""
         data = entry.pack(value)
         self._transfer(str(entry), lambda: self._node.sdo.download(entry.index, entry.subindex, data))
 
     def start(self) -> None:
-        """Set the node to *operational* by NMT, then read an object so that the command is processed first."""
+        """Set the node to *operational* by NMT, then read an object, whose answer comes after the command was processed."""
         try:
             self._link.check()
             self._node.nmt.state = "OPERATIONAL"
@@ -111,7 +113,7 @@ class DriveNode:
         self.read(STATUSWORD)
 
     def take_boot_up(self) -> bool:
-        """Return True if the node announced a boot-up since the last call."""
+        """Return True if the node has announced a boot-up since the last call."""
         with self._seen:
             booted, self._booted = self._booted, False
         return booted

@@ -14,7 +14,7 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class NodeMonitor:
-    """Monitor of one node, called wherever the driver waits.
+    """Monitor of one node; the driver calls `check` in every wait.
 
     The age of the heartbeat is measured on the clock passed in, in the waiting thread. A heartbeat may be late because
     this process was busy, so the node is queried by SDO before it is declared lost.
@@ -36,7 +36,8 @@ class NodeMonitor:
     def check(self) -> list[int]:
         """Log and return the error codes of emergencies since the last call.
 
-        Raises MotionFault after a restart or a change of NMT state, LinkTimeout or LinkLost if the node is gone.
+        Raises MotionFault if the node has restarted or left the NMT state *operational*, LinkTimeout or LinkLost if it
+        no longer answers.
         """
         codes = [code for code in self._node.take_emergencies() if code]
         for code in codes:

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DriveObject:
-    """Object of a drive. `code` is the `struct` letter of its little-endian data type: B/b 8, H/h 16, I/i 32 bits."""
+    """Object in the object dictionary of a drive.
+
+    `code` is the `struct` letter of its little-endian integer type: B/b for 8, H/h for 16, I/i for 32 bits.
+    """
 
     index: int
     subindex: int
@@ -74,13 +77,16 @@ HOMING = 6
 
 READ = (STATUSWORD, MODE_DISPLAY, POSITION)
 WRITTEN = (CONTROLWORD, MODE, TARGET_POSITION, PROFILE_VELOCITY)
-"""Objects that the EDS of a usable drive must list, `WRITTEN` as writable; the ramps are optional in CiA 402."""
+"""Objects that the EDS of a usable drive must list: `READ`, and `WRITTEN` as writable.
+
+The acceleration and deceleration are missing here because they are optional in CiA 402.
+"""
 WRITTEN_FOR_HOMING = (HOMING_METHOD, HOMING_SEARCH_SPEED, HOMING_LATCH_SPEED, HOMING_ACCELERATION)
 
 CIA_402 = 402
-"""Low half of the device type (0x1000) of a drive."""
+"""Device profile number of a drive: the low 16 bits of its device type (0x1000)."""
 
 
 def mode_bit(mode: int) -> int:
-    """Return the bit of 0x6502 that marks a mode as supported: bit 0 for mode 1, bit 5 for mode 6."""
+    """Return the bit mask of a mode in 0x6502 (supported modes): bit 0 for mode 1, bit 5 for mode 6."""
     return 1 << (mode - 1)

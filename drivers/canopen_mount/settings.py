@@ -26,7 +26,7 @@ ComparedFactor = Literal["encoder", "gear", "feed", "polarity"]
 
 
 class UnitSettings(DriverOptions):
-    """Position unit of the drive, and its own objects that must agree with it (CiA 402-2, factors)."""
+    """Position unit of the drive, and the factor objects in the drive that must agree with it (CiA 402-2)."""
 
     position: Literal["increments", "feed"] = Field(
         default="increments", description="encoder increments, or the feed units per turn of the mount by 0x6092"

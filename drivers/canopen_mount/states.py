@@ -1,8 +1,8 @@
 """Power drive state machine of CiA 402 as a table.
 
 Bits 0-3, 5 and 6 of the statusword give the state. `ENABLE_TRANSITIONS` gives for each state the controlword of the
-next transition towards *operation enabled*, its target state and its time limit. A transition without a controlword is
-one that the drive makes by itself.
+next transition towards *operation enabled*, its target state and its time limit. A transition without a controlword
+occurs in the drive without a command.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ WARNING = 1 << 7
 TARGET_REACHED = 1 << 10
 INTERNAL_LIMIT = 1 << 11
 SET_POINT_ACKNOWLEDGE = 1 << 12
-"""Set-point acknowledge in profile position mode; homing attained in homing mode."""
+"""Statusword bit 12: set-point acknowledge in profile position mode, homing attained in homing mode."""
 FOLLOWING_ERROR = 1 << 13
-"""Following error in profile position mode; homing error in homing mode."""
+"""Statusword bit 13: following error in profile position mode, homing error in homing mode."""
 
 DISABLE_VOLTAGE = 0x0000
 QUICK_STOP = 0x0002
@@ -47,15 +47,21 @@ SHUTDOWN = 0x0006
 SWITCH_ON = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
-"""Fault reset on the rising edge of bit 7; a controlword with bit 7 clear is written before it."""
+"""Controlword of a fault reset, which takes effect on the rising edge of bit 7.
+
+Therefore a controlword with bit 7 clear is written first.
+"""
 NEW_SET_POINT = ENABLE_OPERATION | 0x0030
-"""Controlword of a new set-point: bit 4 new set-point, bit 5 change set immediately, bit 6 clear for absolute."""
+"""Controlword of a new set-point: bit 4 (new set-point) and bit 5 (change immediately) set, bit 6 clear (absolute)."""
 START_HOMING = ENABLE_OPERATION | 0x0010
 
 
 @dataclass(frozen=True)
 class StateTransition:
-    """Transition. `controlwords` are written in order, then `target` is awaited for `within_s` of machine time."""
+    """Transition of the state machine.
+
+    `controlwords` are written in order; then the state `target` must be reached within `within_s` of machine time.
+    """
 
     controlwords: tuple[int, ...]
     target: DriveState
@@ -71,7 +77,10 @@ ENABLE_TRANSITIONS: dict[DriveState, StateTransition] = {
     DriveState.READY: StateTransition((SWITCH_ON,), DriveState.SWITCHED_ON, 3.0),
     DriveState.SWITCHED_ON: StateTransition((ENABLE_OPERATION,), DriveState.OPERATION_ENABLED, 3.0),
 }
-"""CiA 402 transitions 1, 14, 15, 12, 2, 3, 4. The time limits of seconds allow for power stages and brakes."""
+"""Transitions towards *operation enabled* by initial state: numbers 1, 14, 15, 12, 2, 3, 4 of CiA 402.
+
+The time limits of several seconds allow for power stages and brakes.
+"""
 
 
 def drive_state(statusword: int) -> DriveState | None:

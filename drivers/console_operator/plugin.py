@@ -1,4 +1,4 @@
-"""Entry point `console-operator`: questions on stderr, answers from stdin; stdout remains free for results."""
+"""Driver plugin `console-operator`: asks on stderr and reads answers from stdin, so that stdout is free for results."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ConsoleOperatorSettings(DriverOptions):
 
 
 class ConsoleOperator:
-    """Operator at a terminal. Raises an error if there is no terminal, instead of waiting for ever."""
+    """Operator at a terminal. If there is no terminal, a question raises an error instead of waiting for ever."""
 
     def __init__(self, settings: ConsoleOperatorSettings, name: str, source: TextIO, sink: TextIO) -> None:
         self._attempts = settings.attempts
@@ -49,7 +49,10 @@ class ConsoleOperator:
         return [DiagnosticFinding("terminal", ok=present, text="present" if present else "stdin is not a terminal")]
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Return True for done or yes. Raises PermissionMissing if there is no terminal or it closes meanwhile."""
+        """Ask and return True if the answer is done or yes.
+
+        Raises PermissionMissing if there is no terminal, or if it closes before the answer.
+        """
         if not self._has_terminal:
             raise self._unreachable(request, "there is no terminal")
         place = f" (station {request.station})" if request.station is not None else ""

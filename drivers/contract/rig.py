@@ -13,7 +13,7 @@ from drivers.roles import CompensationStore, Machine, MotionState, Probe, Rotary
 
 
 class StoppedError(Exception):
-    """Exception that interrupts a wait in these tests."""
+    """Exception that interrupts a wait in the contract tests."""
 
 
 @dataclass
@@ -54,13 +54,13 @@ class ContractRig(ABC):
     """Position from which the path along +X is free for 1000 mm."""
 
     free_mm: ClassVar[tuple[float, float, float]] = (123.456, 0.0, 78.9)
-    """Another free position; the path to it from the start is free as well."""
+    """Another free position; the straight path from `start_mm` to it is free as well."""
 
     outside_mm: ClassVar[tuple[tuple[float, float, float], ...]] = ((1e9, 0.0, 0.0), (0.0, 0.0, -1e9))
     """Positions outside the travel."""
 
     clear_of_mount_mm: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
-    """Position at which the tip is clear of everything that turns."""
+    """Position at which the tip is clear of the mount and of everything that turns with it."""
 
     resolution_mm: float = 1e-5
     """Resolution of positions on the link, mm."""
@@ -74,10 +74,13 @@ class ContractRig(ABC):
 
     @abstractmethod
     def trip_mm(self, target_mm: Vector) -> Vector:
-        """Return the axis position at which the probe trips on the path from `approach` to the target it returned."""
+        """Return the axis position, shape (3,), mm, at which the probe trips on the path to `target_mm`.
+
+        `target_mm` is the target that `approach` returned; the path starts where `approach` left the tip.
+        """
 
     def table(self, factor: int = 1) -> TableImage:
-        """Return a table that the store accepts; each `factor` gives a different one."""
+        """Return a table that the store accepts; each value of `factor` gives a different table."""
         limits = self.store.store_limits()
         counts = np.arange(3 * 2 * 4 * 3, dtype=np.int32).reshape(3, 2, 4, 3) * factor - 30
         return TableImage((0.0, 0.0, 0.0), (2000.0, 1300.0, 500.0), limits.resolution_mm, counts)
