@@ -31,9 +31,9 @@ _log = structlog.get_logger("canopen_mount")
 class DriveNode:
     """CANopen node of a drive; error messages call it by the name `axis`.
 
-    An SDO exchange takes up to twice `sdo_timeout_s` of wall time, since it is repeated once if there is no answer. Writes
-    may be repeated like reads: writing the same value twice changes nothing, because targets are absolute and commands
-    in the controlword take effect on the rising edge of a bit.
+    An SDO exchange takes up to twice `sdo_timeout_s` of wall time, since it is repeated once if there is no answer.
+    Writes may be repeated like reads: writing the same value twice changes nothing, because targets are absolute and
+    commands in the controlword take effect on the rising edge of a bit.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class DriveNode:
         self._transfer(str(entry), lambda: self._node.sdo.download(entry.index, entry.subindex, data))
 
     def start(self) -> None:
-        """Set the node to *operational* by NMT, then read an object, whose answer comes after the command was processed."""
+        """Set the node to *operational* by NMT, then read an object; its answer shows that the command is processed."""
         try:
             self._link.check()
             self._node.nmt.state = "OPERATIONAL"

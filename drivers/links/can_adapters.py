@@ -33,10 +33,10 @@ from drivers.errors import ConfigurationError, LinkLost
 Option = str | int | float | bool
 
 ECHOING_INTERFACES = frozenset({"udp_multicast"})
-"""Interfaces that return a bus its own frames regardless of ``receive_own_messages``."""
+"""python-can interfaces on which a bus receives its own frames regardless of ``receive_own_messages``."""
 CONNECT_WITHIN_S = 3.0
 SEND_WITHIN_S = 1.0
-"""Time in s without accepting bytes after which a serial adapter counts as dead."""
+"""Longest time in s for sending; a serial adapter that accepts no bytes for so long counts as dead."""
 FLAGS_WITHIN_S = 1.0
 """Time limit in s for the answer to a status query; some adapters do not support the query."""
 
@@ -89,7 +89,7 @@ STATUS_FLAGS = {
     6: "arbitration lost",
     7: "bus error",
 }
-"""Bits of the answer to the command ``F`` (CAN232 manual of LAWICEL)."""
+"""Texts of the bits in the answer to the status command ``F``, by bit number (CAN232 manual of LAWICEL)."""
 
 
 class SlcanBus(slcanBus):
@@ -115,7 +115,7 @@ class SlcanBus(slcanBus):
         self._discard_opening_refusal()
 
     def _discard_opening_refusal(self) -> None:
-        """Discard the adapter's refusal of the second opening: python-can opens the channel twice."""
+        """Discard the refusal that the adapter sends because python-can opens the channel twice."""
         self._write("F")
         ends_s = wall_seconds() + FLAGS_WITHIN_S
         while not self._answered.is_set() and self._read(max(0.0, ends_s - wall_seconds())) is not None:
@@ -134,7 +134,10 @@ class SlcanBus(slcanBus):
             self._claim.close()
 
     def status_flags(self, within_s: float) -> int | None:
-        """Return the adapter's status flags, stored by the receiving thread; None if it does not answer in time."""
+        """Query the adapter's status flags; None if it does not answer within `within_s`.
+
+        The receiving thread must be running, because it reads the answer.
+        """
         self._answered.clear()
         self._write("F")
         return self._flags if self._answered.wait(within_s) else None
@@ -155,7 +158,7 @@ class SlcanBus(slcanBus):
             super()._write(string)
 
     def _read(self, timeout: float | None) -> str | None:
-        """Return the next line or BELL; None if none comes within `timeout` seconds."""
+        """Return the next line, or BELL if the adapter refused a command; None if neither comes within `timeout` s."""
         ends_s = None if timeout is None else wall_seconds() + timeout
         while (line := self._next_buffered_line()) is None:
             left_s = None if ends_s is None else max(0.0, ends_s - wall_seconds())
@@ -188,7 +191,7 @@ class SlcanBus(slcanBus):
 
 
 def _lock_port(port: str) -> io.FileIO:
-    """Open and lock the serial port exclusively; the lock lasts while the returned file is open."""
+    """Open the serial port and lock it exclusively; the lock is held until the returned file is closed."""
     held = io.FileIO(os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), "r+")
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)

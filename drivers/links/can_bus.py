@@ -3,10 +3,10 @@
 A CAN channel can be opened once per process and carries every node of every mount on it. Devices that name the same
 interface, channel and options therefore share one `canopen.Network`; the last one to close it shuts down the bus.
 
-Our own thread receives the frames: python-can's notifier dies on an exception or, with a handler, spins on it. Our
-thread ends at the first failure or if the controller goes bus-off, and `CanLink.check` reports that. If the interface
-returns a bus its own frames, these are dropped: in CANopen an identifier has one producer, so a frame with an
-identifier that we have sent is our own.
+Our own thread receives the frames, because python-can's notifier dies on an exception or, with a handler, repeats it
+in a busy loop. Our thread ends at the first failure or if the controller goes bus-off; then `CanLink.check` raises
+LinkLost. If the interface echoes our own frames, they are dropped: in CANopen an identifier has one producer, so a
+frame with an identifier that we have sent is our own.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ RECEIVE_CYCLE_S = 0.1
 """Longest wait of the receiving thread for one frame in s; closing the bus takes up to this long."""
 BUS_OFF = 0x40
 CONTROLLER_PROBLEM = 0x04
-"""Error classes in error frames (linux/can/error.h), for buses that report them."""
+"""`BUS_OFF` and `CONTROLLER_PROBLEM` are error-class bits of error frames (linux/can/error.h).
+
+Some interfaces send no error frames.
+"""
 
 _log = structlog.get_logger("can_bus")
 
@@ -122,7 +125,7 @@ class CanNetworks:
         self._open: dict[CanAddress, _SharedNetwork] = {}
 
     def acquire(self, address: CanAddress) -> CanLink:
-        """Return a share in the network at `address`; open the network first if it is not open.
+        """Return a link to the network at `address`; open the network first if it is not open.
 
         Raises LinkLost, naming the link, if it cannot be opened.
         """
@@ -155,7 +158,7 @@ class CanNetworks:
 
 
 class CanLink:
-    """One device's share in a network. It must be closed; closing it twice has no effect."""
+    """Access of one device to a shared network. The device must close it; closing it twice has no effect."""
 
     def __init__(self, address: CanAddress, shared: _SharedNetwork, networks: CanNetworks) -> None:
         self.address = address
@@ -189,7 +192,7 @@ class CanLink:
             raise self.lost_error(f"receiving has stopped: {failure}")
 
     def adapter_status_text(self) -> str:
-        """Return the adapter's own status; an empty string if it cannot be queried. Moves and changes nothing."""
+        """Return the status reported by the adapter as text; an empty string if it cannot be queried. Changes nothing."""
         bus = self._require_open().bus
         if not isinstance(bus, SlcanBus):
             return ""

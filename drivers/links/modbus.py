@@ -56,8 +56,8 @@ class ModbusLink:
     """Connection to one unit.
 
     `writable` lists the registers that may be written; any other write is refused before it reaches the wire.
-    Requests declared idempotent are sent again after a timeout or a damaged answer, up to `retries` times; a lost
-    connection is never reopened without the caller's knowledge. Raises `LinkLost`, `LinkTimeout`, `ProtocolError`
+    Requests declared idempotent are sent again after a timeout or a damaged answer, up to `retries` times. A lost
+    connection is reopened only by a call of `open`. Methods raise `LinkLost`, `LinkTimeout`, `ProtocolError`
     (including `DamagedFrame`), each naming the device, the link and the register.
     """
 
@@ -74,7 +74,7 @@ class ModbusLink:
         self.transport = transport
         self.latency = LatencyStatistics()
         self.repeat_count = 0
-        """Number of requests that had to be sent again."""
+        """Number of requests that were sent again."""
         self._writable = tuple(writable)
         self._retries = retries
         self._combined = combined
@@ -95,15 +95,16 @@ class ModbusLink:
         return self._registers(self._checked(request, register, idempotent=True), count, register)
 
     def write(self, register: int, data: bytes, *, idempotent: bool) -> None:
-        """Write `data` from `register` on with function 16."""
+        """Write `data` to consecutive registers, the first of them `register`, with function 16."""
         head = struct.pack(">HH", register, self._writable_count(register, data))
         request = bytes((WRITE,)) + head + bytes((len(data),)) + data
         if self._checked(request, register, idempotent=idempotent) != head:
             raise ProtocolError("the answer to a write names other registers", register=register, **self.where)
 
     def exchange(self, register: int, data: bytes, read: int, count: int, *, idempotent: bool) -> bytes:
-        """Write `data` at `register`, then read `count` registers at `read`, in one round trip with function 23.
+        """Write `data` from `register` on, then read and return `count` registers from `read` on, with function 23.
 
+        Both take one round trip.
         If the server does not support function 23, functions 16 and 3 are used from then on.
         """
         if self._combined:
@@ -121,7 +122,10 @@ class ModbusLink:
         return self.read(read, count)
 
     def exchange_wire_time_s(self, written: int, read: int) -> float:
-        """Return the time in s that the wire takes for an `exchange` of these register counts; 0 if unknown."""
+        """Return the transmission time in s of an `exchange` that writes and reads these numbers of registers.
+
+        Returns 0 if the time is unknown.
+        """
         if self._combined:
             return self.transport.wire_time_s(
                 struct.pack(">BHHHHB", WRITE_AND_READ, 0, read, 0, 0, 0) + bytes(2 * written)
@@ -164,9 +168,9 @@ class ModbusLink:
         return self._send_once(request, register)
 
     def _send_once(self, request: bytes, register: int) -> bytes:
-        """Send once and return the answer without its function code.
+        """Send `request` once and return the answer without its function code.
 
-        Raises `_ExceptionResponse` for an exception response.
+        Raises `_ExceptionResponse` if the unit answers with a Modbus exception.
         """
         if not self.connected:
             raise LinkLost("the link is not open", hint="open the device first", register=register, **self.where)

@@ -3,12 +3,12 @@
 This is our own transport because pymodbus searches for a frame anywhere in the received bytes, silently skips an
 answer of another unit, and reports a garbled answer as a timeout, so that a bad line looks like a dead controller.
 
-RTU has no transaction number. Bytes left on the line are discarded before a request; after a failure they are read
-until the line is quiet. A late answer that arrives after that is accepted if it has the right form; its contents are
-then older by one request. The numbers in the register map itself (sequence, block, latch) detect such stale contents.
+RTU has no transaction number. Bytes that have arrived are discarded before each request; after a failure, bytes are
+read and discarded until the line is quiet. A late answer that arrives even later is accepted as the answer to the next
+request if its form is right. Numbers in the register map (sequence, block, latch) reveal such stale contents.
 
-The transmission time passes on the device's clock. If it does not pass there (a pseudo-terminal, a lockstep clock),
-the transport sleeps for it, so that a request takes the machine as long as it would on a cable.
+A request takes at least its transmission time on the device's clock. If the transfer itself is faster (pseudo-terminal,
+lockstep clock), the transport sleeps for the rest, so that a request takes as long as on a cable.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ from drivers.links.modbus_serial_line import ADDRESS_AND_CRC, SerialLine, build_
 from drivers.links.modbus_transport import EXCEPTION_BIT, READ, WRITE, WRITE_AND_READ, DamagedFrame, answer_length
 
 QUIET_S = 0.02
-"""Silence in s that ends a frame of unknown length: longer than the gaps that adapters and schedulers insert."""
+"""Silence in s that ends a frame of unknown length.
+
+It is longer than the gaps that adapters and schedulers insert within a frame.
+"""
 
 QUIET_WITHIN_S = 0.5
 """Longest wait in s for the line to fall silent."""
@@ -120,7 +123,7 @@ class RtuTransport:
         return answer
 
     def _clear_line(self, port: serial.Serial) -> None:
-        """Discard old bytes on the line, then wait for the silence that the standard requires before a frame."""
+        """Discard bytes of earlier answers, then wait for the silence that the standard requires before a frame."""
         self.stray_bytes += len(port.read(port.in_waiting))
         if self._needs_clearing:
             self.stray_bytes += len(self._read_until_quiet(port))
@@ -145,7 +148,7 @@ class RtuTransport:
         return answer[1:-2]
 
     def _read_frame(self, port: serial.Serial, sent: bytes, deadline_s: float) -> bytes:
-        """Read one complete answer. The caller checks frames with a valid CRC but another length or function."""
+        """Read one frame with a valid CRC. The caller must check that its length and function are the expected ones."""
         data = b""
         while (expected := _length(data, sent[1])) is None or len(data) < expected:
             more = self._read_some(port, deadline_s - wall_seconds(), (expected or ADDRESS_AND_CRC) - len(data))
@@ -186,12 +189,12 @@ class RtuTransport:
         )
 
     def _read_some(self, port: serial.Serial, within_s: float, at_most: int) -> bytes:
-        """Return the received bytes as soon as there are any; an empty string if none come within the time."""
+        """Return up to `at_most` bytes as soon as any are received; b"" if none come within `within_s` of wall time."""
         ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))
         return bytes(port.read(at_most)) if ready else b""
 
     def _read_until_quiet(self, port: serial.Serial) -> bytes:
-        """Read until the line is silent."""
+        """Read until the line is silent, and return the bytes read."""
         data = b""
         deadline_s = wall_seconds() + QUIET_WITHIN_S
         while (more := self._read_some(port, max(QUIET_S, self._line.gap_s), 256)) and wall_seconds() < deadline_s:

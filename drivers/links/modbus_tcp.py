@@ -38,7 +38,7 @@ class TcpEndpoint:
 
 
 class TcpTransport:
-    """Connection to one unit; a lost connection is never reopened without the caller's knowledge."""
+    """Connection to one unit. A lost connection is reopened only by a call of `open`."""
 
     def __init__(self, endpoint: TcpEndpoint, *, timeout_s: float, where: Mapping[str, str]) -> None:
         self._unit = endpoint.unit
@@ -65,7 +65,7 @@ class TcpTransport:
         self._client.close()
 
     def wire_time_s(self, request: bytes) -> float:
-        """Return 0: the time is not known and negligible."""
+        """Return 0, since the time is unknown and negligible."""
         return 0.0
 
     def ask(self, request: bytes) -> bytes:
@@ -107,7 +107,7 @@ class _Request(ModbusPDU):
 
 
 class _Response(ModbusPDU):
-    """Answer stored as bytes; the caller checks its form."""
+    """Answer stored as bytes without decoding; the caller checks its form."""
 
     payload: bytes = b""
 

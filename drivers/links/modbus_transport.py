@@ -27,14 +27,14 @@ class Transport(Protocol):
     def close(self) -> None: ...
 
     def ask(self, request: bytes) -> bytes:
-        """Send `request` and return its answer, both from the function code on.
+        """Send `request` and return its answer; both begin with the function code and have no checksum.
 
         An exception response counts as an answer. Raises `LinkLost`, `LinkTimeout`, `DamagedFrame`, `ProtocolError`.
         """
         ...
 
     def wire_time_s(self, request: bytes) -> float:
-        """Return the minimum time in s that the wire takes for `request` and its answer; 0 if unknown."""
+        """Return the shortest transmission time in s of `request` and its answer; 0 if unknown."""
         ...
 
 

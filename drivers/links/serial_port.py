@@ -50,7 +50,7 @@ class SerialPort:
         return self._port is not None
 
     def open(self) -> None:
-        """Open the port exclusively, since a second program on the line would take some of the answers."""
+        """Open the port exclusively, since a second program on the port would receive some of the answers."""
         self.close()
         address = self._address
         try:
@@ -86,7 +86,7 @@ class SerialPort:
             raise self._lost(error) from error
 
     def read(self, within_s: float) -> bytes:
-        """Return the received bytes, at least one; an empty string if none come within `within_s` of wall time."""
+        """Return the bytes received as soon as there are any; empty if none come within `within_s` of wall time."""
         port = self._require_port()
         try:
             ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))

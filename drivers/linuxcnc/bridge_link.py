@@ -1,4 +1,4 @@
-"""Link to the bridge process, which is restarted if only a new bridge can stop the machine."""
+"""Link to the bridge process. To stop the machine, a bridge that does not answer is replaced by a new one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Answer = dict[str, Any]
 
 
 class _Bridge(NamedTuple):
-    """Bridge process and its standard error, which is reported if the process ends."""
+    """Bridge process, and its standard error; the last line of it is reported if the process ends unexpectedly."""
 
     process: subprocess.Popen[bytes]
     stderr: IO[bytes]
@@ -161,7 +161,7 @@ class BridgeLink:
             raise self._ended() from error
 
     def _answer(self, number: int) -> Answer:
-        """Return the answer with this number; late answers to abandoned requests are discarded."""
+        """Return the answer to request `number`; late answers to earlier requests are discarded."""
         ends_s = wall_seconds() + self._within_s
         while True:
             answer = self._parse(self._line(ends_s))

@@ -47,7 +47,7 @@ class LinuxCnc:
         self._parts: _Parts | None = None
 
     def open(self) -> None:
-        """Start the bridge. Homes only if the settings allow it, and only with joints that do not move for it."""
+        """Start the bridge. Home only if the settings allow it and no joint has to move for homing."""
         if self._parts is not None:
             return
         try:
@@ -59,7 +59,7 @@ class LinuxCnc:
         self._parts = _Parts(self._session)
 
     def close(self) -> None:
-        """Restore the modes changed for the motions, and end the bridge."""
+        """Restore the modal codes and the mode that the motions changed, and end the bridge."""
         parts, self._parts = self._parts, None
         try:
             if parts is not None and self._session.link.connected:

@@ -14,14 +14,17 @@ from drivers.roles import DiagnosticFinding
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.05
 SKEW_LEAST_S = 1e-3
-"""Largest clock skew in s, on top of the worst round trip, between two clocks of the same computer."""
+"""Tolerance in s of the skew between LinuxCNC's clock and ours, both on the same computer.
+
+The worst round trip is added to it.
+"""
 LONGEST_PERIOD_S = 1e-3
 LATCH_MM_PER_S = 5.0
-"""Usual speed of a touch (300 mm/min), for which the delay of the latch is evaluated."""
+"""Usual touch feed in mm/s (300 mm/min), at which the diagnosis states the travel during the latch delay."""
 
 
 def diagnose(session: LinuxCncSession, store: LinuxCncStore | None) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order; an error becomes the last finding."""
+    """Return the findings in troubleshooting order; an error ends them and becomes the last one."""
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:
@@ -152,7 +155,7 @@ def _ini(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
 
 
 def _homing(values: dict[str, str | None]) -> Iterator[DiagnosticFinding]:
-    """Report joints without home switch and absolute encoder, which take any position as home."""
+    """Report joints with neither home switch nor absolute encoder: their home is wherever they stand."""
     unreferenced = [
         place.removesuffix("HOME_SEARCH_VEL")
         for place, speed in values.items()

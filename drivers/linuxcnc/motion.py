@@ -24,22 +24,28 @@ from drivers.roles import MotionState, Permission, Vector
 from drivers.straight_move import move_duration_s
 
 DURATION_FACTOR = 1.5
-"""Allowed multiple of the predicted duration of a motion; the margin is added."""
+"""Factor on the predicted duration of a motion in its time limit; `motion_margin_s` is added."""
 LIMIT_TOLERANCE_MM = 1e-6
 REACHED_TOLERANCE_MM = 1e-4
 """Largest distance in mm from the target at the end of a motion.
 
-LinuxCNC ends a motion exactly at its target; the decimals of the MDI text, and inches, are coarser.
+LinuxCNC ends a motion exactly at its target; differences come from the decimals of the MDI text and from inches.
 """
 REST_POLL_S = 0.01
 PREFIX = "G21 G90 G94 G40"
 OWN_CODES = (20.0, 21.0, 90.0, 91.0, 93.0, 94.0, 95.0)
-"""Modal codes that the prefix changes and that are restored later. Radius compensation remains off."""
+"""Codes of the modal groups that the motions change; those active before the first motion are restored later.
+
+Cutter radius compensation, which `PREFIX` switches off, is not restored.
+"""
 TRIP_MESSAGE_PART = "robe tripped"
-"""Part of LinuxCNC's messages about a trip in a move, without the first letter, whose case varies."""
+"""Text that all of LinuxCNC's messages about a trip in a move contain.
+
+Its first letter is omitted, because the messages differ in its case.
+"""
 MIN_OVERRIDE = 0.01
 FREE_WITHIN_MM = 2.0
-"""Path in mm for freeing the probe; less than the overtravel of any probe."""
+"""Longest path in mm for moving the probe free; less than the overtravel of any probe."""
 FREEING_MM_PER_S = 2.0
 
 
@@ -70,7 +76,7 @@ class LinuxCncMotion:
         """Tag of the step to which the motions belong; appended to the MDI line as a comment."""
 
     def run(self, kind: MdiMotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> LinuxCncMotionResult:
-        """Move to the target, or for a touch until the trip or the target; raise for any other outcome."""
+        """Move until the target is reached or, in a touch, until the probe trips; raise an error for any other end."""
         target = self._validated_target(kind, target_mm, feed_mm_per_s)
         self._await_rest()
         before = self._session.read_snapshot()
@@ -83,7 +89,7 @@ class LinuxCncMotion:
         return LinuxCncMotionResult(before.position, ended)
 
     def stop(self) -> None:
-        """Abort the motion. Does not wait for standstill, because callers may be unable to sleep."""
+        """Abort the motion without waiting for standstill, because the caller may be inside an interrupted sleep."""
         self._braking = True
         self._session.link.abort()
 
@@ -161,11 +167,11 @@ class LinuxCncMotion:
             raise self._rejected(f"LinuxCNC is {snapshot.state.value}", hint="end the program or the hold first")
 
     def _ensure_probe_free(self, kind: MdiMotionKind, before: Snapshot, target: Triple) -> Snapshot:
-        """Return a snapshot from which the motion may start with respect to the probe; free the probe if needed.
+        """Ensure that the probe is free or that the motion withdraws it; return a snapshot of the state to start from.
 
-        LinuxCNC evaluates only the edge of the probe signal, so a deflected probe does not guard a motion. It may be
-        moved back against its approach direction. If that is unknown, it is first moved a short distance, after which
-        it must be free.
+        LinuxCNC evaluates only the edge of the probe signal, so a deflected probe does not guard a motion. Such a probe
+        may be moved only against its approach direction. If that direction is unknown, the probe is first moved a short
+        distance along the path, after which it must be free.
         """
         if kind is MdiMotionKind.POSITIONING or not before.deflected:
             return before
@@ -179,7 +185,7 @@ class LinuxCncMotion:
         return before
 
     def _free_slowly(self, before: Snapshot, path: Vector) -> Snapshot:
-        """Move slowly along the first millimetres of the path and return the snapshot there.
+        """Move slowly along the first `FREE_WITHIN_MM` of the path and return the snapshot at the end of that move.
 
         Raises GuardTripped if the probe is still deflected.
         """
@@ -198,8 +204,11 @@ class LinuxCncMotion:
         return ended
 
     def _line(self, kind: MdiMotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> str:
-        """Return the MDI line. Targets are machine positions by G53; G38 does not support G53, so for a touch the
-        active offsets are subtracted."""
+        """Return the MDI line of the motion.
+
+        Targets are machine positions, given with G53. G38 does not support G53, so for a touch the active offsets are
+        subtracted from the target.
+        """
         if kind is MdiMotionKind.TOUCH:
             target = _difference(target, before.program_offset)
         words = " ".join(f"{axis}{value:.7f}" for axis, value in zip(XYZ, target, strict=True))
@@ -230,10 +239,10 @@ class LinuxCncMotion:
     def _wait(
         self, kind: MdiMotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
     ) -> tuple[Snapshot, tuple[str, ...]]:
-        """Wait for the end of a motion; return the snapshot with the axes at rest, and LinuxCNC's messages.
+        """Wait for the end of a motion; return a snapshot and LinuxCNC's messages during the motion.
 
-        The outcome in the snapshot is the one at the end of the motion, since after a trip LinuxCNC ends the move while
-        the axes are still braking.
+        In the snapshot the axes are at rest or the machine is off. Its outcome is that of the first snapshot after the
+        motion command had ended, since after a trip LinuxCNC ends the command while the axes are still braking.
         """
         session, clock, settings = self._session, self._session.clock, self._session.settings
         allowed_s = self._allowed_s(before, target, feed_mm_per_s)
@@ -259,7 +268,7 @@ class LinuxCncMotion:
             clock.sleep(settings.poll_interval_s)
 
     def _late_messages(self, ended: Snapshot, messages: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the messages that give the reason for an error; they may arrive a cycle after it."""
+        """Return messages that arrive up to one poll after an error; none if the reason is already known."""
         if ended.outcome != "error" or messages:
             return ()
         self._session.clock.sleep(self._session.settings.poll_interval_s)

@@ -10,9 +10,9 @@ PinValue = bool | int | float
 class Pins(Protocol):
     """HAL pins, signals and parameters of the running LinuxCNC, by name.
 
-    Errors: `CommandRejected` if HAL has no such name, the value does not fit its type, or it cannot be set
-    (an output, or linked to a signal that another component writes); `where` names the pin. `LinkLost` if
-    LinuxCNC or the bridge is gone, `LinkTimeout` if no answer comes. Both operations are idempotent.
+    Both methods are idempotent. They raise `CommandRejected`, with the pin in `where`, if HAL has no such name, if the
+    value does not fit the type, or if the pin cannot be set (it is an output, or linked to a signal that another
+    component writes); `LinkLost` if LinuxCNC or the bridge has ended, `LinkTimeout` if no answer comes.
     """
 
     def get(self, name: str) -> PinValue:
@@ -20,5 +20,5 @@ class Pins(Protocol):
         ...
 
     def set(self, name: str, value: PinValue) -> None:
-        """Set an undriven pin (as `halcmd setp`), or the signal it is linked to if that has no writer (as `sets`)."""
+        """Set an unlinked pin (as `halcmd setp`), or the signal linked to it if no pin writes it (as `sets`)."""
         ...

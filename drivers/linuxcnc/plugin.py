@@ -1,4 +1,4 @@
-"""Entry point `linuxcnc`."""
+"""Driver plugin `linuxcnc`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Touches by G38.3, with a correction of the latched position for its delay."""
+"""Touches by G38.3, with the latched position corrected for the delay of the latch."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ class LinuxCncProbing:
     def _overshoot(self, ended: LinuxCncMotionResult, target: Sequence[float], feed_mm_per_s: float) -> Vector:
         """Return the travel of the axes from the trip to the latch, shape (3,), mm.
 
-        LinuxCNC latches in the servo cycle that sees the pin, on average half a cycle after the trip, plus the delay of
-        the probe signal. Overshoot = direction · v · delay, with v the smallest of the programmed feed, the axis limits
-        and the speed √(2 a s) that the axes can reach on the path s so far.
+        The delay is that of the probe signal plus the time to the servo cycle that reads the pin (half a cycle on average).
+        Overshoot = direction · v · delay. The speed v is the smallest of the programmed feed times its override, the
+        limit of the axes along the path, and √(2 a s), which acceleration a reaches after the path s from the start.
         """
         properties, settings = self._session.properties, self._session.settings
         path = np.subtract(target, ended.start)

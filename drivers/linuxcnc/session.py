@@ -28,7 +28,7 @@ class MachineProperties:
 
 
 class LinuxCncSession:
-    """Session with LinuxCNC, open while the bridge is. Positions are in mm for any LINEAR_UNITS."""
+    """Session with LinuxCNC; open as long as the bridge runs. Positions are in mm for any setting of LINEAR_UNITS."""
 
     def __init__(self, link: BridgeLink, clock: Clock, settings: LinuxCncSettings) -> None:
         self.link = link
@@ -64,7 +64,7 @@ class LinuxCncSession:
         return parse_snapshot(self.link.ask("status", pins=self._pins), self.properties.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
-        """Return the permissions: from HAL pins if configured, otherwise from LinuxCNC's own state."""
+        """Return the permissions from LinuxCNC's own state; one with a configured HAL pin requires that pin as well."""
         on = snapshot.task_state == ON
         given = dict.fromkeys(Permission, True) | {
             Permission.AUTOMATIC: on,

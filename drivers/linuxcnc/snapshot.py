@@ -18,8 +18,8 @@ ON = "on"
 class Snapshot:
     """State of LinuxCNC at one instant.
 
-    `position` and `probed` are machine positions without external offsets; `program_offset` is the difference machine
-    minus programmed position. `errors` holds LinuxCNC's messages since the previous snapshot.
+    `position` and `probed` are machine positions without external offsets. `program_offset` is the machine position
+    minus the programmed position. `errors` holds LinuxCNC's messages since the previous snapshot.
     """
 
     position: Triple

@@ -1,1 +1,1 @@
-"""Bridge process beside LinuxCNC: run as a directory by the system's Python, never imported by volcal."""
+"""Bridge process between volcal and LinuxCNC. The system's Python runs this directory; volcal never imports it."""

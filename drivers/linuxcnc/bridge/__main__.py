@@ -7,7 +7,7 @@ machine is stopped when standard input ends, or if no request comes for `watch_s
 
     {"id": 7, "do": "status"}  ->  {"id": 7, "ok": {...}}  or  {"id": 7, "error": "refused", "text": "..."}
 
-`error` is `refused` (understood and not done), `unknown` (no such HAL name), `gone` (LinuxCNC does not answer).
+`error` is `refused` (understood but not carried out), `unknown` (no such HAL name) or `gone` (no answer from LinuxCNC).
 """
 
 from __future__ import annotations
@@ -88,11 +88,11 @@ class Bridge:
         return action(request)
 
     def pause_s(self) -> float | None:
-        """Return how long the loop may wait for a request before calling `watch`, in s; None for no limit."""
+        """Return the longest time in s to wait for a request before `watch` is called; None for no limit."""
         return 0.05 if self._watched() else None
 
     def watch(self) -> None:
-        """Stop a motion started here if no request has come for `watch_s`."""
+        """Stop a motion started here if no request has come for `watch_s`, unless the motion is paused."""
         if self._watched() and time.monotonic() - self._heard_s > self._watch_s:
             self._poll()
             if self._under_way() and not self._stat.paused:
@@ -102,7 +102,7 @@ class Bridge:
             self._heard_s = time.monotonic()
 
     def end(self) -> None:
-        """Stop a motion started here, after the other side has ended."""
+        """Stop a motion started here; called after standard input has ended."""
         self._poll()
         if self._begun is not None and self._under_way():
             self._command.abort()
@@ -269,7 +269,7 @@ class Bridge:
         return {}
 
     def _await(self, reached: Callable[[Any], bool], what: str) -> None:
-        """Wait up to 1 s for a change that the task makes in its next cycles or not at all."""
+        """Wait up to 1 s for a state that LinuxCNC's task reaches within its next cycles, if at all."""
         ends_s = time.monotonic() + 1.0
         while True:
             self._poll()
@@ -282,7 +282,7 @@ class Bridge:
 
 
 def answer_line(bridge: Bridge, line: bytes) -> Fields:
-    """Return the answer to one line; an invalid or refused request gives an error answer, not an exception."""
+    """Return the answer to one request line; for an invalid or refused request, the answer contains the error."""
     number = None
     try:
         request = json.loads(line)

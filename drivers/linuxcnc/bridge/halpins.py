@@ -12,7 +12,7 @@ HALCMD_WITHIN_S = 2.0
 
 
 class NoSuchPinError(Exception):
-    """HAL has no such name, or it cannot be set to that value."""
+    """HAL has no pin, signal or parameter of this name, or it cannot be set to the given value."""
 
 
 class HalPins:
@@ -30,7 +30,7 @@ class HalPins:
         return [self.get(name) for name in names]
 
     def set(self, name: str, value: Value) -> None:
-        """Set an undriven pin (`setp`), or the signal it is linked to if that has no writer (`sets`)."""
+        """Set an unlinked pin (as `halcmd setp`), or the signal linked to it if no pin writes it (as `sets`)."""
         self.get(name)
         text = str(int(value)) if isinstance(value, bool) else repr(value)
         signal = self._signal(name)

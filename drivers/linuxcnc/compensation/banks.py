@@ -1,4 +1,4 @@
-"""Common part of all compensation methods: two banks, their table files, and their limits."""
+"""Common part of the compensation methods: two banks, their table files, and the limits on tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ BANKS = (1, 2)
 MAX_NODES = (256, 256, 256)
 MAX_TOTAL_NODES = 262_144
 MAX_SLOPE = 0.1
-"""Largest slope of a table in mm/mm, as in the loader: the forward kinematics iterates and must converge."""
+"""Largest slope of a table in mm/mm, the same as in the loader `volcal_tables`.
+
+The iteration of the forward kinematics converges only for small slopes.
+"""
 
 
 class Banks:
@@ -52,7 +55,10 @@ class Banks:
             raise self.error(f"no bank {bank}; there are {BANKS}")
 
     def require_stageable(self, bank: int, table: TableImage, taken: tuple[int | None, ...]) -> None:
-        """Raise StoreError if the table cannot be staged. `taken` are the active and the selected bank."""
+        """Raise StoreError if the table cannot be staged in `bank`.
+
+        `taken` holds the active bank and the bank selected for activation, which must not be written.
+        """
         self.require_known(bank)
         if bank in taken:
             raise self.error(f"bank {bank} is active and cannot be written", hint="stage into another bank")

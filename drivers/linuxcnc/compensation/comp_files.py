@@ -45,7 +45,10 @@ class CompFileStore:
         return None if chosen == self.active_bank() else chosen
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the whole table as staged; for the active bank, verify that LinuxCNC was started with it."""
+        """Return the whole table as staged; None for bank 0 or an empty bank.
+
+        For the active bank, verify that LinuxCNC was started with this table. Raises ChecksumMismatch if it was not.
+        """
         if bank == 0:
             return None
         self._banks.require_known(bank)
@@ -59,7 +62,10 @@ class CompFileStore:
         return table
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Stage a table. Raises StoreError if more of it would be lost than the settings accept."""
+        """Stage a table and its part that depends on each axis alone, the only part that LinuxCNC applies.
+
+        Raises StoreError if the lost remainder is larger than the settings accept.
+        """
         self._banks.require_stageable(bank, table, (self.active_bank(), self._selected_bank()))
         part = own_axis_part(table)
         self._require_acceptable(part)
@@ -75,7 +81,7 @@ class CompFileStore:
     def activate(self, bank: int) -> None:
         """Select the bank for the next start of LinuxCNC.
 
-        Arm: verify every file again and create a new link; confirm: rename it over the old one.
+        Arming verifies every file again and creates a new link; confirming renames it over the old link.
         """
         if bank == self._selected_bank():
             return
@@ -93,7 +99,7 @@ class CompFileStore:
             raise self._banks.error(f"cannot replace the link {self._link}: {error.strerror}") from error
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Report the active and the pending bank, and how much of the active table is lost; reads only."""
+        """Report the active and the pending bank, and the lost remainder of the active table; reads only."""
         subject = "compensation"
         try:
             active, pending = self.active_bank(), self.pending_bank()
@@ -154,7 +160,7 @@ class CompFileStore:
 
 
 def _bank_texts(bank: int, table: TableImage) -> dict[str, str]:
-    """Return name → text of the files that LinuxCNC reads for this bank."""
+    """Return the texts of the files that LinuxCNC reads for this bank, by file name."""
     part = own_axis_part(table)
     files = {
         f"{letter}.comp": _comp_text(nominal.tolist(), correction.tolist())
@@ -170,7 +176,7 @@ def _bank_texts(bank: int, table: TableImage) -> dict[str, str]:
 def _comp_text(nominal_mm: list[float], correction_mm: list[float]) -> str:
     """Return the text of a type 0 file: lines of nominal, forward and reverse position.
 
-    LinuxCNC adds nominal - position to the motor command, so position = nominal - correction.
+    LinuxCNC adds (nominal - position) to the motor command, so position = nominal - correction, with corrections in mm.
     """
     if len(nominal_mm) == 1:
         nominal_mm, correction_mm = [nominal_mm[0], nominal_mm[0] + 1.0], correction_mm * 2

@@ -1,6 +1,7 @@
 """Banks that are loaded and switched while LinuxCNC runs, by external offsets or by our own kinematics module.
 
-Both follow the loader `volcal_tables`; this module uses only the loader's pins.
+In both methods the HAL component `volcal_tables` (the loader) loads and switches the tables; this module uses only the
+loader's pins.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ FAULTS_WITHOUT_BANK = (1, 3)
 
 
 class LiveStore:
-    """Compensation store by the pins of the loader."""
+    """Compensation store controlled through the pins of the loader."""
 
     def __init__(self, pins: Pins, banks: Banks, clock: Clock, within_s: float) -> None:
         self._pins = pins
@@ -47,7 +48,10 @@ class LiveStore:
         return self._banks.limits
 
     def active_bank(self) -> int:
-        """Return the active bank. Raises StoreError if a held correction is active instead of a bank."""
+        """Return the active bank.
+
+        Raises StoreError if the loader reports a fault in which no bank is active (`FAULTS_WITHOUT_BANK`).
+        """
         fault = int(self._get("acting-fault"))
         if fault in FAULTS_WITHOUT_BANK:
             raise self._banks.error(FAULTS[fault], hint="activate bank 0, then check the controller")
@@ -57,7 +61,10 @@ class LiveStore:
         return None
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the table in the file of the bank, verified to be the one in the controller's memory."""
+        """Return the table in the file of the bank; None for bank 0 or an empty bank.
+
+        Raises ChecksumMismatch if the file differs from the table in the controller's memory.
+        """
         if bank == 0:
             return None
         self._banks.require_known(bank)
@@ -93,7 +100,10 @@ class LiveStore:
             )
 
     def activate(self, bank: int) -> None:
-        """Arm with the CRC-32 of the table, confirm with the nonce, wait until the bank is active and settled."""
+        """Arm with the CRC-32 of the table, confirm with the loader's nonce, and wait until the bank is active.
+
+        The wait also lasts until the correction has settled, if it is applied.
+        """
         self._require_alive()
         crc = 0
         if bank != 0:
@@ -138,7 +148,10 @@ class LiveStore:
         return settled and int(self._get("acting-bank")) == bank
 
     def _request(self, name: str, operands: dict[str, int], bank: int) -> None:
-        """Set the operands, then a new sequence number; the result is valid once the loader shows that number."""
+        """Request `name` from the loader, wait until it is done, and raise StoreError or ChecksumMismatch if refused.
+
+        The operands are set first, then a new sequence number; the request is done once the loader shows that number.
+        """
         for pin, value in operands.items():
             self._set(pin, value)
         sequence = (int(self._get(f"{name}-done")) + 1) & 0xFFFFFFFF

@@ -17,9 +17,8 @@ class OwnAxisPart:
     """Correction of each axis as a function of its own position.
 
     `nominal_mm` holds the node positions of each axis, `correction_mm` the corrections along that axis at these
-    positions; `lost_mm` is the largest remainder.
-    The correction at a position of an axis is the mean over all nodes with that position, which is the least-squares
-    fit over the grid.
+    positions. Each correction is the mean over all grid nodes with that position, which is the least-squares fit over
+    the grid. `lost_mm` is the largest absolute difference between the table and this fit.
     """
 
     nominal_mm: tuple[Values, Values, Values] = field(repr=False)
@@ -28,7 +27,10 @@ class OwnAxisPart:
 
 
 def own_axis_part(table: TableImage) -> OwnAxisPart:
-    """Reduce a table. The remainder is the part of an axis' correction that depends on the other axes' positions."""
+    """Reduce a table to its own-axis part.
+
+    The lost remainder is the part of an axis' correction that depends on the positions of the other axes.
+    """
     corrections = table.counts.astype(np.float64) * table.resolution_mm
     nominal, along, lost = [], [], 0.0
     for axis in range(3):

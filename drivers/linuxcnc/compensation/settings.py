@@ -12,7 +12,7 @@ from drivers.options import DriverOptions
 
 
 class CompensationSettings(DriverOptions):
-    """Compensation method for which the machine's INI and HAL files are set up, and its tables."""
+    """Compensation method for which the machine's INI and HAL files are set up, and options for its tables."""
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "way": "method",
