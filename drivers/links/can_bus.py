@@ -192,7 +192,7 @@ class CanLink:
             raise self.lost_error(f"receiving has stopped: {failure}")
 
     def adapter_status_text(self) -> str:
-        """Return the status reported by the adapter as text; an empty string if it cannot be queried. Changes nothing."""
+        """Query the adapter's own status and return it as text; an empty string if it cannot be queried."""
         bus = self._require_open().bus
         if not isinstance(bus, SlcanBus):
             return ""

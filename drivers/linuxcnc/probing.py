@@ -48,7 +48,7 @@ class LinuxCncProbing:
     def _overshoot(self, ended: LinuxCncMotionResult, target: Sequence[float], feed_mm_per_s: float) -> Vector:
         """Return the travel of the axes from the trip to the latch, shape (3,), mm.
 
-        The delay is that of the probe signal plus the time to the servo cycle that reads the pin (half a cycle on average).
+        The delay is that of the probe signal plus the time to the servo cycle that reads it, half a cycle on average.
         Overshoot = direction · v · delay. The speed v is the smallest of the programmed feed times its override, the
         limit of the axes along the path, and √(2 a s), which acceleration a reaches after the path s from the start.
         """
