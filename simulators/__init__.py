@@ -1,4 +1,4 @@
-"""Simulated machine: world physics advanced by a clock, and wire servers that handle only bytes."""
+"""Simulated machine: physics of a world that a clock advances, and protocol servers that handle only bytes."""
 
 SIMULATE_HELP = "Run the simulated machine on real links until it is stopped."
-"""Help line of `volcal simulate`, here because the list of commands imports this package only."""
+"""Help line of `volcal simulate`. It is defined here because the list of commands imports only this package."""

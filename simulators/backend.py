@@ -1,6 +1,7 @@
-"""All device roles played in one process by one world, for preflights and tests.
+"""One device that plays all device roles with a simulated world in this process, for preflights and tests.
 
-Sleeping on the given clock advances the world, exactly to the end of each motion, which is known when it begins.
+Sleeping on the given clock advances the world, exactly to the end of each motion; this instant is known when the motion
+begins.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from simulators.world.mount import AZIMUTH, ELEVATION, MountPhysics
 from simulators.world.world import World
 
 POLL_S = 0.05
-"""Interval in s at which a held motion is polled; holding costs nothing else."""
+"""Interval in s at which a motion on hold is polled."""
 MOTION_MARGIN_S = 60.0
-"""Time in s that a motion may take beyond its forecast; holds do not count on a clock that tracks them."""
+"""Time in s that a motion may take beyond its forecast. Holds are not counted if the clock tracks them."""
 
 
 class SimulatedMachineDevice:
@@ -47,7 +48,10 @@ class SimulatedMachineDevice:
     # ------------------------------------------------------------------ device
 
     def open(self) -> None:
-        """Connect to the clock: a virtual clock advances the world; any other clock is read before each answer."""
+        """Connect to the clock.
+
+        A virtual clock advances the world; with any other clock, the world catches up before each answer.
+        """
         if isinstance(self._clock, VirtualClock) and not self._subscribed:
             self._clock.subscribe(self.world.advance_to)
             self._subscribed = True
@@ -124,7 +128,7 @@ class SimulatedMachineDevice:
         self.orient_to(0.0, 0.0)
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
-        """Turn the mount that holds the artefact, and return the angles reached."""
+        """Turn the mount that holds the artefact, and return the angles read by the encoders afterwards."""
         return self.turn(self.world.workpiece.mount, azimuth_deg, elevation_deg)
 
     def turn(self, mount: MountPhysics, azimuth_deg: float, elevation_deg: float) -> Orientation:
@@ -175,7 +179,7 @@ class SimulatedMachineDevice:
         return self._controller.temperatures()
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Move the artefact if asked to, and give consent."""
+        """Move the artefact if the request asks for it, and always return True (consent)."""
         if request.task is OperatorTask.MOVE_ARTEFACT:
             if request.station is None:
                 return False
@@ -208,7 +212,7 @@ class SimulatedMachineDevice:
         return controller.motion_ends_s
 
     def _sleep_until(self, ends_s: Callable[[], float | None]) -> None:
-        """Sleep as long as `ends_s` returns an instant; if the wait is interrupted, stop all motion."""
+        """Sleep until `ends_s` no longer returns an instant; stop all motion if the wait is interrupted."""
         end = ends_s()
         if end is None:
             return
@@ -225,7 +229,7 @@ class SimulatedMachineDevice:
 
 
 class _MountOfDevice:
-    """RotaryMount role for one of the mounts behind a device."""
+    """RotaryMount role for one of the mounts of a `SimulatedMachineDevice`."""
 
     def __init__(self, device: SimulatedMachineDevice, mount: MountPhysics) -> None:
         self._device = device

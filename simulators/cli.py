@@ -35,7 +35,7 @@ def _address(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[
 
 
 def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float | None:
-    """Return machine seconds per wall second; None for lockstep."""
+    """Return the speed in machine seconds per wall second; None for lockstep."""
     if value in ("lockstep", "real"):
         return 1.0 if value == "real" else None
     kind, _, factor = value.partition(":")
@@ -51,7 +51,9 @@ def _numbers(_ctx: click.Context, _param: click.Parameter, value: str) -> Regist
 
 
 def _serial_line(_ctx: click.Context, _param: click.Parameter, value: str | None) -> LineSettings | None:
-    """Parse PATH or any, with line parameters after an @ if they differ from the standard's: any@9600,8N2."""
+    """Parse ``PATH`` or ``any``, optionally followed by ``@`` and non-default line parameters, as in
+    ``any@9600,8N2``.
+    """
     if value is None:
         return None
     place, _, line = value.partition("@")

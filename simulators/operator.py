@@ -31,7 +31,7 @@ class SimulatedOperatorSettings(DriverOptions):
 
 
 class SimulatedOperator:
-    """`drivers.roles.Operator` that fulfils every request at once and confirms it."""
+    """`drivers.roles.Operator` that fulfils and confirms every request at once."""
 
     def __init__(self, settings: SimulatedOperatorSettings, name: str) -> None:
         self._settings = settings
@@ -63,7 +63,7 @@ class SimulatedOperator:
         return [DiagnosticFinding(self._name, ok=True, text=text)]
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Return True once the artefact stands at the station; consent is always given.
+        """Place the artefact at the requested station, if any, and return True: consent is always given.
 
         Raises CommandRejected if the simulator refuses, and LinkError if it does not answer.
         """

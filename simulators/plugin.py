@@ -1,6 +1,6 @@
 """Plugin `simulated`: a machine in this process, for preflights and trials.
 
-Settings are either the path of a scenario file or the scenario keys themselves; `ideal = true` removes all errors.
+The settings are either the path of a scenario file or the keys of a scenario; `ideal = true` removes all errors.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from simulators.world.world import World
 
 
 class SimulatedSettings(BaseModel):
-    """Settings: either `scenario`, the path of a scenario file, or the keys of `ScenarioDocument` themselves."""
+    """Settings of the plugin: either `scenario`, the path of a scenario file, or the keys of `ScenarioDocument`."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -36,7 +36,7 @@ class SimulatedSettings(BaseModel):
         return self
 
     def world(self, base: Path) -> World:
-        """Return the world described by the settings; relative paths start at `base`."""
+        """Return the world described by the settings; paths are relative to `base`."""
         if self._document is not None:
             return World(build_scenario(self._document, base))
         scenario = read_scenario(base / (self.scenario or Path()))

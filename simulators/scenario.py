@@ -1,7 +1,7 @@
 """Scenario of a simulation: one TOML file, or the same keys inline. Unknown keys are refused.
 
-A key carries its unit unless that is mm. A missing section (`[truth]`, `[mount]`, …) takes its defaults; `ideal = true`
-removes every error, as for a preflight.
+The name of a key includes its unit unless that is mm. If a section (`[truth]`, `[mount]`, …) is missing, its defaults
+apply. `ideal = true` removes every error, as for a preflight.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Value = TypeVar("Value")
 
 
 class TruthSettings(StrictModel):
-    """True machine. `scale` multiplies the amplitudes of the machine family."""
+    """True errors of the machine. `scale` multiplies the error amplitudes of the machine family."""
 
     seed: int = Field(default=21, ge=0)
     legendre_order: int = Field(default=7, ge=0, le=20)
@@ -38,7 +38,9 @@ class TruthSettings(StrictModel):
 
 
 class ArtefactTruthSettings(StrictModel):
-    """Deviation of the bar from its certificate, in standard uncertainties of the certificate and of the CTE."""
+    """Deviation of the bar from its certificate, in units of the standard uncertainties of the certificate and of
+    the CTE.
+    """
 
     seed: int = Field(default=4, ge=0)
     certificate_error: NonNegativeFloat = 1.0
@@ -55,7 +57,7 @@ class TriggerSettings(StrictModel):
 
 
 class AxisBehaviour(StrictModel):
-    """Residual errors after a motion: repeatability of every axis, and half the backlash opposite to the last motion.
+    """Residual errors after a motion: repeatability of every axis, and backlash, of which half opposes the last motion.
 
     `backlash_um`: one value for all axes, or one each for X, Y, Z; `backlash_growth_um_per_m`: its growth along each
     axis' own travel, from axis position 0.
@@ -94,11 +96,12 @@ class StoreSettings(StrictModel):
 
 
 class AgeingSettings(StrictModel):
-    """Change of the machine from night to night; `night` selects one (0: as drawn).
+    """Change of the machine from night to night. `night` selects the night to simulate (0: machine as drawn).
 
-    `seasonal_um_per_m`: amplitudes of the scale errors of X, Y, Z, a sine of period `season_nights` with the phases
-    `phases_deg` of the three axes; `walk_um`: rms field of the random walk of all errors per night; `collision`: jumps
-    of errors in the night of the collision, in µm or µrad, by ISO name or, with its order, for one coefficient.
+    `seasonal_um_per_m`: amplitudes of the changes of the scale errors of X, Y, Z, which are sines of period
+    `season_nights` with the phases `phases_deg`. `walk_um`: rms over the working volume of the deviation that the
+    random walk of all errors adds per night. `collision`: jumps of errors in the night of the collision, in µm or µrad;
+    a key is the ISO name of an error or, with its order, of one coefficient.
     """
 
     night: int = Field(default=0, ge=0)
@@ -112,12 +115,13 @@ class AgeingSettings(StrictModel):
 
 
 class ScenarioDocument(StrictModel):
-    """Keys of a scenario. `start_mm`: axis positions at the start; by default the lower ends of travel.
+    """Keys of a scenario.
 
-    `own_mounts`: a mount at every station instead of one that is moved with the artefact; the artefact is moved from
-    mount to mount unless `artefacts` gives one for each station. `mounts_deg`: azimuth and elevation of each mount at
-    the start, by default zero. `noise_by_step`: noise depends on the step tag that an agent sends with a motion, so a
-    repeated step meets the same noise; otherwise it follows the order of the motions.
+    `start_mm`: axis positions at the start; by default the lower ends of travel. `own_mounts`: every station has its
+    own mount, instead of one mount that is moved with the artefact; the artefact is then moved from mount to mount
+    unless `artefacts` gives one for each station. `mounts_deg`: azimuth and elevation of each mount at the start, by
+    default zero. `noise_by_step`: noise depends on the step tag that an agent sends with a motion, so a repeated step
+    has the same noise; otherwise noise depends on the number of the motion.
     """
 
     machine: Path
@@ -146,7 +150,7 @@ class ScenarioDocument(StrictModel):
 
 @dataclass(frozen=True)
 class Scenario:
-    """Scenario with its files read. `artefacts`: one per station, if each station has its own."""
+    """Scenario with the contents of its files. `artefacts`: one per station, if each station has its own."""
 
     settings: ScenarioDocument
     machine: MachineDescription
@@ -191,7 +195,7 @@ class Scenario:
             )
 
     def without_errors(self) -> Scenario:
-        """Return the scenario without any error, as a preflight uses it."""
+        """Return the scenario without any error, as used for a preflight."""
         return dataclasses.replace(self, settings=ideal_document(self.settings))
 
 
@@ -204,7 +208,7 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def build_scenario(document: ScenarioDocument, base: Path) -> Scenario:
-    """Read the files named in `document`, relative to `base`."""
+    """Return the scenario of `document`, and read the files that it names relative to `base`."""
     machine = base / document.machine
     return Scenario(
         ideal_document(document) if document.ideal else document,

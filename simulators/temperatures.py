@@ -14,19 +14,20 @@ Hours = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 class ThermalSettings(StrictModel):
-    """Initial temperatures and their change; without any key nothing warms.
+    """Initial temperatures and their change. By default all temperatures are constant.
 
-    The ambient rises by `ambient_rise_k` as 1 - exp(-t/τ) with `ambient_time_constant_h` (0: at once, as when the doors
-    are opened). Artefact and machine follow it, each with its own lag; None: they do not. In addition both may drift
-    linearly, per hour.
+    The ambient temperature rises by `ambient_rise_k` as 1 - exp(-t/τ), where τ is `ambient_time_constant_h` (0: at
+    once, as when the doors are opened). Artefact and machine follow it, each with its own time constant (None: it does
+    not follow). In addition both may drift linearly with time, in K per hour.
 
-    Thermal effects, per kelvin since the start: `growth_um_per_k` moves the tip (spindle and ram grow);
-    `scale_um_per_m_k` stretches the scale of each axis about its zero; `bend_um_per_k` bends the column, forwards at
-    its top, lagging the machine's thermometer by `bend_time_constant_h`; `artefact_bow_um_per_k` bows the bar at its
-    middle per kelvin by which the ambient leads it.
+        Thermal effects, per kelvin since the start: `growth_um_per_k` moves the tip (spindle and ram grow);
+    `scale_um_per_m_k` stretches the scale of each axis about its zero; `bend_um_per_k` displaces the top of the column
+    forwards, with an additional lag `bend_time_constant_h` behind the machine's thermometer; `artefact_bow_um_per_k`
+    displaces the middle of the bar, per kelvin by which the ambient has warmed more than the bar.
 
-    Thermometers: `artefact_sensors` of them on the artefact; `sensor_offset_k` by name (``artefact``, ``artefact-2``,
-    ``machine``, ``ambient``), the noise of each reading, and the lag of the readings.
+        Thermometers: `artefact_sensors` is their number on the artefact, `sensor_offset_k` their offsets by name
+    (``artefact``, ``artefact-2``, ``machine``, ``ambient``), `sensor_noise_k` the noise of each reading, and
+    `sensor_lag_s` the lag of the readings.
     """
 
     artefact_c: Temperature = 20.0

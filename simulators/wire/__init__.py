@@ -1,1 +1,4 @@
-"""Servers and nodes that exchange bytes with the world, written from the protocol documents; no physics here."""
+"""Servers and CAN nodes through which clients reach the world.
+
+Written from the protocol documents; they have no physics.
+"""

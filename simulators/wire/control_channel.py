@@ -1,4 +1,4 @@
-"""Control channel over TCP: actions of a person at the machine, and facts known only to the simulator.
+"""Control channel over TCP. It offers the actions of a person at the machine, and facts known only to the simulator.
 
 One JSON object per line is answered by one JSON object; invalid input is answered with ``{"error": ...}``.
 """
@@ -20,17 +20,17 @@ from simulators.wire.tcp_server import TcpServer, serve_lines
 
 Answer = dict[str, Any]
 FailDrive = Callable[[int, str], None]
-"""Function of node and fault; raises InputError for an unknown node or fault."""
+"""Function that injects a fault, given the node id and the fault. Raises InputError if either is unknown."""
 
 REQUEST_KEYS = {"place_artefact": ("station",), "drive": ("node", "fault")}
-"""Keys of each request besides `do`."""
+"""Keys that each request must have in addition to `do`."""
 
 log = structlog.get_logger()
 
 
 class VolumetricTruth(Protocol):
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """Return (raw, rigidly aligned) in µm with the table of `bank`; None or 0: no table."""
+        """Return the raw and the rigidly aligned error in µm, with the table of `bank` (None or 0: without table)."""
         ...
 
 
@@ -67,7 +67,7 @@ class ControllerView(Protocol):
 
 
 class ControllableWorld(TimeDriven, Protocol):
-    """World as the control channel needs it."""
+    """Interface of a world that the control channel needs."""
 
     @property
     def controller(self) -> ControllerView: ...
@@ -82,7 +82,7 @@ class ControllableWorld(TimeDriven, Protocol):
 
 
 class ControlServer:
-    """Control channel for any number of clients on `address`."""
+    """Server of the control channel on `address`, for any number of clients."""
 
     def __init__(
         self, shared: SharedWorld[ControllableWorld], address: tuple[str, int], fail_drive: FailDrive | None = None
@@ -105,7 +105,7 @@ class ControlServer:
         serve_lines(connection, lambda line: json.dumps(self.answer(line)).encode())
 
     def answer(self, line: bytes) -> Answer:
-        """Return the answer to one line; never raises because of client input."""
+        """Return the answer to one line. Invalid client input never raises an exception."""
         try:
             request = _parse(line)
             with self._shared.lock:
@@ -132,7 +132,7 @@ class ControlServer:
         return {"done": "place_artefact", "station": station}
 
     def _drive(self, request: Answer) -> Answer:
-        """Make a drive of a mount fail, or restore it."""
+        """Inject a fault into a drive of a mount, or clear it."""
         node, fault = request.get("node"), request.get("fault")
         if not isinstance(node, int) or isinstance(node, bool) or not isinstance(fault, str):
             raise InputError(f"node must be an integer and fault a string, got {node!r} and {fault!r}", key="node")
@@ -143,7 +143,7 @@ class ControlServer:
         return {"done": "drive", "node": node, "fault": fault}
 
     def _truth(self, _: Answer) -> Answer:
-        """Return the true volumetric error in µm: without table, with the active bank, and with each bank that holds a
+        """Return the true volumetric errors in µm without table, with the active bank, and with every bank that holds a
         table.
         """
         controller = self._shared.world.controller
@@ -192,5 +192,5 @@ def _parse(line: bytes) -> Answer:
 
 
 def _finite(value: float) -> float | None:
-    """Return None for values that JSON cannot represent."""
+    """Return `value`, or None if it is not finite, because JSON cannot represent such values."""
     return float(value) if math.isfinite(value) else None

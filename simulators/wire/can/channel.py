@@ -1,4 +1,4 @@
-"""Bus of the simulated CAN nodes, given as one word on a command line.
+"""Bus of the simulated CAN nodes, opened from a specification of one word, as given on a command line.
 
 ========================================  ==============================================================
 ``socketcand:127.0.0.1:0``                TCP; the server is in this process (port 0: any)
@@ -31,13 +31,16 @@ SOCKETCAND_BUS = "can0"
 SLCAN_BIT_RATE = 500_000
 MULTICAST_GROUP = "239.74.163.2"
 PROBE_IDENTIFIER = 0x1FFFFFF0
-"""Extended identifier, so that no CANopen node mistakes the self-test's frame for its own."""
+"""Identifier of the frame of the multicast self-test.
+
+It is extended, so that no CANopen node takes the frame as its own.
+"""
 _FORMS = "socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH, slcan:any, virtual:NAME or socketcan:INTERFACE"
 
 
 @dataclass(frozen=True)
 class CanChannel:
-    """Simulator end of a bus, with the configuration that the other side needs to reach it."""
+    """Simulator's end of a bus, and the configuration that the agent needs to reach it."""
 
     bus: can.BusABC
     interface: str
@@ -46,12 +49,12 @@ class CanChannel:
 
     @property
     def agent_settings(self) -> dict[str, object]:
-        """Keys of a CANopen device's settings."""
+        """Settings with which the agent's CANopen driver reaches this bus."""
         return {"interface": self.interface, "channel": self.channel, "options": dict(self.options)}
 
 
 def open_channel(spec: str) -> CanChannel:
-    """Open the simulator end of the bus given by `spec`.
+    """Open the simulator's end of the bus given by `spec`, in one of the forms listed in the module.
 
     Raises ConfigurationError if `spec` has none of the known forms or the bus is not available.
     """
@@ -75,7 +78,7 @@ def open_channel(spec: str) -> CanChannel:
 
 
 def multicast_works(group: str = MULTICAST_GROUP, *, within_s: float = 0.5) -> bool:
-    """Return True if a frame sent to the multicast group returns on this computer within `within_s`."""
+    """Return True if a frame sent to the multicast group is received on this computer within `within_s`."""
     try:
         port = _free_udp_port()
         with _multicast_bus(group, port) as sender, _multicast_bus(group, port) as receiver:
@@ -101,7 +104,10 @@ def _socketcand(host: str, port: int) -> CanChannel:
 
 
 def _slcan(link: str) -> CanChannel:
-    """Open a serial adapter; the pseudo-terminal is ready at once, so clients need not wait after opening it."""
+    """Open a serial adapter.
+
+    The settings include no wait after opening, because the pseudo-terminal is ready at once.
+    """
     bus = SlcanPeerBus(link)
     return CanChannel(bus, "slcan", bus.port, {"bitrate": SLCAN_BIT_RATE, "sleep_after_open": 0.0})
 

@@ -1,9 +1,9 @@
 """CiA 402 drive for one axis of the simulated mount, written from the profile's text.
 
 Implements the power drive state machine, profile position mode, homing mode, quick stop, fault reaction and limits. The
-position unit is the encoder count unless the factor group defines another; speeds are units per second. The drive moves
-nothing itself: the physics behind it turns with the world's clock, and the drive reads it on every request and after
-every advance.
+position unit is the encoder count unless the factor group defines another; speeds are units per second. The drive
+has no motion of its own: the physics of the mount advances with the world's clock, and the drive reads it on every
+request and after every advance.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DEVICE_TYPE_SERVO = 0x0002_0192
 VENDOR_AND_PRODUCT = (0x000003E7, 0x00000402)
 PROFILE_POSITION, HOMING = 1, 6
 HOMING_HERE = (35, 37)
-"""Homing methods that take the present position as home."""
+"""Homing methods that define the present position as home."""
 
 FOLLOWING_ERROR = 0x8611
 REFERENCE_LIMIT = 0x8612
@@ -32,11 +32,11 @@ NEGATIVE_SWITCH, POSITIVE_SWITCH, HOME_SWITCH = 1, 2, 4
 DC_LINK_MV = 48_000
 
 POSITION_WINDOW_DEG = 0.01
-"""Window within which a drive reports its target as reached (0x6067)."""
+"""Position window (0x6067): distance from the target within which a drive reports it as reached."""
 
 
 class MountAxes(Protocol):
-    """Physics of the mount as a drive needs it. Angles in degrees, speeds in degrees per second."""
+    """Physics of the mount, as needed by a drive. Angles are in degrees, speeds in degrees per second."""
 
     def begin_turn(self, axis: str, angle_deg: float, speed_deg_per_s: float | None) -> None: ...
 
@@ -52,8 +52,8 @@ class MountAxes(Protocol):
 class DriveConfig:
     """Configuration of one simulated drive.
 
-    `counts_per_degree`: encoder increments; `zero_deg`: mount angle at which the encoder reads 0; `factors`: None for a
-    drive without a factor group.
+    `counts_per_degree`: encoder increments per degree; `zero_deg`: mount angle at which the encoder reads 0; `factors`:
+    factor group, None for a drive without one.
     """
 
     node_id: int
@@ -66,7 +66,7 @@ class DriveConfig:
 
 
 class PowerDriveState(IntEnum):
-    """Drive states as statusword bits 0-3, 5 and 6 (quick stop bit 5 is active low)."""
+    """Drive states. The values are bits 0-3, 5 and 6 of the statusword (bit 5, quick stop, is active low)."""
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -134,7 +134,7 @@ class ServoDrive:
         self._stop_motion()
 
     def jam(self, *, jammed: bool = True) -> None:
-        """Block the axis: commands are accepted but the axis does not move, and stops if it was moving."""
+        """Block the axis: it stops if it is moving, and then accepts commands without moving."""
         self._jammed = jammed
         if jammed and self._underway:
             self._axes.halt(self._config.axis)
@@ -154,7 +154,7 @@ class ServoDrive:
         self._home_switch = not lost
 
     def warn(self, code: int) -> None:
-        """Send an emergency message without a fault."""
+        """Send an emergency message with `code`, without entering a fault state."""
         self._emergencies.append(code)
 
     def take_emergencies(self) -> list[int]:
@@ -269,7 +269,7 @@ class ServoDrive:
             self._state = PowerDriveState.SWITCH_ON_DISABLED
 
     def _operate(self, word: int, rising: int) -> None:
-        """Handle the mode-specific bits 4, 5 and 6 and halt (bit 8)."""
+        """Handle the mode-specific bits 4, 5 and 6 of the controlword, and bit 8 (halt)."""
         if rising & 0x100:
             self._halted = True
             self._stop_motion()
@@ -287,7 +287,9 @@ class ServoDrive:
             self._acknowledged = False
 
     def _accept(self, word: int) -> None:
-        """Accept a set-point: at once (bit 5), or after the current one; a single set-point is buffered."""
+        """Accept a set-point, to be executed at once (bit 5) or after the current one; only one set-point is
+        buffered.
+        """
         target = self._target + (self._position() if word & 0x40 else 0)
         if self._underway and not word & 0x20:
             if self._buffered is not None:
@@ -324,12 +326,12 @@ class ServoDrive:
             self.trip(REFERENCE_LIMIT)
 
     def _barred(self) -> bool:
-        """Return True if an active limit switch blocks the direction of the goal."""
+        """Return True if an active limit switch blocks motion towards the goal."""
         ahead = (self._goal or 0) - self._position()
         return bool(self._switches & (POSITIVE_SWITCH if ahead > 0 else NEGATIVE_SWITCH))
 
     def _stop_at_switch(self) -> None:
-        """Stop at an active limit switch; the goal remains and is not reached."""
+        """Stop at an active limit switch, without changing the goal, which is then not reached."""
         if self._underway and self._barred():
             self._axes.halt(self._config.axis)
 
@@ -360,7 +362,7 @@ class ServoDrive:
 
 
 def drive_node(config: DriveConfig, axes: MountAxes) -> tuple[CanopenNode, ServoDrive]:
-    """Return a drive and the node through which it is reached."""
+    """Return the CANopen node of a new drive, and the drive."""
     drive = ServoDrive(config, axes)
     node = CanopenNode(
         config.node_id,

@@ -1,4 +1,4 @@
-"""All mounts of the simulated machine on one CAN bus: two drives each, and the faults that can be injected."""
+"""All mounts of the simulated machine on one CAN bus, with two drives each, and the faults that can be injected."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BUS_OFF = can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=T
 
 
 class CanMounts:
-    """Drives of all mounts on a bus that is opened at construction. `lock` protects the world that the drives read."""
+    """Drives of all mounts on one bus, which the constructor opens. `lock` protects the world that the drives read."""
 
     def __init__(self, spec: str, mounts: Sequence[MountAxes], lock: AbstractContextManager[bool]) -> None:
         self._channel: CanChannel = open_channel(spec)
@@ -51,7 +51,7 @@ class CanMounts:
         return self._channel.agent_settings
 
     def fail(self, node_id: int, fault: str) -> None:
-        """Inject a fault into one drive, or clear it. The caller holds the lock.
+        """Inject a fault into one drive, or clear it. The caller must hold the lock.
 
         Raises InputError for an unknown node or fault.
         """
@@ -66,8 +66,9 @@ class CanMounts:
         faults[fault]()
 
     def _go_off_bus(self) -> None:
-        """Simulate bus-off, as after a short circuit: a serial adapter forwards nothing, other interfaces report an
-        error frame.
+        """Simulate bus-off, as after a short circuit.
+
+        A serial adapter then forwards no frames; on other interfaces an error frame is sent.
         """
         if isinstance(self._channel.bus, SlcanPeerBus):
             self._channel.bus.go_off_bus()
@@ -76,7 +77,9 @@ class CanMounts:
 
 
 def drive_configs(mounts: int) -> list[tuple[DriveConfig, ...]]:
-    """Return the drive configurations of each mount: nodes 1 and 2 for the first, 3 and 4 for the second, and so on."""
+    """Return the drive configurations of each mount: node ids 1 and 2 for the first mount, 3 and 4 for the second,
+    and so on.
+    """
     return [
         tuple(_drive(2 * number + place, axis) for place, axis in enumerate(AXES, start=1)) for number in range(mounts)
     ]

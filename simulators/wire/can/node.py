@@ -1,6 +1,6 @@
 """CANopen node according to CiA 301: NMT slave, heartbeat producer, EMCY producer, SDO server.
 
-Frames are (identifier, data) pairs; there is no bus and no thread. `advance` sets the time.
+Frames are (identifier, data) pairs. The node has no bus and no thread; `advance` sets its time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from simulators.wire.can.sdo import ObjectDictionary, ObjectEntry, SdoServer
 Frame = tuple[int, bytes]
 
 HARDWARE_VERSION, SOFTWARE_VERSION = "simulated", "volcal"
-"""Contents of 0x1009 and 0x100A."""
+"""Contents of objects 0x1009 and 0x100A."""
 
 
 class NmtState(IntEnum):
@@ -26,7 +26,7 @@ class NmtState(IntEnum):
 
 
 class Application(Protocol):
-    """Device application behind the communication profile."""
+    """Device application of a node, as opposed to its communication (CiA 301)."""
 
     @property
     def error_register(self) -> int: ...
@@ -43,7 +43,10 @@ class Application(Protocol):
 
 
 class CanopenNode:
-    """CANopen node. `device_type` is 0x1000; `identity` is 0x1018: vendor, product, revision, serial number."""
+    """CANopen node.
+
+    `device_type`: object 0x1000; `identity`: object 0x1018 (vendor, product, revision, serial number).
+    """
 
     def __init__(
         self,
@@ -82,7 +85,7 @@ class CanopenNode:
         self._sdo = SdoServer({**own, **application.dictionary()})
 
     def boot(self) -> list[Frame]:
-        """Power on or reset: send the boot-up message and enter pre-operational."""
+        """Boot, as after power-on or reset: enter the pre-operational state and return the boot-up message."""
         self._application.reset()
         self.state = NmtState.PRE_OPERATIONAL
         self._heartbeat_ms = 0
@@ -104,7 +107,7 @@ class CanopenNode:
         return []
 
     def advance(self, now_s: float) -> list[Frame]:
-        """Return the frames that the node sends up to `now_s`. A long step yields one heartbeat, not a backlog."""
+        """Advance to `now_s` and return the frames due until then, with a single heartbeat even if several were due."""
         self._now_s = now_s
         self._application.advance(now_s)
         frames = self._emergency_frames()

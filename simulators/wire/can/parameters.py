@@ -59,7 +59,7 @@ class FactorGroup:
 
 
 class Parameters:
-    """Values by index and sub-index. A drive without a factor group counts increments."""
+    """Values by index and sub-index. The position unit of a drive without a factor group is the encoder increment."""
 
     def __init__(self, factors: FactorGroup | None) -> None:
         self._defaults = {**_ALWAYS, **(factors.entries() if factors is not None else {})}
@@ -75,7 +75,7 @@ class Parameters:
         return self._values[key]
 
     def __setitem__(self, key: Key, value: int) -> None:
-        """Set a value without the bus, as the maker's own tool does."""
+        """Set a value directly, not over the bus, as the manufacturer's own tool does."""
         self._values[key] = value
 
     @property

@@ -1,7 +1,7 @@
 """SDO server according to CiA 301 section 7.2.4.
 
 Supports expedited transfers in both directions and segmented upload. No writable object of a drive is longer than four
-bytes, so a segmented download is refused by length, and block transfer as an unknown command.
+bytes, so a segmented download is refused because of its length; block transfer is refused as an unknown command.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ class SdoAbortError(Exception):
 
 @dataclass(frozen=True)
 class ObjectEntry:
-    """One object: `code` is the `struct` letter of its little-endian type, empty for a visible string."""
+    """One entry of the object dictionary.
+
+    `code`: `struct` letter of its little-endian type, empty for a visible string.
+    """
 
     code: str
     read: Callable[[], int | str] | None = None
@@ -65,8 +68,9 @@ class SdoServer:
         self._toggle = 0
 
     def answer(self, request: bytes) -> bytes | None:
-        """Return the 8-byte answer to an 8-byte request; None for an abort by the client or a frame
-        of another length.
+        """Return the 8-byte answer to an 8-byte request.
+
+        Returns None if the client aborts or if the frame has another length.
         """
         if len(request) != 8:
             return None

@@ -1,4 +1,6 @@
-"""Simulated CANopen nodes on a python-can bus: one thread answers, and a hook advances time."""
+"""Simulated CANopen nodes on a python-can bus, with one thread that answers requests and a method that advances
+time.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ _log = structlog.get_logger("can_server")
 class CanServer:
     """Serves `nodes` on `bus`, which it shuts down on closing.
 
-    `lock` protects the world behind the nodes and is held while they answer; code that advances that world from another
-    thread holds the same (re-entrant) lock. Subscribe `advance` to the clock after the world itself.
+    `lock` protects the world behind the nodes and is held while they answer; code that advances the world from another
+    thread must hold the same (re-entrant) lock. `advance` must be called after the world itself has been advanced.
     """
 
     def __init__(

@@ -1,12 +1,12 @@
 """Serial CAN adapter on a pseudo-terminal, and the bus behind it: the peer of the ``slcan`` interface.
 
 Like the socketcand server it is itself a python-can bus: `recv` returns the frames from the host, `send` passes a frame
-to the host. Written from the manual of LAWICEL's CAN232 and CANUSB: ASCII commands that end with CR, answered by CR or
-BELL; a channel that is closed, set to a bit rate and opened; frames as ``tiiildd..`` and ``Tiiiiiiiildd..``; polling
-switched off as in the CANUSB.
+to the host. It is written from the manuals of LAWICEL's CAN232 and CANUSB. Commands are ASCII text ending with CR and
+are answered by CR or BELL. The host closes the channel, sets its bit rate and opens it. Frames have the forms
+``tiiildd..`` and ``Tiiiiiiiildd..``; received frames are sent without being polled for, as by the CANUSB.
 
-The line has a limit: a pseudo-terminal buffers about ten kB of unread data. Further frames wait in order in the
-adapter's queue; if that overflows too, frames are lost as in the real adapter, and bit 0 of the status flags is set.
+A pseudo-terminal buffers only about 10 kB of unread data. Further frames wait in order in the adapter's queue; if the
+queue overflows too, frames are lost as in the real adapter, and bit 0 of the status flags is set.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CR, BELL = b"\r", b"\a"
 QUEUED_FRAMES = 8192
 LONGEST_COMMAND = len("T1FFFFFFF8") + 16
 FLUSH_CYCLE_S = 0.002
-"""Interval in s at which a full line is tried again."""
+"""Interval in s at which writing to a full line is tried again."""
 RECEIVE_QUEUE_FULL, ERROR_WARNING, ERROR_PASSIVE, BUS_ERROR = 0x01, 0x04, 0x20, 0x80
 TRANSMIT = tuple("tTrR")
 BIT_RATES = LENGTHS = tuple("012345678")
@@ -34,7 +34,10 @@ IDENTIFICATION = {"V": b"V1013", "N": b"NVC01"}
 
 
 class SlcanPeerBus(can.BusABC):
-    """Bus behind the adapter. `link`: a path made to point at the terminal, or "any"; the host opens `port`."""
+    """Bus behind the adapter.
+
+    `link`: path to be made a link to the pseudo-terminal, or "any"; the host opens `port`.
+    """
 
     def __init__(self, link: str = ANY) -> None:
         super().__init__(channel=link)
@@ -51,13 +54,14 @@ class SlcanPeerBus(can.BusABC):
         self._line.start()
 
     def go_off_bus(self) -> None:
-        """Simulate bus-off, as after a short circuit of the cable: no frames in either direction, and the flags are
-        set.
+        """Simulate bus-off, as after a short circuit of the cable.
+
+        Frames pass in neither direction, and the status flags report the error.
         """
         self._off_bus = True
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame to the host while its channel is open."""
+        """Send a frame to the host if the host has opened the channel."""
         del timeout
         if not self._open or self._off_bus or msg.is_error_frame:
             return
@@ -157,7 +161,7 @@ class SlcanPeerBus(can.BusABC):
 
 
 def format_frame(message: can.Message) -> bytes:
-    """Return a frame as the adapter writes it, without its CR."""
+    """Return the text of a frame as the adapter writes it, without the final CR."""
     letters = "rR" if message.is_remote_frame else "tT"
     extended = message.is_extended_id
     identifier = f"{message.arbitration_id:08X}" if extended else f"{message.arbitration_id:03X}"

@@ -4,9 +4,9 @@ The server is itself a python-can bus: its `recv` accepts clients, answers their
 the other clients and to its caller; its `send` goes to every client. It has no thread, so clients are served only while
 a caller is in `recv`.
 
-Protocol: doc/protocol.md of linux-can/socketcand (``< hi >``, open, rawmode, send, sendrtr, echo). That text shows the
-data of a ``< frame ... >`` separated by blanks; the daemon writes it without, python-can's client reads it so, and this
-server does the same.
+Protocol: doc/protocol.md of linux-can/socketcand (``< hi >``, open, rawmode, send, sendrtr, echo). That document
+shows the data bytes of a ``< frame ... >`` separated by blanks. The socketcand daemon writes them without blanks and
+python-can's client expects none, so this server writes none either.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import structlog
 from drivers.clock import wall_seconds
 
 SEND_WITHIN_S = 2.0
-"""A client that accepts no bytes for this time in s is dropped."""
+"""Time in s after which a client that accepts no bytes is disconnected."""
 LONGEST_COMMAND = 200
 
 _log = structlog.get_logger("socketcand")
@@ -38,7 +38,7 @@ class _Client:
 
 
 class SocketcandServerBus(can.BusABC):
-    """Bus `channel` at TCP `host`:`port`; port 0 selects a free port, see `port`."""
+    """Bus `channel` at TCP `host`:`port`. If the port is 0, a free one is used, which attribute `port` gives."""
 
     def __init__(self, channel: str, host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__(channel=channel)
@@ -53,7 +53,7 @@ class SocketcandServerBus(can.BusABC):
         self._lock = threading.RLock()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame to every client in raw mode; a client that does not accept it is dropped."""
+        """Send a frame to every client in raw mode, and disconnect clients that do not accept it."""
         del timeout
         self._broadcast(msg, sender=None)
 
