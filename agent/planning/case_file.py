@@ -1,5 +1,4 @@
-"""Cases for studies and design: a machine with an artefact in front of it, read from a settings file; no device is
-contacted."""
+"""Cases for studies and design: jobs read from a settings file without contacting a device."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Machine time of a set of positions before anything moves: the plan of the run, executed on an ideal machine.
 
-Nothing is simulated and no device is asked: some thousand steps take a fraction of a second, so that designs can be
-compared by their cost. `agent.planning.preflight` is the dry run with physics; both use the same `TimeModel`.
+No physics is simulated and no device is contacted. Some thousand steps take a fraction of a second, so that designs can
+be compared by their cost. `agent.planning.preflight` simulates the physics too; both use the same `TimeModel`.
 """
 
 from __future__ import annotations
@@ -31,14 +31,16 @@ T = TypeVar("T")
 PREFIX = "timed"
 CARRYING, TURNING, MOVING, TOUCHING, WAITING = "carrying", "turning", "moving", "touching", "waiting"
 PARTS = (CARRYING, TURNING, MOVING, TOUCHING, WAITING)
-"""Parts of machine time: the operator's time, motion of mount and axes, and the latency of all commands."""
+"""Parts of machine time: carrying by the operator, motion of mount and axes, touches, and the latency of all
+commands."""
 
 _MOTION = {OrientTo: TURNING, MoveTo: MOVING, TouchTowards: TOUCHING}
 
 
 @dataclass(frozen=True)
 class TimedStep:
-    """Step with its time. `motion_s` of axes or mount; `overhead_s`: latency of the command, or the operator's time."""
+    """Step with its time. `motion_s`: motion of axes or mount; `overhead_s`: latency of the command, or the operator's
+    time."""
 
     step: Step
     motion_s: float
@@ -55,8 +57,9 @@ class TimedStep:
 
 @dataclass(frozen=True)
 class MachineMinutes:
-    """Machine time in minutes. `total` = `carrying` (by the operator, between stations) + the times `per_position`,
-    which include turning and the path there; a position with fewer than three balls within reach takes none."""
+    """Machine time in minutes. `total` is the sum of `carrying` (by the operator, between stations) and of all times in
+    `per_position`. The time of a position includes the turn of the mount and the path to it; it is zero if fewer than
+    three balls are within reach."""
 
     total: float
     per_position: Mapping[Position, float]
@@ -64,9 +67,9 @@ class MachineMinutes:
 
 
 def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
-    """Return the machine time of measuring `positions` in their order (stations contiguous).
+    """Return the machine time of measuring `positions` in the given order; those of one station must be contiguous.
 
-    The axes start at the travel's lower end, the mount at zero; held-out positions are not included.
+    The axes start at the lower end of their travel, and the mount at zero. Held-out positions are not added.
     """
     order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)
     _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules))
@@ -82,10 +85,10 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
 
 
 def position_minutes(job: Job, position: Position) -> float:
-    """Return the machine minutes of one more position at a station.
+    """Return the machine minutes that one more position adds at a station.
 
-    The time starts with the tip beside a ball of a bar with the mount at zero and ends with the last ball measured;
-    with plain paths it is from the park location back to it.
+    With free paths, the time starts with the tip at ball 0 after its measurement with the mount at zero, and ends with
+    the last ball measured. With plain paths, it starts and ends at the park location.
     """
     retreat = job.rules.retreat
     if retreat.path_rules is None:
@@ -99,7 +102,7 @@ def position_minutes(job: Job, position: Position) -> float:
 
 
 def without_optimisation(job: Job) -> Job:
-    """Return the job with stations and positions in their listed order, and plain paths."""
+    """Return the job with stations and positions in their listed order and with plain paths."""
     procedure = job.settings.procedure.model_copy(update={"paths": "plain", "optimise_order": False})
     rules = replace(job.rules, retreat=replace(job.rules.retreat, path_rules=None))
     return replace(job, settings=job.settings.model_copy(update={"procedure": procedure}), rules=rules)
@@ -119,7 +122,8 @@ def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
 
 
 def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:
-    """Execute `plan` on an ideal machine; return its result and the steps that take time, in order."""
+    """Execute `plan` on an ideal machine; return its result and the steps that take time, in order. `start_mm`: axis
+    positions at the start, None for the lower end of the travel."""
     steps: list[TimedStep] = []
 
     def note(step: Step, motion_s: float, overhead_s: float) -> None:

@@ -1,6 +1,6 @@
-"""Ideal machine: executes each step at once and reports the time it would take, without physics or device.
+"""Ideal machine, which executes each step at once and reports the time it would take, without physics or device.
 
-It provides the engine's actions, so that the plans of a run themselves can be timed.
+It provides actions for the engine, so that the same plans that a run executes can be timed.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from twin.collision.motion_law import StraightPath, entry_distance, straight_pat
 
 
 class IdealMachine:
-    """Ideal machine with its axes at `start_mm` and the mount at zero; mounts at stations of their own start at the
-    angles of their first turn.
+    """Ideal machine with its axes at `start_mm` and the mount at zero. If every station has its own mount, the mounts
+    start at the angles of their first turn.
 
-    `spent(step, motion_s, overhead_s)` is called for every step that takes time. The balls are at their locations in
-    `layout`; the probe trips at contact.
+    `spent(step, motion_s, overhead_s)` is called for every step that takes time. The balls are at their nominal
+    locations in `layout`, and the probe trips at contact.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class IdealMachine:
         return Orientation(*target_deg)
 
     def _contact(self, path: StraightPath) -> float | None:
-        """Return the distance along `path` at which the first ball is touched; None if there is none."""
+        """Return the distance in mm along `path` at which the tip first touches a ball; None if it touches no ball."""
         reach, first = self._layout.contact_mm, math.inf
         for ball in self._balls:
             distance = entry_distance(path.start, path, ball, reach)

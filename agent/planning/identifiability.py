@@ -1,5 +1,5 @@
-"""Identifiability of a machine by a procedure, before any measurement: from files and names to a set-up and its
-rank."""
+"""Identifiability of a machine by a procedure before any measurement, computed from settings files and names of
+sets."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class RankRequest:
-    """Files and choices of `rank`. `position_set`: names joined by + or a position file, None for that of the settings;
-    `tools`: names in the machine file, empty for that of the settings; `stations`: number spaced evenly along X, None
-    for those of the settings."""
+    """Files and choices for `rank`. `position_set`: names of sets joined by +, or a position file; None for the set of
+    the settings. `tools`: names of tools in the machine file; empty for the tool of the settings. `stations`: number of
+    stations spaced evenly along X; None for the stations of the settings. `formulation`: None for that of the
+    settings."""
 
     config: Path
     machine: Path | None = None
@@ -46,7 +47,8 @@ class RankRequest:
 
 @dataclass(frozen=True, eq=False)
 class RankResult:
-    """Result of `rank`. `vce`: expected at each field of `seen`; `advice`: best first."""
+    """Result of `rank`. `vce`: expected VCE for each field in `seen.fields`, that is, for each tool; `advice`: proposed
+    additions to the procedure, the best first."""
 
     job: Job
     position_set: str
@@ -84,7 +86,8 @@ class RankResult:
 
 
 def rank(question: RankRequest) -> RankResult:
-    """Assess the identifiability. Raises UserError, naming file, key and valid values, for unusable or empty input."""
+    """Assess the identifiability. Raises UserError with file, key and valid values if the input is unusable or
+    empty."""
     job = load_case(
         question.config,
         machine=question.machine,
@@ -143,7 +146,8 @@ def _positions(job: Job, question: RankRequest, name: str) -> tuple[Position, ..
 
 
 def _with_tools(positions: Sequence[Position], tools: Sequence[str]) -> tuple[Position, ...]:
-    """Return the positions tool by tool, since tools are changed by hand; a position that names its tool keeps it."""
+    """Return the positions tool by tool, because tools are changed by hand. Positions that name a tool are measured
+    with it only."""
     free = [position for position in positions if position.tool is None]
     bound = [position for position in positions if position.tool is not None]
     return (*(replace(position, tool=tool) for tool in tools for position in free), *bound)

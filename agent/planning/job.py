@@ -1,4 +1,4 @@
-"""Job of a run, from the settings and the files they name. Reads files, touches no device."""
+"""Job of a run, prepared from the settings and the files that they name, without contacting a device."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from twin.machine.machine_description import MachineDescription
 
 @dataclass(frozen=True)
 class Job:
-    """A calibration that can be listed, checked by a preflight and carried out. `held_out` is never used for the
-    estimate."""
+    """Calibration that can be listed, checked by a preflight and carried out. The positions `held_out` are never used
+    for the estimate."""
 
     settings: Settings
     machine: MachineDescription
@@ -56,14 +56,15 @@ class Job:
 
     @property
     def procedure(self) -> Procedure:
-        """Procedure as the mathematics sees it: no devices, no order."""
+        """Procedure for design and error budget: layout and covariance of ball centres, without devices or measuring
+        order."""
         probing = self.rules.probing
         covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
         return Procedure({self.settings.tool: self.layout}, covariance)
 
     @cached_property
     def measuring_order(self) -> MeasuringOrder:
-        """Order of the set, with the held-out positions at the verified stations, before the new table is active."""
+        """Measuring order of the position set and the held-out positions, measured before the new table is active."""
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
         standing_at = self.settings.stations.standing_at if carried else None
@@ -78,26 +79,27 @@ class Job:
 
     @property
     def repeat_rules(self) -> RepeatRules:
-        """Rules for measuring the first position again at the end: one of the set, never a held-out one."""
+        """Rules for measuring the first positions again at the end; held-out positions are not repeated."""
         chosen = self.settings.temperature
         return RepeatRules(
             chosen.repeat_after_change_k, chosen.declared_change_k, chosen.repeat_positions, self.positions
         )
 
     def preparation_plan(self) -> Plan[PreparationResult]:
-        """Return the plan of probe check and qualification, which come before everything else."""
+        """Return the plan of the checks that precede all measurements: probe check, qualification and reversal."""
         return prepare_probe(self.measuring_order, self.layout, self.rules, self.preparation)
 
     def verification_order(self, standing_at: int | None) -> MeasuringOrder:
-        """Return the order of the held-out positions measured again, starting at the artefact's station."""
+        """Return the measuring order of the held-out positions with the new table, starting at the artefact's station
+        if that is verified."""
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         if not self.settings.procedure.optimise_order:
             return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
         return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
 
     def balls_of(self, measured: MeasuredPositions, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
-        """Return the balls of the held-out positions, or of all others, numbered as in `artefact`; `again`: with those
-        that were measured again at the end of their positions."""
+        """Return the balls of the held-out positions, or of all others, numbered as in `artefact`. `again`: also return
+        the first balls measured again at the end of the positions."""
         kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
         return [
             replace(ball, ball=ball.ball + self.layout.first_ball(ball.station))
@@ -108,9 +110,9 @@ class Job:
 
 
 def prepare_job(settings: Settings, base: Path) -> Job:
-    """Load what the settings name and check that it fits together. Raises ConfigurationError.
+    """Load the files that the settings name and check that they are consistent. Raises ConfigurationError if not.
 
-    `base`: where a relative path of a position file starts.
+    `base`: folder to which the path of a position file is relative.
     """
     check_stations(settings)
     machine = load_machine(settings.machine)
@@ -160,7 +162,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
 
 
 def _positions(name: str, stations: Sequence[int], station_count: int, base: Path, tool: str) -> tuple[Position, ...]:
-    """Return the positions of the named sets, or of a position file."""
+    """Return the positions of the named sets at `stations`, or all positions of a position file."""
     if name.endswith(POSITION_FILES):
         listed = load_positions(base / name)
         unknown = sorted({p.station for p in listed} - set(range(1, station_count + 1)))
@@ -211,7 +213,7 @@ def _refuse_nothing_reachable(job: Job) -> None:
 def _refuse_unreachable_entry(job: Job) -> None:
     """Raise ConfigurationError if an entry of a position file is out of reach.
 
-    A named set leaves such positions out and counts them; a position file means every entry.
+    From a named set such positions are left out and counted, but every entry of a position file must be measurable.
     """
     for number, position in enumerate(job.positions, start=1):
         reached = _reached(job, position)

@@ -1,4 +1,4 @@
-"""Time model against a finished run: predicted and observed seconds of each step, and latencies fitted to them."""
+"""Comparison of the time model with a finished run: predicted and observed times of its steps, and fitted latencies."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from twin.units import S_PER_MIN
 
 MOVE, TOUCH, TURN, CARRY = "MoveTo", "TouchTowards", "OrientTo", "AskOperator"
 KINDS = (MOVE, TOUCH, TURN, CARRY)
-"""Steps that take time, as the journal names them."""
+"""Kinds of steps that take time, by their names in the journal."""
 
 _Angles: TypeAlias = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class ObservedStep:
-    """`motion_s`: pure motion by the motion law; `observed_s`: time taken by the run."""
+    """Step of a finished run. `motion_s`: time of the motion alone by the motion law; `observed_s`: time taken in the
+    run."""
 
     kind: str
     motion_s: float
@@ -32,8 +33,9 @@ class ObservedStep:
 
 @dataclass(frozen=True)
 class StepKindTiming:
-    """Times of all steps of one kind, in seconds. Latencies are the time beyond the motion of each step (the whole time
-    of an AskOperator), as set and as suggested; `rest_s`: rms of the residuals with the suggested latency."""
+    """Times of all steps of one kind, in seconds. `observed_s`, `predicted_s`: sums over the steps. `latency_s`,
+    `suggested_latency_s`: time of a step beyond its motion (the whole time of an AskOperator), as set and as fitted.
+    `rest_s`: rms of the residuals with the fitted latency."""
 
     kind: str
     count: int
@@ -45,7 +47,7 @@ class StepKindTiming:
 
 
 def observed_steps(steps: Iterable[StepRow], model: TimeModel) -> list[ObservedStep]:
-    """Return the timed steps of a run, replayed from the known positions of the axes and the mount.
+    """Return the steps of a run with their times; positions of axes and mount are tracked through the steps.
 
     A step that starts from an unknown position, or that did not end, is left out.
     """
@@ -54,10 +56,10 @@ def observed_steps(steps: Iterable[StepRow], model: TimeModel) -> list[ObservedS
 
 
 def refit(model: TimeModel, observed: Sequence[ObservedStep]) -> TimeModel:
-    """Fit the latency of each kind of step with unchanged motion; kinds that were not observed keep theirs.
+    """Fit the latency of each kind of step with unchanged motion; the latencies of kinds not observed are unchanged.
 
-    With the motion known, the rest of a step is its latency, and the least-squares estimate of a constant is the mean;
-    a mean below zero (the machine is faster than its file states) is set to zero.
+    The time of a step beyond its motion is its latency, and the least-squares estimate of a constant is the mean. A
+    negative mean (the machine is faster than its file states) is set to zero.
     """
     return replace(
         model,
@@ -74,7 +76,7 @@ def _fitted(kind: str, given_s: float, observed: Sequence[ObservedStep]) -> floa
 
 
 def step_kind_timings(model: TimeModel, observed: Sequence[ObservedStep]) -> list[StepKindTiming]:
-    """Compare the prediction by `model` with the observation, for every observed kind."""
+    """Return predicted and observed times for every kind of step that was observed."""
     given, fitted = _latencies(model), _latencies(refit(model, observed))
     table = []
     for kind in KINDS:
@@ -85,7 +87,7 @@ def step_kind_timings(model: TimeModel, observed: Sequence[ObservedStep]) -> lis
 
 
 def suggested_settings(model: TimeModel) -> dict[str, float]:
-    """Return the keys of the settings' `timing` other than those of the mount's motion."""
+    """Return the latencies of `model` under their keys in the section `timing` of the settings."""
     return {
         "command_latency_s": round(model.command_latency_s, 4),
         "touch_latency_s": round(model.touch_latency_s, 4),
@@ -117,7 +119,7 @@ def _summary(kind: str, steps: Sequence[ObservedStep], latency_s: float, suggest
 
 
 class _Replay:
-    """Positions of axes and mount during the steps of a run; None while unknown."""
+    """Tracked positions of axes and mount through the steps of a run; None while they are unknown."""
 
     def __init__(self, model: TimeModel) -> None:
         self._model = model
@@ -132,7 +134,7 @@ class _Replay:
         return None if motion_s is None else ObservedStep(step.kind, motion_s, step.finished_s - step.begun_s)
 
     def _motion_s(self, step: StepRow) -> float | None:
-        """Return seconds of pure motion if it is known, and remember the position reached."""
+        """Return the time in s of the motion alone, None if unknown, and store the position reached."""
         match step.kind:
             case "ReadPosition":
                 self._at_mm = _triple(step.result)

@@ -1,8 +1,8 @@
-"""Order of stations and positions that takes the least machine time, decided once before a run.
+"""Order of stations and positions that takes the least machine time, computed once before a run.
 
-It depends on the settings only, so that a resumed run has the same order. A change of position costs the turn of the
-mount and the paths from the last ball to a point clear of the turning artefact and on to the next ball; a change of
-station costs carrying the artefact.
+It depends only on the settings, so that a resumed run has the same order. The cost of a change of position is the time
+of the mount's turn and of the paths from the last ball to a point clear of the turning artefact and from there to the
+next ball. The cost of a change of station is the time to carry the artefact.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from twin.collision.travelling_salesman import shortest_tour
 from twin.design.procedure import MIN_BALLS
 
 MAX_PERMUTED_STATIONS = 7
-"""Largest number of stations whose order is optimised; more are measured as listed."""
+"""Largest number of stations whose order is optimised; a larger number is measured in the listed order."""
 
 PARK_DETOUR_S = 20.0
-"""Approximate time of the path by way of a park location."""
+"""Approximate time of a path by way of a park location."""
 
 AT_REST_DEG = (0.0, 0.0)
 
@@ -36,23 +36,25 @@ Angles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class OrderOptimiser:
-    """Optimises the order of the positions of one layout. Plain paths between positions, by the retreat plane, cost
-    about the same, so that only the turns differ."""
+    """Optimiser of the order of positions in one layout. All plain paths between positions, by way of the retreat
+    plane, take about the same time, so that with them only the mount's turns are counted."""
 
     layout: MeasuringLayout
     rules: PositionRules
     times: TimeModel
 
     def stations(self, listed: Sequence[int], standing_at: int | None, last_at: Sequence[int]) -> tuple[int, ...]:
-        """Return `listed` in an order that starts at the artefact's station and needs the fewest carries, the next
-        measurement being at `last_at`; ties are decided by the distance along the machine, then by the listed order."""
+        """Return `listed` in the order that starts at the artefact's station and needs the fewest carries.
+
+        Carries to the stations `last_at`, which are measured next, are counted too. Ties are decided by the distance
+        along X, then by the listed order."""
         if len(listed) > MAX_PERMUTED_STATIONS:
             return (*(s for s in listed if s == standing_at), *(s for s in listed if s != standing_at))
         return min(permutations(listed), key=lambda order: self._carrying(order, standing_at, last_at))
 
     def positions(self, positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
-        """Return the positions station by station, within each in the fastest order from the mount's previous
-        angles."""
+        """Return the positions station by station, those of one station in the fastest order from the mount's previous
+        angles. Positions with too few balls within reach come last at their station."""
         angles, done = AT_REST_DEG, list[Position]()
         for station in stations:
             here = [position for position in positions if position.station == station]
@@ -83,7 +85,7 @@ class OrderOptimiser:
         return self.times.turn_s(_angles(before), _angles(after))
 
     def _path_seconds(self, begin: Position) -> Callable[[Position, Position], float]:
-        """Return a function for the path time in s between two positions; 0 for the first, reached from outside."""
+        """Return a function that gives the path time in s between two positions, and 0 from `begin`."""
         path_rules = self.rules.retreat.path_rules
         if path_rules is None:
             return lambda _, __: 0.0
@@ -115,7 +117,7 @@ class OrderOptimiser:
         return [TipLocation(ball, point(probing.directions[0]), out_mm) for ball in self._ends(position)]
 
     def _ends(self, position: Position) -> tuple[int, ...]:
-        """Return both end balls; empty if too few are within reach."""
+        """Return the numbers of both end balls within reach; empty if too few balls are within reach."""
         reached = self.layout.reachable(position, self.layout.nominal(position)).nonzero()[0].tolist()
         return (reached[0], reached[-1]) if len(reached) >= MIN_BALLS else ()
 

@@ -22,13 +22,14 @@ from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError
 
 Procedure = Callable[[Job], Plan[tuple[MeasuredPositions, MeasuredPositions]]]
-"""All motion of a run; returns the measurements for the estimate and those that prove it."""
+"""Function from a job to the plan of a whole run, which returns the measurements for the estimate and those that verify
+the new table."""
 
 
 @dataclass(frozen=True)
 class PreflightResult:
-    """Simulated run. `timeline`: step key → machine time in s at the end of that step; `steps`: those that take time,
-    in order."""
+    """Result of a simulated run. `timeline`: step key → machine time in s at the end of that step; `steps`: steps that
+    take time, in order; `machine_seconds`: simulated time; `wall_seconds`: computing time."""
 
     measured: MeasuredPositions
     verified: MeasuredPositions
@@ -44,7 +45,7 @@ class PreflightResult:
 
 
 def never_interrupted() -> None:
-    """Interrupt nothing: the default for a preflight that nobody watches."""
+    """Do nothing; the default callback of a preflight that cannot be interrupted."""
 
 
 def run_preflight(
@@ -53,10 +54,11 @@ def run_preflight(
     procedure: Procedure | None = None,
     watch: Callable[[], None] = never_interrupted,
 ) -> PreflightResult:
-    """Run the whole procedure, by default that of a calibration, on a machine without errors.
+    """Run the whole procedure, by default that of a calibration, on a simulated machine without errors.
 
-    `start_mm`: axis positions of the real machine; None for the start of the simulated one. Raises PlanRefused, naming
-    the step and, for a collision, the two bodies; and any error raised by `watch`, which is called at every step.
+    `start_mm`: axis positions of the real machine; None for those at which the simulated machine starts. `watch` is
+    called at every step. Raises PlanRefused with the step and, for a collision, the two bodies; ConfigurationError if
+    no held-out position can be measured; and the errors raised by `watch`.
     """
     plan = (procedure or whole_procedure)(job)
     began = wall_seconds()
@@ -88,7 +90,8 @@ def _what_to_do(job: Job) -> str:
 
 
 class _Times:
-    """Times of the steps. The simulated machine's motion advances the clock; latencies are added here."""
+    """Recorder of the times of the steps. Motion of the simulated machine advances the clock; latencies are added
+    here."""
 
     def __init__(self, clock: VirtualClock, model: TimeModel, watch: Callable[[], None]) -> None:
         self._clock = clock
@@ -108,7 +111,7 @@ class _Times:
 
 
 def _require_proof(verified: MeasuredPositions) -> None:
-    """Raise ConfigurationError if nothing can be measured with the new table active: it would stay unproved."""
+    """Raise ConfigurationError if no held-out position was measured, because the new table could not be verified."""
     if not verified.positions:
         raise ConfigurationError(
             "no held-out position has three balls within reach, so a new table could not be proved",
@@ -118,7 +121,8 @@ def _require_proof(verified: MeasuredPositions) -> None:
 
 
 def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-    """Plan of a calibration: the probe's preparation, the set with the held-out positions, then these again."""
+    """Plan of a calibration: prepare the probe, measure the set and the held-out positions, and measure the held-out
+    positions again."""
     prepared = yield from job.preparation_plan()
     order = replace(job.measuring_order, standing_at=prepared.standing_at)
     measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.repeat_rules)

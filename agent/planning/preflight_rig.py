@@ -1,4 +1,4 @@
-"""Rig of the preflight: one simulated device that plays every role."""
+"""Rig of the preflight, in which one simulated device has every role."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from drivers.roles import CompensationStore, Machine, Operator, Probe, Thermomet
 
 
 def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None) -> Rig:
-    """Return a rig on which one device of the plugin named by `preflight.driver` plays every role.
+    """Return a rig in which one device of the plugin named by `preflight.driver` has every role.
 
-    The device has the machine's own files and geometry and no errors: a preflight checks the procedure.
+    The device has the files and geometry of the machine but no errors, because a preflight checks only the procedure.
     """
     settings = job.settings
     options: dict[str, object] = {
@@ -49,7 +49,7 @@ def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None
 
 
 def _own_at_stations(job: Job) -> dict[str, object]:
-    """Return the options of the simulated machine if each station has a mount of its own; otherwise none."""
+    """Return additional options of the simulated machine if each station has a mount of its own, else an empty dict."""
     change, settings = job.rules.change, job.settings
     if not change.own_mounts:
         return {}

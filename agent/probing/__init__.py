@@ -1,1 +1,1 @@
-"""Plans as generators of frozen steps: no hardware, no clock, no randomness, no I/O."""
+"""Plans: generators of immutable steps, with no access to hardware, clock, random numbers or I/O."""

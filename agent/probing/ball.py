@@ -1,4 +1,4 @@
-"""Measurement of one ball: touches of the pattern, a sphere through the latched positions, limits, bounded repeats."""
+"""Measurement of one ball: make the touches of the pattern, fit a sphere, check its limits, repeat a few times."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ __all__ = ["FittedBall", "LostBall", "measure_ball", "point"]
 
 @dataclass(frozen=True, eq=False)
 class FittedBall:
-    """Fitted ball. `centre_mm` (3,): axis positions, as displayed, at which stylus centre and ball centre coincide.
+    """Fitted ball. `centre_mm` (3,): displayed axis positions at which the centres of stylus tip and ball coincide.
 
-    `radius_mm`, `form_mm` and `residuals_mm` (k,) are those of the sphere with a free radius, even if the centre was
-    fitted with a fixed one: they show whether the ball is clean.
+    `radius_mm`, `form_mm` and `residuals_mm` (k,) belong to the sphere fitted with a free radius, even if the centre
+    was fitted with a fixed radius, because they show whether the ball is clean.
     """
 
     centre_mm: Vector
@@ -46,11 +46,13 @@ class LostBall:
 def measure_ball(
     key: str, predicted_mm: Vector, probing: ProbingParameters, search: Search, path: TouchPath | None = None
 ) -> Plan[FittedBall | LostBall]:
-    """Touch the ball where it is expected; repeat touches, then the ball, if a limit is exceeded; decide by policy.
+    """Measure the ball at its expected centre; if a limit is exceeded, repeat the doubtful touches, then the ball.
 
-    A ball whose location is uncertain is located first, by touches that stay away from its holder.
-    A miss widens the search once; a miss of the wide search ends it. A ball found far from its expected centre is
-    measured again from there, so that every ball is approached along the same normals.
+    If all repeats fail, raise MeasurementFault if `probing.stop_on_failure`, else return LostBall.
+    If the search has a guarded feed, the ball is first located by touches that stay away from its holder.
+    After the first miss the wide search is used; after a miss of the wide search the ball is given up. A ball found far
+    from its expected centre is measured again about the centre found, so that all balls are touched along the same
+    normals.
     """
     ball = _Ball(key, predicted_mm, probing, search, path)
     if search.guarded_feed_mm_per_s is not None:
@@ -86,7 +88,7 @@ class _Ball:
         self.given_up = False
 
     def locate(self) -> Plan[None]:
-        """Locate the ball roughly; give it up if it is not found."""
+        """Locate the ball roughly; if it is not found, give up its measurement."""
         key, probing = f"{self._key}/locate", self._probing
         latched: list[Point] = []
         for index, direction in enumerate(probing.locating_directions):
@@ -104,7 +106,7 @@ class _Ball:
         self._centre, self._search = fit.centre, probing.narrow_search
 
     def attempt(self, number: int, *, last: bool) -> Plan[FittedBall | None]:
-        """Make all touches once; return None if the ball must be attempted again, or is given up."""
+        """Make all touches once; return None if the ball must be measured again or is given up."""
         key = self._key if number == 0 else f"{self._key}/repeat-{number}"
         latched: list[Point] = []
         for index in range(len(self._probing.directions)):
@@ -141,7 +143,8 @@ class _Ball:
     def _repeat_doubtful(
         self, key: str, fit: SphereFit, points: Vector, gate: FailedGate
     ) -> Plan[tuple[SphereFit | None, Vector, FailedGate | None]]:
-        """Repeat the doubtful touches along the same lines, which removes the effect of a crumb or a false trip."""
+        """Repeat the doubtful touches along the same lines; this corrects touches of a loose particle and false
+        trips."""
         again = doubtful_touches(fit, self._probing)
         then = f"clean-up of touch {', '.join(str(index) for index in again)}"
         yield Record(f"{key}/clean-up", "event", gate.payload(self._key, then))
@@ -177,11 +180,11 @@ class _Ball:
         yield Record(f"{key}/again", "event", {"ball": self._key, "reason": self.reason, "then": then})
 
     def _fit_corrected(self, points: Vector) -> SphereFit | None:
-        """Return the sphere through the touches of all directions, corrected for pretravel."""
+        """Fit a sphere with a free radius to the touches of the whole pattern, corrected for pretravel."""
         return self._fit_sphere(self._corrected(points))
 
     def _fit_sphere(self, points: Vector) -> SphereFit | None:
-        """Return the sphere with a free radius through `points`; None if there is none, with the reason noted."""
+        """Fit a sphere with a free radius to `points`; if the fit fails, set `reason` and return None."""
         try:
             return fit_sphere(points, self._probing.touch_sigma_mm)
         except TwinError as error:

@@ -1,4 +1,4 @@
-"""Gates that a fitted ball must pass, and the touches to doubt if it does not."""
+"""Gates that a fitted ball must pass, and the choice of the touches to repeat if it fails one."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from twin.artefact.sphere_fit import SphereFit
 from twin.units import UM_PER_MM
 
 TIE_RATIO = 0.95
-"""Touches whose weighted residual reaches this fraction of the largest cannot be distinguished: their directions
-deviate from the pattern by up to the distance at which a ball is measured again, some percent of its radius."""
+"""Fraction of the largest standardised residual above which touches cannot be distinguished from the worst one.
+
+The actual touch directions deviate from the pattern, because the ball may be off its expected centre by up to the
+re-centring limit, a few percent of its radius."""
 MIN_POLE_REDUNDANCY = 0.05
-"""Redundancy of the pole below which the other touches do not determine its expected location."""
+"""Redundancy of the pole touch below which the other touches do not determine the sphere at the pole."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class FailedGate:
     text: str
 
     def payload(self, ball: str, then: str) -> dict[str, object]:
-        """Return the journal payload. `ball`: key of the ball in the run; `then`: the reaction."""
+        """Return the journal payload. `ball`: key of the ball in the run; `then`: text of the reaction."""
         return {
             "ball": ball,
             "gate": self.gate,
@@ -59,10 +61,10 @@ def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate 
 
 
 def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
-    """Return the distance of the pole's touch from the sphere through all other touches.
+    """Return the distance in mm of the pole touch from the sphere through all other touches.
 
-    To first order it is residual / redundancy. None for the five-point pattern: four touches in one plane determine no
-    sphere, so a late trip at the pole cannot be distinguished from a ball that is farther away.
+    To first order it is residual / redundancy. It is None for the five-point pattern: its other four touches lie in one
+    plane and determine no sphere, so a late trip at the pole looks like a ball that is farther away.
     """
     share = float(probing.redundancies[0])
     return float(fit.residuals[0]) / share if share > MIN_POLE_REDUNDANCY else None
@@ -71,8 +73,8 @@ def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
 def doubtful_touches(fit: SphereFit, probing: ProbingParameters) -> tuple[int, ...]:
     """Return the indices of the touches to repeat: the worst, and those that the pattern cannot distinguish from it.
 
-    Residuals are weighted by √redundancy (Baarda's test). On five points with a free radius a wrong touch of the
-    equator affects the residuals of all four alike, so all four are repeated.
+    Residuals are divided by √redundancy (Baarda's test). With five points and a free radius, a wrong touch on the
+    equator changes the residuals of all four equator touches equally, so all four are repeated.
     """
     # Standardised residual w_i = |v_i| / √r_i; touches without redundancy have none.
     shown = np.sqrt(probing.redundancies)

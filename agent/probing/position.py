@@ -1,5 +1,5 @@
-"""Measurement of one position: park, turn the mount, measure both end balls, align, measure the others, and the first
-ball again."""
+"""Measurement of one position: move clear, turn the mount, measure both end balls, align the other balls to them,
+measure these, and measure the first ball again."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from twin.artefact.end_ball_alignment import align_to_end_balls
 
 @dataclass(frozen=True)
 class PositionTask:
-    """Position to be measured. `predicted_mm` (N, 3): axis positions of all balls; `reachable` (N,). `located`: a ball
-    has been found at this station since the artefact was put there."""
+    """Position to be measured. `predicted_mm` (N, 3): expected axis positions of all balls. `reachable` (N,): True for
+    balls within reach. `located`: True if a ball has been found at this station since the artefact was put there."""
 
     key: str
     index: int
@@ -56,7 +56,7 @@ class MeasuredBall:
 
     @property
     def temperature_c(self) -> float:
-        """Temperature of the artefact."""
+        """Temperature of the artefact in °C."""
         return self.conditions.artefact_c
 
     def record(self, key: str) -> dict[str, object]:
@@ -79,7 +79,8 @@ class MeasuredBall:
 
 @dataclass(frozen=True)
 class MeasuredPosition:
-    """Result of one position. `drift_mm` (3,): displacement of the first ball when measured `again` at the end."""
+    """Result of one position. `again`: first ball measured again at the end, None if it was lost. `drift_mm` (3,): its
+    displacement, NaN if it was lost. `lost`: number of lost balls."""
 
     balls: tuple[MeasuredBall, ...]
     lost: int
@@ -89,7 +90,7 @@ class MeasuredPosition:
 
     @property
     def all_balls(self) -> tuple[MeasuredBall, ...]:
-        """Return `balls` and the repeated first ball."""
+        """Measured balls, with the repeated measurement of the first ball last."""
         return self.balls if self.again is None else (*self.balls, self.again)
 
     @property
@@ -98,7 +99,7 @@ class MeasuredPosition:
 
     @property
     def centres_mm(self) -> Array:
-        """Axis positions (n, 3) as displayed, in the order of `balls`."""
+        """Displayed axis positions (n, 3) of the ball centres, in the order of `balls`."""
         return np.array([ball.found.centre_mm for ball in self.balls])
 
 
@@ -120,9 +121,10 @@ def measure_position(
 ) -> Plan[MeasuredPosition]:
     """Measure every reachable ball of `task`; without a `planner` the plan ends at the retreat plane.
 
-    `here` (3,): axis positions at the start of the plan. Both end balls are measured first (wide search) and the others
-    aligned to them; the first ball is measured again last, for drift. `before`: conditions of the previous position; if
-    the artefact has not settled thermally, the plan waits before it measures.
+    `here` (3,): axis positions at the start of the plan. Both end balls are measured first (wide search); the expected
+    locations of the others are aligned to them. The first ball is measured again at the end to find the drift.
+    `before`: conditions of the previous position; if the artefact has not settled thermally, the plan waits before it
+    measures.
     """
     own = planner or PlainPathPlanner(rules.retreat, rules.probing)
     first, between, last = own.sequence(task)
@@ -145,7 +147,7 @@ def measure_position(
 
 
 class _Measuring:
-    """Measures the balls of one position and counts found balls, lost balls and touches."""
+    """Measurement of the balls of one position, with the balls found and the numbers of lost balls and touches."""
 
     def __init__(self, task: PositionTask, rules: PositionRules, planner: PathPlanner) -> None:
         self._task = task
@@ -169,7 +171,7 @@ class _Measuring:
         return result
 
     def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[FittedBall | LostBall]:
-        """Measure one ball and journal it at once."""
+        """Measure one ball and record it in the journal at once."""
         key = f"{self._task.key}/ball-{ball:02d}"
         result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow_search)
         if isinstance(result, LostBall):

@@ -1,7 +1,7 @@
-"""Drift within a position, from its first ball measured again at the end; excessive drift is a fault.
+"""Drift within a position: displacement of the first ball when it is measured again. Excessive drift is a fault.
 
-Nothing is corrected here. The second centre enters the identification like all others, each with its instant: there
-one drift of the whole machine over the whole run is fitted to all centres together, which is more precise than a
+The drift is not corrected here. The repeated centre enters the identification with its time, like all other centres.
+The identification fits the drift of the whole machine over the whole run to all centres, which is more precise than a
 straight line through two noisy measurements of one ball.
 """
 
@@ -20,14 +20,15 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class DriftLimits:
-    """Limits of the displacement of the first ball: above the first an event, above the second a fault."""
+    """Limits of the first ball's displacement: above `event_mm` the recorded event has a note, above `fault_mm`
+    MeasurementFault is raised."""
 
     event_mm: float
     fault_mm: float
 
 
 def judge_drift(key: str, drift_mm: Array, limits: DriftLimits) -> Plan[None]:
-    """Record a drift (3,) in mm. Raises MeasurementFault if it exceeds the fault limit."""
+    """Record the displacement `drift_mm` (3,). Raises MeasurementFault if its length exceeds `limits.fault_mm`."""
     distance_mm = float(np.linalg.norm(drift_mm))
     yield Record(f"{key}/drift", "event", _payload(drift_mm, distance_mm, limits))
     if distance_mm > limits.fault_mm:

@@ -1,4 +1,5 @@
-"""Preparation of a run on one ball: locate it, check the probe, qualify the stylus, measure reversal."""
+"""Preparation of a run on one ball: locate the ball, check the probe, qualify the stylus, measure the axes'
+reversal."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ from twin.collision.measuring_layout import MeasuringLayout
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """Checks before a run; None: not made. `layout`: layout for the vectors and the room of the dense pattern."""
+    """Checks before a run; a check that is None is not made. `layout`: layout in which a ball is reachable only if it
+    is accessible for the dense touch pattern and for the moves of the checks."""
 
     check: ProbeCheck | None
     qualification: QualificationRules | None
@@ -38,7 +40,8 @@ class Preparation:
 
 @dataclass(frozen=True, eq=False)
 class PreparationResult:
-    """Result of the preparation: `rules` with the qualified stylus; `standing_at`: station of the artefact now."""
+    """Result of the preparation. `rules`: rules with the qualified stylus; `standing_at`: station at which the artefact
+    stands afterwards."""
 
     rules: PositionRules
     standing_at: int | None
@@ -48,7 +51,7 @@ class PreparationResult:
 
     @property
     def reversals(self) -> tuple[AxisReversal, ...]:
-        """Reversals of X, Y and Z; empty if they were not measured."""
+        """Lost motion of X, Y and Z at reversal; empty if it was not measured."""
         return () if self.reversal is None else self.reversal.axes
 
 
@@ -58,9 +61,11 @@ PREFIX = "probe"
 def prepare_probe(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, preparation: Preparation
 ) -> Plan[PreparationResult]:
-    """Check and qualify on the datum ball of `order`; start anywhere, end at the retreat plane before that ball.
+    """Make the checks of `preparation` on the first suitable ball of `order`, the datum ball.
 
-    Raises MeasurementFault if the ball is not found, the probe does not repeat, or the ball exceeds its limits.
+    The plan may start anywhere and ends clear of the artefact (`PathPlanner.leave`). Raises MeasurementFault if the
+    ball is not found or exceeds its limits, if the probe's repeatability is too poor, or if the lost motion is too
+    large.
     """
     yield from _park_all_mounts(rules)
     if preparation.is_empty:
@@ -117,7 +122,7 @@ def _go_to_ball(key: str, position: Position, predicted: Array, rules: PositionR
 
 
 def _locate_ball(key: str, predicted: Array, rules: PositionRules) -> Plan[FittedBall]:
-    """Locate the ball with the wide search by the pattern of the run."""
+    """Measure the ball with the locating search and the run's touch pattern. Raises MeasurementFault if it is lost."""
     result = yield from measure_ball(key, predicted, rules.probing, rules.probing.locating_search)
     if isinstance(result, LostBall):
         raise MeasurementFault(
@@ -132,9 +137,10 @@ def _locate_ball(key: str, predicted: Array, rules: PositionRules) -> Plan[Fitte
 def _datum_ball(
     order: MeasuringOrder, layout: MeasuringLayout, preparation: Preparation
 ) -> Plan[tuple[Position, int, Preparation]]:
-    """Return position and number of the first ball that is accessible from all directions of the dense pattern.
+    """Return position and number of the first ball accessible for the dense pattern, and the preparation to be made.
 
-    Without such a ball a qualification is an error; the reversal is skipped, and the check is made on any ball.
+    If there is no such ball, the reversal is left out and the probe check is made on any reachable ball. Raises
+    MeasurementFault if a qualification is requested or no ball can be used.
     """
     wanted = preparation.qualification.ball if preparation.qualification else None
     free = _first_free_ball(order, (preparation.layout, layout), wanted)
@@ -156,7 +162,8 @@ def _datum_ball(
 def _first_free_ball(
     order: MeasuringOrder, layouts: Sequence[MeasuringLayout], wanted: int | None
 ) -> tuple[Position, int] | None:
-    """Return the first position and ball within reach in all of `layouts`; None if there is none."""
+    """Return the first position and its first ball that is reachable in all `layouts`; None if there is none. `wanted`:
+    number of the only ball considered, None for all."""
     for position in order.positions:
         nominal = layouts[0].nominal(position)
         free = np.logical_and.reduce([layout.reachable(position, nominal) for layout in layouts])

@@ -1,4 +1,4 @@
-"""Check of the probe's repeatability: 2σ of n touches of one point against a limit, with its confidence interval."""
+"""Check of the probe's repeatability: compare 2σ of n touches of one point, with confidence interval, to a limit."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from twin.artefact.repeatability import RepeatabilityEstimate, estimate_repeatab
 from twin.units import UM_PER_MM
 
 REFUSAL_CONFIDENCE = 0.99
-"""Confidence with which the probe must exceed its limit before a run is refused: five touches of a probe exactly at its
-limit exceed it every second night."""
+"""Confidence with which the probe must exceed its limit before a run is refused. Without it, five touches of a probe
+exactly at its limit would refuse every second run."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,8 @@ class ProbeCheck:
 
 @dataclass(frozen=True)
 class Repeatability:
-    """Repeatability, 2σ of `touches` touches at the pole; the true value is in `interval_um` with `confidence`."""
+    """Repeatability as 2σ of `touches` touches at the pole, with its confidence interval `interval_um` at the level
+    `confidence`."""
 
     two_sigma_um: float
     limit_um: float
@@ -48,9 +49,9 @@ class Repeatability:
 
 
 def check_repeatability(key: str, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[Repeatability]:
-    """Touch the pole of the ball at `centre` repeatedly; if 2σ exceeds the limit, the same number of times again.
+    """Touch the pole of the ball at `centre` repeatedly; if 2σ exceeds the limit, repeat the series once.
 
-    Raises MeasurementFault if a touch misses, and if all touches together exceed the limit with `REFUSAL_CONFIDENCE`.
+    Raises MeasurementFault if a touch misses, or if 2σ of all touches exceeds the limit with `REFUSAL_CONFIDENCE`.
     """
     depths = yield from _depths(key, 0, centre, probing, check)
     if 2.0 * estimate_repeatability(depths).sigma > check.limit_mm:
@@ -70,7 +71,7 @@ def check_repeatability(key: str, centre: Vector, probing: ProbingParameters, ch
 
 
 def _depths(key: str, first: int, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[list[float]]:
-    """Return the latched positions along the stylus, in mm from the ball's centre."""
+    """Touch the pole and return the latched positions along the stylus, in mm from the ball's centre."""
     pole = probing.directions[0]
     depths = []
     for number in range(first, first + check.touches):

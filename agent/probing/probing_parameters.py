@@ -12,15 +12,16 @@ from twin.artefact.pretravel import PretravelMap
 from twin.artefact.touch_pattern import LOCATING_RINGS, centre_shift_per_radius, redundancies, ring_directions
 
 PLACEMENT_ALLOWANCE_MM = 3.0
-"""Deviation of a mount from its location that is allowed for at the ends of travel."""
+"""Allowance at the ends of travel for the deviation of a mount from its nominal location."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Distance before the expected surface at which the slow feed begins, and beyond it at which a miss is declared.
+    """Search distances of a touch. `approach_mm`: distance before the expected surface at which the touch begins.
+    `beyond_mm`: distance beyond it at which a miss is declared.
 
-    `guarded_feed_mm_per_s`: feed of the moves beside a ball that must be located first; None: rapid, beside a ball
-    whose location is known.
+    `guarded_feed_mm_per_s`: feed of the moves beside a ball that must be located first; None: rapid traverse, beside a
+    ball whose location is known.
     """
 
     approach_mm: float
@@ -30,10 +31,10 @@ class Search:
 
 @dataclass(frozen=True)
 class BallLimits:
-    """Limits of a measured ball; if one is exceeded, touches and then the ball are repeated, then the policy applies.
+    """Limits of a measured ball. If one is exceeded, the doubtful touches are repeated, then the whole ball.
 
-    `touch_mm`: limit of a residual of the fitted sphere; `pole_mm`: limit of the pole's distance from the sphere
-    through the other touches.
+    `radius_deviation_mm`: limit of the deviation from the expected radius. `touch_mm`: limit of a residual of the
+    fitted sphere. `pole_mm`: limit of the distance of the pole touch from the sphere through the other touches.
     """
 
     radius_deviation_mm: float
@@ -44,7 +45,8 @@ class BallLimits:
 
 @dataclass(frozen=True)
 class FastTouch:
-    """First of two touches: fast, to locate the surface; then back by `back_off_mm` from the latched position."""
+    """First of two touches, which locates the surface fast. The tip then moves back by `back_off_mm` from the latched
+    position before the second, measuring touch."""
 
     feed_mm_per_s: float
     back_off_mm: float
@@ -52,10 +54,10 @@ class FastTouch:
 
 @dataclass(frozen=True, eq=False)
 class Stylus:
-    """Qualified stylus. `radius_mm`: effective radius of ball and tip together (reduced by the pretravel).
+    """Qualified stylus. `radius_mm`: effective sum of ball and tip radius (reduced by the pretravel).
 
-    `radius_sigma_mm`: its standard uncertainty for any single ball; `fixed`: spheres are fitted with this radius;
-    `pretravel`: correction of every touch.
+    `radius_sigma_mm`: standard uncertainty of that sum for any single ball. `fixed`: True if spheres are fitted with
+    this radius. `pretravel`: correction of every touch, None for no correction.
     """
 
     radius_mm: float
@@ -68,10 +70,10 @@ class Stylus:
 class ProbingParameters:
     """Parameters of probing. `directions` (k, 3): unit vectors of the tip's travel towards the ball, the pole first.
 
-    The same vectors on every ball keep pretravel and lobing common to all, so that they cancel in
-    differences. `ball_radius_mm` + `tip_radius_mm` is the distance of the centres at contact. `feed_mm_per_s` is that
-    of the measuring touch; `fast_touch`: None if the first touch is the measuring one; `guarded_feed_mm_per_s`: feed of
-    moves near a ball that is being located.
+    All balls are touched along the same vectors, so that pretravel and lobing shift all centres equally and cancel in
+    their differences. At contact the centres of ball and tip are `ball_radius_mm` + `tip_radius_mm` apart.
+    `feed_mm_per_s`: feed of the measuring touch. `fast_touch`: fast touch before it, None if there is none.
+    `guarded_feed_mm_per_s`: feed of moves near a ball that is being located.
     """
 
     directions: Array
@@ -93,7 +95,8 @@ class ProbingParameters:
 
     @property
     def locating_search(self) -> Search:
-        """Search for the first ball of an artefact not located yet: slow enough to stop within the overtravel."""
+        """Search for the first ball of an artefact not located yet; its moves are slow enough to stop within the
+        probe's overtravel."""
         return replace(self.wide_search, guarded_feed_mm_per_s=self.guarded_feed_mm_per_s)
 
     @property
@@ -103,7 +106,8 @@ class ProbingParameters:
 
     @cached_property
     def locating_directions(self) -> Array:
-        """Directions (5, 3): the pole and a ring before it, where a tip some mm off stays clear of the holder."""
+        """Touch directions (5, 3): the pole and a ring near it, so that a tip some millimetres off its path stays clear
+        of the holder."""
         return ring_directions(LOCATING_RINGS, self.stylus_axis)
 
     @property
@@ -112,24 +116,26 @@ class ProbingParameters:
 
     @property
     def expected_radius_mm(self) -> float:
-        """Expected radius of a sphere through latched positions: qualified, or by the drawings."""
+        """Expected radius of a sphere through latched positions: the qualified radius, or the sum of the nominal
+        radii."""
         return self.contact_mm if self.stylus is None else self.stylus.radius_mm
 
     @property
     def required_travel_mm(self) -> tuple[Array, Array]:
-        """Travel (3,) needed below and above a ball's axis position to touch it with the wide search."""
+        """Travel (3,) in mm needed below, and (3,) above, a ball's axis positions to touch it with the wide search."""
         starts = -self.directions * (self.contact_mm + self.wide_search.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + PLACEMENT_ALLOWANCE_MM
         return below, np.maximum(0.0, starts.max(axis=0)) + PLACEMENT_ALLOWANCE_MM
 
     @cached_property
     def redundancies(self) -> Array:
-        """Redundancies (k,): part of a touch's error that shows in its residual (`twin.artefact.touch_pattern`)."""
+        """Redundancies (k,): fraction of each touch's error that appears in its residual
+        (`twin.artefact.touch_pattern`)."""
         return redundancies(self.directions)
 
     @cached_property
     def centre_per_radius(self) -> Array:
-        """Shift (3,) of a fitted centre for each mm by which a fixed radius is too large."""
+        """Shift (3,) of a fitted centre per mm by which a fixed radius is too large."""
         return centre_shift_per_radius(self.directions)
 
     def qualified(self, stylus: Stylus) -> ProbingParameters:

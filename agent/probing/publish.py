@@ -1,4 +1,5 @@
-"""Plans that write a table: stage into the inactive bank, read back, compare, activate, read back."""
+"""Plans that write a table to an inactive bank, read it back, compare it, activate the bank, and check that it is
+active."""
 
 from __future__ import annotations
 
@@ -21,14 +22,16 @@ from drivers.roles import Activation, TableImage
 
 @dataclass(frozen=True)
 class ActiveCompensation:
-    """Active compensation: number of the active bank and its table (None: no compensation)."""
+    """Active compensation. `bank`: number of the active bank, 0 for no compensation; `table`: its table, None for bank
+    0."""
 
     bank: int
     table: TableImage | None
 
 
 def read_state(prefix: str) -> Plan[ActiveCompensation]:
-    """Read the whole active compensation, which is restored however the run ends."""
+    """Read the active bank and its table, so that they can be restored. Raises StoreError if an active bank has no
+    table."""
     bank = yield ReadActiveBank(f"{prefix}/active-bank")
     table = (yield ReadTable(f"{prefix}/active-table", bank)) if bank else None
     if bank and table is None:
@@ -37,7 +40,8 @@ def read_state(prefix: str) -> Plan[ActiveCompensation]:
 
 
 def choose_bank(banks: tuple[int, ...], active: int) -> int:
-    """Return the bank to write: one that is not active. Bank 0 means no compensation and is never written."""
+    """Return an inactive bank to write. Bank 0 means no compensation and is never written. Raises StoreError if there
+    is none."""
     free = [bank for bank in banks if bank not in (0, active)]
     if not free:
         raise StoreError(
@@ -48,7 +52,8 @@ def choose_bank(banks: tuple[int, ...], active: int) -> int:
 
 
 def stage_table(bank: int, table: TableImage) -> Plan[None]:
-    """Write the inactive bank, read it back and compare every value."""
+    """Write `table` to the inactive `bank`, read it back and compare every value. Raises ReadBackMismatch if they
+    differ."""
     yield StageTable("publish/stage", bank, table)
     back = yield ReadTable("publish/read-back", bank)
     if back is None or not back.same_as(table):
@@ -60,16 +65,16 @@ def stage_table(bank: int, table: TableImage) -> Plan[None]:
 
 
 def restore(bank: int, *, after_fault: bool, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
-    """Activate the former `bank` again. A controller in fault takes no table command, so its fault is cleared first."""
+    """Reactivate the former `bank`. A controller in fault accepts no table command, so its fault is cleared first."""
     if after_fault:
         yield ResetFault("restore/reset")
     yield from activate("restore", bank, activation)
 
 
 def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
-    """Activate `bank` and read back that it is active.
+    """Activate `bank` and check that it is active. Raises ReadBackMismatch if it is not.
 
-    Raises NotActiveYet if a person must act first; the plan can be resumed from there.
+    Raises NotActiveYet if a person must act before the bank becomes active; the plan can be resumed at that step.
     """
     yield ActivateBank(f"{prefix}/activate", bank)
     if activation is Activation.RESET:

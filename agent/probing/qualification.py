@@ -1,4 +1,4 @@
-"""Qualification of the stylus on one densely touched ball: effective radius and, on request, pretravel by direction."""
+"""Qualification of the stylus on one densely touched ball: effective radius and, if set, pretravel by direction."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True, eq=False)
 class QualificationRules:
-    """Rules of a qualification. `directions` (k, 3) of the dense pattern, the pole first. `ball`: number of the datum
-    ball; None: the first accessible from all directions. `spread_mm`: standard deviation of the balls' radii."""
+    """Rules of a qualification. `directions` (k, 3): touch directions of the dense pattern, the pole first. `ball`:
+    number of the datum ball, None for the first ball accessible from all directions. `with_map`: True if a pretravel
+    map is fitted. `spread_mm`: standard deviation of the radii among the balls."""
 
     directions: Array
     ball: int | None
@@ -30,8 +31,9 @@ class QualificationRules:
 
 @dataclass(frozen=True, eq=False)
 class Qualification:
-    """Result of a qualification. `trace_*_um2`: trace of a ball centre's covariance with the pattern of the run, for a
-    free and for the qualified radius; the fit with the smaller trace is used."""
+    """Result of a qualification. `trace_free_um2`, `trace_fixed_um2`: trace of a ball centre's covariance with the
+    touch pattern of the run, for a sphere fitted with free and with fixed radius; the fit with the smaller trace is
+    used."""
 
     stylus: Stylus
     datum_mm: Array
@@ -61,9 +63,10 @@ class Qualification:
 def qualify_stylus(
     key: str, centre: Array, probing: ProbingParameters, rules: QualificationRules
 ) -> Plan[Qualification]:
-    """Touch the ball at `centre` by the dense pattern and qualify the stylus.
+    """Touch the ball at `centre` in the dense pattern and qualify the stylus.
 
-    Raises MeasurementFault if the datum ball keeps exceeding a limit: no later measurement could be trusted.
+    Raises MeasurementFault if the datum ball cannot be measured within its limits, because no later measurement could
+    be trusted.
     """
     dense = replace(probing, directions=rules.directions, limits=rules.limits, stylus=None, stop_on_failure=True)
     found = yield from measure_ball(key, centre, dense, dense.narrow_search)
@@ -74,7 +77,8 @@ def qualify_stylus(
 
 
 def qualification_of(found: FittedBall, probing: ProbingParameters, rules: QualificationRules) -> Qualification:
-    """Evaluate the densely touched ball. The radius is fixed in later fits if that lowers the centres' uncertainty."""
+    """Return the qualification from the densely touched ball. Later fits use the fixed radius if this reduces the
+    uncertainty of the centres."""
     sigma_mm = probing.touch_sigma_mm
     # Uncertainty of the radius for any ball: that of the dense fit, and the spread of the balls' radii.
     dense = fit_sphere(-rules.directions, sigma_mm)

@@ -1,4 +1,4 @@
-"""First motion after a fault or an abort: out along the last approach direction, then straight back."""
+"""First motion after a fault or an abort: back along the last approach direction, then along the stylus."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ WITHDRAW_FEED_MM_PER_S = 20.0
 def withdraw(
     retreat: Retreat, stylus_axis: NDArray[np.float64], distance_mm: float, last_motion: LastMotion | None = None
 ) -> Plan[None]:
-    """Move out along the last approach direction, slowly back along the stylus by `distance_mm`, then to the retreat
-    plane; all moves are guarded.
+    """Move slowly back along the last approach direction, then slowly along the stylus by `distance_mm`, then to the
+    retreat plane.
 
-    `last_motion`: motion by which the tip arrived. A probe that is deflected at the start of a guarded move may leave
-    its contact; the first parts are slow for that reason. A machine in fault does not move: a person checks it first.
+    `last_motion`: motion by which the tip arrived. All moves are guarded; a guarded move may start with a deflected
+    probe in order to leave the contact, so the first two moves are slow. The plan does not clear a fault of the
+    machine: a person must check the machine first.
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))

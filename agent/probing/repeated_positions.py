@@ -1,8 +1,8 @@
 """Repeated positions: if the machine's temperature has changed, the first positions are measured again at the end.
 
-Stations are visited one after the other, so a change with time looks like a change along the travel: a scale that
-grows from station to station may as well be a nonlinear scale. Only positions measured twice, early and late,
-discriminate between the two. A rigid motion of the bar since then is in its new pose.
+Stations are measured one after the other, so a change with time looks like a change along the travel: a scale that
+grows with time and a nonlinear scale give the same readings. Only positions measured twice, early and late, distinguish
+them. A rigid motion of the bar in between is absorbed by the pose estimated for the repeated position.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ REPEAT_PREFIX = "close"
 
 @dataclass(frozen=True)
 class RepeatRules:
-    """Rules of repeated positions: from a change of the machine of `threshold_k`, the first `count` of `candidates` are
-    repeated; `declared_k`: change without a thermometer on the machine."""
+    """Rules of repeated positions. If the machine's temperature changes by `threshold_k` or more, the first `count`
+    measured positions among `candidates` are repeated. `declared_k`: change assumed if the machine has no
+    thermometer."""
 
     threshold_k: float
     declared_k: float
@@ -35,7 +36,8 @@ class RepeatRules:
 def measure_with_repeats(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, repeats: RepeatRules
 ) -> Plan[MeasuredPositions]:
-    """Measure as `measure_positions`, and the first positions again if the machine has changed in between."""
+    """Measure the positions of `order`, and the first of them again if the machine's temperature has changed
+    meanwhile."""
     measured = yield from measure_positions(order, layout, rules)
     change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
     first = _first(measured, repeats)
@@ -48,7 +50,7 @@ def measure_with_repeats(
 
 
 def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:
-    """Return the range of the machine's temperature readings; `declared_k` if there are none."""
+    """Return the range in K of the machine's temperature readings; `declared_k` if there are none."""
     readings_c = [one.machine_c for one in conditions if one.machine_c is not None]
     return max(readings_c) - min(readings_c) if readings_c else declared_k
 
@@ -58,7 +60,7 @@ def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:
 
 
 def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredPositions:
-    """Join two measurements as if they had been one order; the position numbers of the second continue the first's."""
+    """Join two measurements into one; the position numbers of `other` are shifted to follow those of `one`."""
     start = max((ball.position for ball in measured_balls(one)), default=-1) + 1
     return MeasuredPositions(
         positions=(*one.positions, *(_renumbered(position, start) for position in other.positions)),
@@ -70,7 +72,7 @@ def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredP
 
 
 def drifts_um(measured: MeasuredPositions) -> Mapping[int, float]:
-    """Return position number → distance in µm by which its first ball had moved when it was measured again."""
+    """Return position number → displacement in µm of the position's first ball when it was measured again."""
     found = ((position.balls[0].position, position.drift_mm) for position in measured.positions)
     lengths = {number: 1e3 * math.hypot(*drift.tolist()) for number, drift in found}
     return {number: length for number, length in lengths.items() if math.isfinite(length)}
@@ -85,7 +87,7 @@ def _renumbered(position: MeasuredPosition, start: int) -> MeasuredPosition:
 
 
 def _first(measured: MeasuredPositions, repeats: RepeatRules) -> tuple[Position, ...]:
-    """Return the first measured positions among the candidates, all at one station."""
+    """Return the first `count` measured positions among the candidates, all at the station of the first one."""
     first = [position.balls[0] for position in measured.positions]
     positions = [Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first]
     wanted = [position for position in positions if position in repeats.candidates]

@@ -1,8 +1,8 @@
-"""Reversal of the linear axes at the datum ball: oblique points touched with each axis preloaded from either side.
+"""Lost motion of the linear axes at reversal, from oblique touches of the datum ball reached from either side.
 
-Ball centres do not show it: the approach directions are the same on every ball, so lost motion shifts all centres
-alike, and a freely placed artefact cannot reveal a common shift. It is therefore measured separately; the report
-states what this measurement does not cover.
+Ball centres do not show lost motion: the approach directions are the same on every ball, so it shifts all centres
+equally, and a freely placed artefact cannot reveal a common shift. It is therefore measured separately; the report
+states the limits of this measurement.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from twin.artefact.reversal import SLOPE, ObliqueTouch, fit_lost_motion, plan_ob
 from twin.units import UM_PER_MM
 
 PRELOAD_MM = 1.0
-"""Far more than the play of any machine worth calibrating, and still clear of the ball."""
+"""Travel of an axis past the start before it reverses: far more than any machine's play, and still clear of the
+ball."""
 WITHIN, BEYOND = "within", "beyond"
 COVERAGE_FACTOR = 2.0
-"""Coverage factor: lost motion exceeds its limit reliably if it does so by this many standard uncertainties."""
+"""Coverage factor: lost motion reliably exceeds its limit if the excess is more than this many standard
+uncertainties."""
 LIMITATION = (
     "not seen: reversal elsewhere along the travel, of the axes' angles apart from their effect at this place, of the "
     "mount's axes; none of it is in the table, which holds for the middle of both directions"
@@ -31,8 +33,9 @@ LIMITATION = (
 
 @dataclass(frozen=True)
 class ReversalCheck:
-    """Rules of the check: `touches` from either side at each of two points per axis; `limit_mm`: largest lost motion
-    without a warning; `stop`: a lost motion reliably above it stops the run before it measures."""
+    """Rules of the reversal check. `touches`: number of touches from either side at each of two points per axis;
+    `limit_mm`: largest lost motion without a warning; `stop`: True if a lost motion reliably above the limit stops the
+    run before it measures."""
 
     touches: int
     limit_mm: float
@@ -41,7 +44,8 @@ class ReversalCheck:
 
 @dataclass(frozen=True)
 class AxisReversal:
-    """Lost motion of one axis in µm, positive if it lags, and its standard uncertainty; None if a touch missed."""
+    """Lost motion of one axis in µm, positive if the axis lags behind its display, and its standard uncertainty. Both
+    are None if a touch missed."""
 
     axis: str
     lost_um: float | None
@@ -57,7 +61,7 @@ class AxisReversal:
 
 @dataclass(frozen=True)
 class Reversal:
-    """Reversal of X, Y and Z, measured at the datum ball at axis position `at_mm`."""
+    """Lost motion of X, Y and Z at reversal, measured on the datum ball at the axis positions `at_mm`."""
 
     axes: tuple[AxisReversal, ...]
     limit_um: float
@@ -65,7 +69,7 @@ class Reversal:
 
     @property
     def noticed(self) -> tuple[AxisReversal, ...]:
-        """Axes above the limit or not measured."""
+        """Axes whose lost motion is above the limit or could not be measured."""
         return tuple(one for one in self.axes if one.verdict != WITHIN)
 
     @property
@@ -85,9 +89,9 @@ class Reversal:
 
 
 def measure_reversal(key: str, centre: Vector, probing: ProbingParameters, check: ReversalCheck) -> Plan[Reversal]:
-    """Measure reversal; start and end in the plane before the ball at `centre`, along the stylus.
+    """Measure the lost motion of X, Y and Z; start and end in the plane in front of the ball at `centre`.
 
-    Raises MeasurementFault if the check is set to stop and an axis is reliably above the limit.
+    Raises MeasurementFault if `check.stop` is set and the lost motion of an axis is reliably above the limit.
     """
     axes = []
     for axis, name in enumerate("XYZ"):
@@ -108,7 +112,7 @@ def measure_reversal(key: str, centre: Vector, probing: ProbingParameters, check
 
 @dataclass
 class _Readings:
-    """Touches of one axis so far, in the form required by `fit_lost_motion`."""
+    """Touches made with one axis, as lists for `fit_lost_motion`."""
 
     ratios: list[float] = field(default_factory=list)
     upwards: list[bool] = field(default_factory=list)
@@ -125,7 +129,7 @@ class _Readings:
 def _measured(
     key: str, name: str, axis: int, centre: Vector, probing: ProbingParameters, check: ReversalCheck
 ) -> Plan[AxisReversal]:
-    """Measure one axis in the sequence up, down, down, up …, which cancels a steady drift."""
+    """Measure one axis with touches in the sequence up, down, down, up …, which cancels a linear drift."""
     readings = _Readings()
     for place, touch in enumerate(plan_oblique_touches(axis, probing.stylus_axis)):
         for number in range(2 * check.touches):
@@ -145,7 +149,9 @@ def _measured(
 def _touched(
     key: str, centre: Vector, touch: ObliqueTouch, upwards: bool, probing: ProbingParameters
 ) -> Plan[float | None]:
-    """Touch once: move past the start by the preload, back to it with the tested axis alone, then touch."""
+    """Touch once and return the latched position in mm, None for a miss.
+
+    The tested axis alone moves from `PRELOAD_MM` beside the start to the start, so that its direction is known."""
     approach_mm = max(probing.narrow_search.approach_mm, 3.0 * PRELOAD_MM)
     contact = centre + touch.normal * probing.contact_mm
     start = contact - touch.direction * approach_mm

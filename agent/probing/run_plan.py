@@ -1,4 +1,5 @@
-"""Measurement of all positions of a run, station by station: predict, measure, update the mount pose."""
+"""Measurement of all positions of a run, station by station. For each position the ball locations are predicted, the
+balls measured, and the estimated mount pose updated."""
 
 from __future__ import annotations
 
@@ -26,10 +27,10 @@ from twin.design.procedure import MIN_BALLS
 
 @dataclass(frozen=True)
 class MeasuringOrder:
-    """Positions to measure, in order, with contiguous stations; every step key begins with `prefix`.
+    """Positions to measure, in order; those of one station are contiguous. Every step key begins with `prefix`.
 
-    `standing_at` is the artefact's station at the start of the plan; None if it is not known, and if every station has
-    an artefact of its own and all mounts are parked.
+    `standing_at` is the artefact's station at the start of the plan. It is None if the station is not known, or if
+    every station has an artefact of its own and all mounts are parked.
     """
 
     prefix: str
@@ -39,8 +40,8 @@ class MeasuringOrder:
 
 @dataclass(frozen=True)
 class MeasuredPositions:
-    """Measured positions of a plan. `left_out`: keys of positions with too few balls within reach; `mount_poses`: by
-    station, as estimated so far."""
+    """Measured positions of a plan. `left_out`: keys of positions with too few balls within reach. `standing_at`:
+    station of the artefact at the end. `mount_poses`: estimated mount poses by station."""
 
     positions: tuple[MeasuredPosition, ...]
     left_out: tuple[str, ...]
@@ -63,7 +64,8 @@ def measure_positions(
     rules: PositionRules,
     known: Mapping[int, MountPoseEstimate] | None = None,
 ) -> Plan[MeasuredPositions]:
-    """Measure every position of `order`. `known`: mount poses by station, estimated earlier in this run."""
+    """Measure every position of `order` that has enough balls within reach. `known`: mount poses by station, estimated
+    earlier in this run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
     yield ReadTemperatures(f"{order.prefix}/temperatures")
@@ -123,5 +125,5 @@ def position_key(position: Position) -> str:
 
 
 def by_station(positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
-    """Return the positions in the order of `stations`, with their given order within each."""
+    """Return the positions in the order of `stations`; the positions of one station keep their given order."""
     return tuple(p for station in stations for p in positions if p.station == station)

@@ -1,4 +1,4 @@
-"""Change from one station to the next: the operator carries something, or every station has its own equipment."""
+"""Change from one station to the next: the operator carries mount or artefact, unless every station has its own."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class CarriedItem(Enum):
 
 
 class RetreatLocations(Protocol):
-    """Locations of the probe clear of everything that turns."""
+    """Provider of axis positions at which the probe is clear of everything that turns."""
 
     def at_retreat_plane(self, position: Array) -> Array: ...
 
@@ -30,8 +30,8 @@ class RetreatLocations(Protocol):
 
 @dataclass(frozen=True)
 class StationChange:
-    """Rules for a station change. `own_mounts`: stations with a mount of their own, which is turned to azimuth and
-    elevation `parked_deg` while another one is measured; empty for a single mount that is carried."""
+    """Rules for a station change. `own_mounts`: stations with a mount of their own, empty for a single mount that is
+    carried. `parked_deg`: azimuth and elevation of such a mount while another station is measured."""
 
     carried: CarriedItem = CarriedItem.MOUNT
     own_mounts: tuple[int, ...] = ()
@@ -39,7 +39,7 @@ class StationChange:
 
     @property
     def moves_artefact(self) -> bool:
-        """True if an artefact that returns to a station may stand differently from before."""
+        """True if the operator carries the artefact, so that its pose may differ when it returns to a station."""
         return self.carried is not CarriedItem.NOTHING
 
 
@@ -53,9 +53,9 @@ def change_station(
     to: int,
     index: int,
 ) -> Plan[Array]:
-    """Park the mount that stays behind, ask the operator to carry the item, and check that motion is permitted again.
+    """Park the mount of the station being left, ask the operator to carry the item, and check that motion is permitted.
 
-    Starts with the probe anywhere free; returns the axis positions (3,) afterwards.
+    The plan starts with the probe anywhere clear of all bodies and returns the axis positions (3,) at its end.
     """
     if leaving is not None and change.own_mounts:
         here = yield from park_mounts(prefix, f"change-{index}", change, locations, here, (leaving,))
@@ -70,7 +70,8 @@ def change_station(
 def park_mounts(
     prefix: str, when: str, change: StationChange, locations: RetreatLocations, here: Array, stations: Sequence[int]
 ) -> Plan[Array]:
-    """Turn the mounts at `stations` to their parked angles, the probe beside each; return the axis positions (3,)."""
+    """Turn the mounts at `stations` to their parked angles, with the probe at each one's park location; return the axis
+    positions (3,) at the end."""
     for station in stations:
         key = f"{prefix}/station-{station}/{when}"
         yield MoveTo(f"{key}/retreat", _point(locations.at_retreat_plane(here)))

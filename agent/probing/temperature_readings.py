@@ -1,4 +1,4 @@
-"""Temperature readings with every ball, so that each ball centre has its own temperature and instant."""
+"""Temperature readings with every ball, so that each ball centre has its own temperature and time."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ ARTEFACT, MACHINE = "artefact", "machine"
 
 @dataclass(frozen=True)
 class Thermometers:
-    """Names of the thermometers on artefact and machine; several are averaged.
+    """Names of the thermometers on artefact and machine; the readings of several on one body are averaged.
 
-    `declared_artefact_c`: temperature assumed for an artefact without a thermometer.
+    `declared_artefact_c`: temperature in °C assumed for an artefact without a thermometer.
     """
 
     artefact: tuple[str, ...] = (ARTEFACT,)
@@ -25,7 +25,8 @@ class Thermometers:
     declared_artefact_c: float | None = None
 
     def artefact_c(self, readings_c: Mapping[str, float]) -> float:
-        """Return the mean of the artefact's thermometers. Raises MeasurementFault if one of them gives no reading."""
+        """Return the declared temperature, or the mean of the artefact's thermometers, in °C. Raises MeasurementFault
+        if one of them gives no reading."""
         if self.declared_artefact_c is not None:
             return self.declared_artefact_c
         missing = [name for name in self.artefact if name not in readings_c]
@@ -39,14 +40,14 @@ class Thermometers:
         return math.fsum(readings_c[name] for name in self.artefact) / len(self.artefact)
 
     def machine_c(self, readings_c: Mapping[str, float]) -> float | None:
-        """Return the mean of the machine's thermometers that give a reading; None if there is none."""
+        """Return the mean in °C of the machine's thermometers that give a reading; None if none does."""
         known = [readings_c[name] for name in self.machine if name in readings_c]
         return math.fsum(known) / len(known) if known else None
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Temperatures at one instant (seconds of the run's clock)."""
+    """Temperatures of artefact and machine at `instant_s` of the run's clock. `machine_c`: None without a reading."""
 
     instant_s: float
     artefact_c: float
@@ -59,14 +60,14 @@ class Conditions:
 
 
 def read_conditions(key: str, thermometers: Thermometers) -> Plan[Conditions]:
-    """Read the conditions now, without motion."""
+    """Read temperatures and clock, without motion."""
     readings_c = yield ReadTemperatures(f"{key}/temperatures")
     instant_s = yield ReadClock(f"{key}/instant")
     return Conditions(instant_s, thermometers.artefact_c(readings_c), thermometers.machine_c(readings_c))
 
 
 def rate_k_per_h(trace: Sequence[Conditions]) -> float | None:
-    """Return the least-squares slope of the artefact's temperature; None if the readings span no time."""
+    """Return the least-squares slope in K/h of the artefact's temperature; None if the readings span no time."""
     if len(trace) < 2:
         return None
     middle_s = math.fsum(one.instant_s for one in trace) / len(trace)

@@ -1,4 +1,4 @@
-"""Wait until the artefact has settled: too far from 20 °C or changing too fast, it is not measured."""
+"""Wait until the artefact has settled, that is, until it is near enough to 20 °C and changes slowly enough."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_
 from twin.units import S_PER_MIN
 
 MIN_TREND_S = 60.0
-"""Readings over a shorter time show the thermometer's noise rather than a rate."""
+"""Minimum time span of the readings; over a shorter one their slope shows the thermometer's noise, not a rate."""
 TREND_WINDOW_S = 600.0
 
 
 @dataclass(frozen=True)
 class SettlingRules:
-    """Limits of the artefact's rate of change and of its departure from 20 °C; interval and limit of waiting."""
+    """Limits of the artefact's rate of temperature change and its departure from 20 °C; interval of the readings during
+    the wait, and longest wait."""
 
     thermometers: Thermometers = field(default_factory=Thermometers)
     max_rate_k_per_h: float = math.inf
@@ -27,7 +28,8 @@ class SettlingRules:
     deadline_s: float = 3600.0
 
     def complaint(self, trace: Sequence[Conditions]) -> str:
-        """Return why the artefact has not settled at the last reading of `trace`; empty if it has."""
+        """Return the reason why the artefact has not settled at the last reading of `trace`; empty if it has
+        settled."""
         now = trace[-1]
         if abs(now.departure_k) > self.max_departure_k:
             return (
@@ -44,9 +46,9 @@ class SettlingRules:
 
 
 def wait_until_settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Plan[Conditions]:
-    """Return conditions in which the artefact may be measured, at once or after a wait without motion.
+    """Wait without motion, if necessary, until the artefact has settled; return the conditions then.
 
-    `history`: readings with the previous balls, oldest first. Raises MeasurementFault at the deadline.
+    `history`: readings taken with the previous balls, oldest first. Raises MeasurementFault at the deadline.
     """
     trace = [*history, (yield from read_conditions(key, rules.thermometers))]
     attempts = math.ceil(rules.deadline_s / rules.poll_interval_s)

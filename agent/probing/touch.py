@@ -1,4 +1,4 @@
-"""One touch on a ball: approach beside it, touch the surface, retract. Only the position latched at the trip counts."""
+"""One touch on a ball: approach, touch the surface, retract. Only the position latched at the trip is used."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from drivers.roles import Touch, Vector
 
 @dataclass(frozen=True)
 class TouchResult:
-    """Result of a touch. `latched_mm`: None for a miss. `touches`: number of touches, the fast one included."""
+    """Result of a touch. `latched_mm`: axis positions at the trip, None for a miss. `touches`: number of touches,
+    including the fast one."""
 
     latched_mm: Point | None
     touches: int
@@ -23,7 +24,7 @@ class TouchResult:
 
 @dataclass(frozen=True, eq=False)
 class PlannedTouch:
-    """Touch to make on a ball expected at `centre`, along the unit vector `direction`."""
+    """Touch to be made along the unit vector `direction` on a ball expected at the axis positions `centre` (3,)."""
 
     centre: Vector
     direction: Vector
@@ -40,12 +41,12 @@ class PlannedTouch:
 
     @property
     def surface(self) -> Vector:
-        """Tip centre (3,) at the expected trip."""
+        """Axis positions (3,) at the expected trip."""
         return np.asarray(self.centre - self.direction * self.contact_mm)
 
 
 class TouchPath(Protocol):
-    """Path of the tip to the start of a touch, and away from its end."""
+    """Path of the tip to the start of a touch, and away from the surface after it."""
 
     def approach(self, key: str, touch: PlannedTouch) -> Plan[None]: ...
 
@@ -54,7 +55,8 @@ class TouchPath(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlainTouchPath:
-    """Path from the plane before the ball, along the stylus, and back: free if the ball is accessible."""
+    """Path along the stylus from the plane in front of the ball, and back to it; it is free if the ball is
+    accessible."""
 
     probing: ProbingParameters
 
@@ -70,7 +72,8 @@ class PlainTouchPath:
 
 
 def before_ball(touch: PlannedTouch, probing: ProbingParameters) -> Vector:
-    """Return the point before the start of the touch, in the plane before the ball, as far out as any touch begins."""
+    """Return the axis positions (3,) in the plane in front of the ball from which the tip reaches the start of the
+    touch along the stylus."""
     along = touch.out_mm + float((touch.start - touch.centre) @ probing.stylus_axis)
     return np.asarray(touch.start - probing.stylus_axis * along)
 
@@ -83,7 +86,8 @@ def touch_ball(
     search: Search,
     path: TouchPath | None = None,
 ) -> Plan[TouchResult]:
-    """Touch the ball at `centre` along `direction`; `path` leads there and back, by default by the plane before it."""
+    """Touch the ball at `centre` along `direction`. `path`: path to the start and back, by default by the plane in
+    front of the ball."""
     touch = PlannedTouch(centre, direction, search, probing.contact_mm)
     chosen = path or PlainTouchPath(probing)
     yield from chosen.approach(key, touch)
@@ -94,7 +98,7 @@ def touch_ball(
 
 
 def _trip(key: str, target: Vector, direction: Vector, probing: ProbingParameters) -> Plan[TouchResult]:
-    """Touch once at the measuring feed, or first fast to locate the surface and then slowly to measure it."""
+    """Touch at the measuring feed, after a fast touch that locates the surface if `probing.fast_touch` is set."""
     fast_touch = probing.fast_touch
     if fast_touch is None:
         result = yield TouchTowards(key, point(target), probing.feed_mm_per_s)

@@ -1,4 +1,4 @@
-"""Variants of the case's ball bar: other number of balls or other tilt of the holders, everything else as certified."""
+"""Variants of the case's ball bar, with another number of balls or another tilt of the holders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ _ALIKE_MM = 1.0  # largest deviation of a calibrated centre from the drawing
 
 @dataclass(frozen=True, eq=False)
 class Bar:
-    """Ball bar. `certified`: the actual bar; `length_mm` between its end balls; `tilt_deg` of its holders."""
+    """Ball bar. `certified`: the bar with its certificate; `length_mm`: distance of its end balls along the bar;
+    `tilt_deg`: tilt of its holders."""
 
     certified: Artefact
     length_mm: float
@@ -23,8 +24,8 @@ class Bar:
 
     @classmethod
     def of(cls, artefact: Artefact) -> Bar:
-        """Return the bar. Raises DataError for an artefact that is not a bar of equally spaced balls on alternately
-        tilted holders."""
+        """Return `artefact` as a bar. Raises DataError if it is not a bar of equally spaced balls on alternately tilted
+        holders."""
         along = artefact.balls[:, 0]
         length_mm = float(np.ptp(along))
         holder_mm = artefact.holder_length_mm
@@ -43,12 +44,11 @@ class Bar:
 
     @property
     def standard_uncertainty_mm(self) -> float:
-        """Root mean square of the standard uncertainties of all coordinates in the certificate."""
+        """Root mean square, in mm, of the standard uncertainties of all ball coordinates in the certificate."""
         return float(np.sqrt(np.diagonal(self.certified.covariance).mean()))
 
     def with_(self, balls: int | None = None, tilt_deg: float | None = None) -> Artefact:
-        """Return the bar by the drawing with another number of balls over the same length, or another tilt of the
-        holders."""
+        """Return a nominal bar of the same length with another number of balls or another tilt of the holders."""
         count = self.certified.count if balls is None else balls
         tilt = self.tilt_deg if tilt_deg is None else tilt_deg
         artefact = self.certified

@@ -1,4 +1,4 @@
-"""Designs for several measuring variants, and the one that meets the goal best."""
+"""Comparison of the designs for several measuring variants, of which the one that meets the goal best is marked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.design.goals import Goal, TargetErrorGoal
 
 @dataclass(frozen=True, eq=False)
 class VariantDesign:
-    """Design of one variant. `design` None: the goal cannot be reached with this variant, for the `reason` given."""
+    """Design of one variant. `design` is None if the goal cannot be reached with this variant; `reason` states why."""
 
     variant: Variant
     design: DesignResult | None
@@ -23,7 +23,7 @@ class VariantDesign:
 
     @property
     def result(self) -> DesignResult:
-        """Design of this variant. Raises ValueError with the reason if it has none."""
+        """Design of this variant. Raises ValueError with `reason` if `design` is None."""
         if self.design is None:
             raise ValueError(self.reason)
         return self.design
@@ -32,7 +32,8 @@ class VariantDesign:
 def compare_variants(
     variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say
 ) -> list[VariantDesign]:
-    """Return a design for each variant, one of them marked best. Raises the first error if none reaches the goal."""
+    """Return a design for each variant, the best one marked. Raises the first variant's error if no variant reaches the
+    goal."""
     choices: list[VariantDesign] = []
     errors: list[UserError] = []
     for variant in variants:

@@ -1,4 +1,4 @@
-"""Files of a design: the position set, one for each tool, the held-out set, the front as CSV, PNG and SVG."""
+"""Files of a design: one position set per tool, the held-out set, and the Pareto front as CSV, PNG and SVG."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ FIGURE_SIZE_IN = (7.0, 4.2)
 
 
 def check_target(path: Path) -> None:
-    """Raise InputError for a file name that `calibrate` would not accept as a position file."""
+    """Raise InputError if `calibrate` would not accept the file name as that of a position file."""
     if path.suffix != ".csv":
         raise InputError("a position set is written as CSV", hint=f"call it {path.stem}.csv", key="--out")
 
 
 def write_design(found: DesignResult, rivals: Sequence[ReferenceSet], path: Path) -> list[Path]:
-    """Write all files beside `path` or none; return their paths, the position set first.
+    """Write all files into the folder of `path`, or none; return their paths, the position sets first.
 
-    There is one position file for each tool, since a run has one tool.
+    There is one position file for each tool, because a run uses one tool. `rivals`: sets drawn for comparison.
     """
     contents: dict[str, str | bytes] = {}
     by_tool = list(found.problem.by_tool(found.positions))

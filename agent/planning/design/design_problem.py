@@ -24,8 +24,9 @@ _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost car
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """Design problem. `jobs`: tool → job with that tool, the tool of the settings first; `refused`: positions refused
-    by a preflight; `feasibility`: checks by tool, retained while positions are refused."""
+    """Design problem. `jobs`: tool → job with that tool, the tool of the settings first. `grid_deg`: spacing of the
+    orientations. `refused`: positions refused by a preflight. `feasibility`: checks by tool, kept when further
+    positions are refused."""
 
     jobs: Mapping[str, Job]
     grid_deg: float
@@ -38,7 +39,8 @@ class DesignProblem:
 
     @property
     def options(self) -> Options:
-        """Options of the closed form to be minimised: centres, all uncertainties as stated."""
+        """Options of the identification whose expected VCE is minimised: ball centres, with all uncertainties as
+        stated."""
         return Options(estimate_scales=False, outliers="none")
 
     @property
@@ -50,7 +52,7 @@ class DesignProblem:
         return replace(self, refused=self.refused | {position})
 
     def feasibility_of(self, position: Position) -> FeasibilityCheck:
-        """Return the feasibility check of the position's tool."""
+        """Return the feasibility check for the tool of `position`."""
         name = position.tool or next(iter(self.jobs))
         if name not in self.feasibility:
             self.feasibility[name] = FeasibilityCheck(self.jobs[name])
@@ -58,7 +60,8 @@ class DesignProblem:
 
     @cached_property
     def candidates(self) -> CandidatePositions:
-        """Information of each position of the grid on the error field. Raises TwinError if none is within reach."""
+        """Candidate positions of the grid, each with its information about the error field. Raises TwinError if none is
+        within reach."""
         job = self.job
         grid = evaluation_grid(job.machine.model.ranges_mm)
         offered = [position for position in self._offered() if position not in self.refused]
@@ -72,7 +75,7 @@ class DesignProblem:
         )
 
     def passes(self, position: Position) -> bool:
-        """Return whether a position is measured without a collision."""
+        """Return whether `position` can be measured without a collision."""
         return not self.feasibility_of(position).hit(position)
 
     def prices(self, candidates: CandidatePositions) -> MeasuringCosts:
@@ -87,7 +90,7 @@ class DesignProblem:
         )
 
     def in_order(self, chosen: Sequence[Position]) -> tuple[Position, ...]:
-        """Return the positions tool by tool and station by station, with small turns of the mount in between."""
+        """Return the positions tool by tool and station by station, ordered for small turns of the mount."""
         ordered: list[Position] = []
         for name in self.jobs:
             tool = None if name == self.job.settings.tool else name
@@ -97,7 +100,7 @@ class DesignProblem:
         return tuple(ordered)
 
     def by_tool(self, chosen: Sequence[Position]) -> Iterator[tuple[Job, tuple[Position, ...]]]:
-        """Yield the job of each tool in use and its positions, without the tool as in a run."""
+        """Yield the job of each tool in use and its positions; these have no tool, because the job has it."""
         for name, job in self.jobs.items():
             tool = None if name == self.job.settings.tool else name
             own = tuple(replace(position, tool=None) for position in chosen if position.tool == tool)
@@ -105,7 +108,7 @@ class DesignProblem:
                 yield job, own
 
     def minutes(self, chosen: Sequence[Position]) -> float:
-        """Return the machine minutes of the whole set in its order, by the plan of the run."""
+        """Return the machine minutes of the whole set in the given order, computed from the plan of the run."""
         return sum(machine_minutes(job, own).total for job, own in self.by_tool(chosen))
 
     def _offered(self) -> Iterator[Position]:

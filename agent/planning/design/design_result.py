@@ -1,4 +1,5 @@
-"""Finished design: positions selected, ordered, timed by the plan of the run and checked by a preflight."""
+"""Finished design: its positions are selected, put in order, timed with the plan of the run, and checked by a
+preflight."""
 
 from __future__ import annotations
 
@@ -29,9 +30,9 @@ _MARGIN = 1.3  # factor on the excess over a slot, so that one more search usual
 
 @dataclass(frozen=True, eq=False)
 class DesignResult:
-    """Finished design. `chosen`: indices of the problem's candidates, as `positions` in measuring order; `minutes` by
-    the plan of the run; `held_out`: positions for verification, if requested; `preflight_passed`: a preflight ran and
-    passed."""
+    """Finished design. `chosen`: indices of the selected candidates of `problem`; `positions`: the same positions in
+    measuring order; `minutes`: machine time computed from the plan of the run; `held_out`: positions for verification,
+    if requested; `preflight_passed`: True if a preflight ran and passed."""
 
     problem: DesignProblem
     chosen: tuple[int, ...]
@@ -53,9 +54,11 @@ class DesignResult:
 
 
 def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
-    """Return the best set found for `goal`. A position that the preflight refuses is excluded and the search repeated.
+    """Return the best set found for `goal`. If the preflight refuses a position, it is excluded and the search
+    repeated.
 
-    Raises InputError for a goal that cannot be reached, ConfigurationError for settings that offer nothing.
+    `verify`: select held-out positions too; `say`: callback with the current activity. Raises InputError if the goal
+    cannot be reached, ConfigurationError if no position is within reach or every attempt is refused.
     """
     for _ in range(_MAX_ATTEMPTS):
         say("candidates")
@@ -90,10 +93,10 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_prefli
 
 
 def _within(problem: DesignProblem, search: ExchangeSearch, goal: Goal) -> tuple[int, ...]:
-    """Return a selection whose whole plan fits the goal.
+    """Return the indices of a selection whose whole plan fits the goal.
 
-    The search adds up the minutes of its positions; a time slot must hold for the plan as a whole, so the slot given to
-    the search is reduced until it does.
+    The search adds up the minutes of single positions, but a time slot applies to the whole plan. The slot given to
+    the search is therefore reduced until the plan fits.
     """
     asked = goal
     while True:
@@ -109,7 +112,7 @@ def _within(problem: DesignProblem, search: ExchangeSearch, goal: Goal) -> tuple
 
 
 def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Sequence[int]) -> tuple[Position, ...]:
-    """Return the most informative held-out orientations, as many as in the settings, at every verified station."""
+    """Return the most informative orientations at every verified station, as many as the settings hold out."""
     job = problem.job
     groups: dict[tuple[float, float], list[int]] = {}
     for index, position in enumerate(candidates.positions):
@@ -123,7 +126,8 @@ def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Se
 
 
 def _refused(problem: DesignProblem, positions: Sequence[Position], held_out: Sequence[Position]) -> Position | None:
-    """Return the position at which the preflight stops; None if it passes. Raises PlanRefused if it stops elsewhere."""
+    """Return the position of `positions` at which the preflight is refused; None if it passes. Raises PlanRefused if it
+    is refused at any other step."""
     for job, own in problem.by_tool(positions):
         proof = tuple(held_out) or job.held_out
         try:

@@ -1,7 +1,7 @@
 """Feasibility of a position: whether its plan is free of collisions, and how many minutes it takes.
 
-The preflight simulates the finished set with physics. A search evaluates hundreds of positions, so here the straight
-moves of the plan are only checked against the nominal bodies, which takes milliseconds.
+The preflight simulates the physics of the finished set. A search evaluates hundreds of positions, so here only the
+straight moves of the plan are checked against the nominal bodies, which takes milliseconds per position.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import Point, translate_point
 
 CLEARANCE_MM = 1.0
-"""Clearance of every move from all bodies: a mount is never exactly at its nominal location."""
+"""Minimum clearance of every move from all bodies, because a mount is never exactly at its nominal location."""
 
 _PREFIX = "vetted"
 _BALL = re.compile(r"/ball-(\d+)")
@@ -34,22 +34,22 @@ _Key = tuple[float, float, float, float, float, bytes]
 
 @dataclass(frozen=True, eq=False)
 class FeasibilityCheck:
-    """Checks the positions of a job. Stations at the same depth and height, with the same path to the park location,
-    differ only in the balls within reach, so a result at one of them holds at the others."""
+    """Check of the positions of a job. A result at one station also holds at another one if Y, Z, the distance to the
+    park location and the balls within reach are the same, so it is cached."""
 
     job: Job
     _minutes: dict[_Key, float] = field(default_factory=dict, init=False, repr=False)
     _hits: dict[_Key, str] = field(default_factory=dict, init=False, repr=False)
 
     def minutes(self, position: Position) -> float:
-        """Return the machine minutes at a station where the mount already stands."""
+        """Return the machine minutes of `position` if the mount already stands at its station."""
         key = self._key(position)
         if key not in self._minutes:
             self._minutes[key] = position_minutes(self.job, position)
         return self._minutes[key]
 
     def hit(self, position: Position) -> str:
-        """Return the two bodies of the first collision, as text; empty if there is none."""
+        """Return the names of the two bodies of the first collision, as text; empty if there is none."""
         key = self._key(position)
         if key not in self._hits:
             self._hits[key] = self._first_hit(position)
@@ -63,7 +63,8 @@ class FeasibilityCheck:
         return position.azimuth_deg, position.elevation_deg, park, y, z, reached.tobytes()
 
     def _first_hit(self, position: Position) -> str:
-        """Return the first collision of any straight move. A touch stops at its own ball and retracts from there."""
+        """Return the two bodies of the first collision of a straight move, as text. A touch ends at its own ball, and
+        the next move starts there."""
         job, scene = self.job, self._scene(position)
         resting_mm = job.layout.contact_mm - job.layout.overtravel_mm
         balls, tool = job.layout.nominal(position), point(job.tool_offset_mm)

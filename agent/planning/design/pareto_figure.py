@@ -13,7 +13,7 @@ from agent.planning.design.pareto_front import FrontPoint
 
 @dataclass(frozen=True)
 class ReferenceSet:
-    """Existing set for comparison, such as that of the settings."""
+    """Existing position set for comparison, such as the set of the settings."""
 
     name: str
     minutes: float
@@ -21,7 +21,7 @@ class ReferenceSet:
 
 
 def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[ReferenceSet]) -> None:
-    """Draw on an empty figure in the house style."""
+    """Draw the front, the design and the reference sets `rivals` on an empty figure in the house style."""
     axes = figure.subplots()
     best = [point for point in points if point.best]
     axes.plot([p.minutes for p in best], [p.vce_um for p in best], "-o", color=BLUE, label="Pareto front of the design")

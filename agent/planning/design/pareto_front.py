@@ -13,12 +13,13 @@ from twin.design.goals import MIN_POSITIONS
 from twin.design.search import ExchangeSearch, Selection
 
 FURTHEST = 24
-"""Least number of positions at the end of a front."""
+"""Minimum number of positions of the largest set of a front."""
 
 
 @dataclass(frozen=True)
 class FrontPoint:
-    """Evaluated set. `best`: no other set is as good in less time; `design`: the requested design."""
+    """Evaluated set. `valuation`: in percent. `best`: True if no other set is as good in less time. `design`: True for
+    the requested design."""
 
     positions: int
     minutes: float
@@ -29,7 +30,8 @@ class FrontPoint:
 
 
 def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> tuple[FrontPoint, ...]:
-    """Return sets grown by gain per minute, and the design (`chosen`, of `minutes`), in the order of their minutes."""
+    """Return the evaluated sets in the order of their minutes: sets grown by the position with the largest gain per
+    minute, and the design with the positions `chosen`, which takes `minutes`."""
     candidates = search.candidates
     before = candidates.vce([]).aligned_um
     furthest = max(FURTHEST, len(chosen))

@@ -14,9 +14,9 @@ from twin.machine.volumetric import evaluation_grid
 
 
 def valuation_of(job: Job, positions: Sequence[Position]) -> Valuation:
-    """Return the valuation of a set measured as in the job and identified from ball centres with the prior.
+    """Return the valuation of `positions`, measured as in `job` and identified from ball centres with the prior.
 
-    Raises ConfigurationError if none of it is within reach.
+    Raises ConfigurationError if none of the positions is within reach.
     """
     with translated(ConfigurationError, key="procedure.position_set"):
         return valuation(

@@ -1,4 +1,5 @@
-"""Measuring variants beside the settings: touches per ball, number of balls, tilt of the holders, tools."""
+"""Measuring variants that differ from the settings in touches per ball, number of balls, tilt of the holders or
+tools."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from twin.artefact.artefact import Artefact
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """Measuring variant. `jobs`: tool → job; `theta_deg` None and not `made_up`: the artefact of the settings."""
+    """Measuring variant. `jobs`: tool → job. `made_up`: True if the artefact is a nominal bar instead of the artefact
+    of the settings; `theta_deg`: tilt of its holders, None if not `made_up`."""
 
     touches: int
     balls: int
@@ -34,7 +36,9 @@ def variants_of(
     balls: Sequence[int] = (),
     thetas_deg: Sequence[float] = (),
 ) -> list[Variant]:
-    """Return all combinations; omitted choices stay as in the job. Raises ConfigurationError for an unknown tool."""
+    """Return the variants for all combinations of the given choices; an omitted choice is that of the job.
+
+    Raises ConfigurationError for an unknown tool, or for an artefact whose balls or tilt cannot be changed."""
     made_up = bool(balls or thetas_deg)
     with translated(ConfigurationError, file=str(job.settings.artefact)):
         bar = Bar.of(job.artefact) if made_up else None

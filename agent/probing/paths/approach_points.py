@@ -1,4 +1,4 @@
-"""Tip locations at a ball, and the first corners of paths from there: off the surface, and round the ball."""
+"""Tip locations at a ball, and the first corners of paths that lift off its surface or go round it."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from twin.collision.free_paths import PathCandidates
 from twin.collision.geometry import Point, point
 
 DETOUR_RADII = (1.05, 1.2, 1.4, 1.7)
-"""Distances of the corners round a ball from its centre, in units of the distance at which touches begin."""
+"""Distances of detour corners from the ball centre, as multiples of the larger `out_mm` of both path ends."""
 
 DETOUR_SETBACKS = (0.0, 0.4, 0.8, 1.6)
-"""Distances of these corners in front of the ball, in units of their lateral distance."""
+"""Setbacks of detour corners along the stylus, added to the sum of both outward unit vectors."""
 
 MIN_LATERAL_COMPONENT = 0.1
-"""Least length of a corner's direction; below it both touches are opposite and no corner lies between them."""
+"""Minimum length of the summed direction vector; below it the touches are opposite and no corner lies between."""
 
 MIN_LIFT_OFF_COSINE = 0.15
-"""Least cosine between the surface normal at a touch and the first move: the stylus must come free at once."""
+"""Minimum cosine between surface normal and first move after a touch, so that the stylus leaves the surface at once."""
 
 MIN_MOVE_MM = 1e-3
-"""Shorter moves count as no move."""
+"""Length below which a move counts as no move."""
 
 LIFT_OFF_MM = 3.0
-"""Lift-off from the surface before the stylus draws back, for paths that do not come free at once."""
+"""Lift-off along the surface normal before the stylus withdraws, for paths that do not leave the surface at once."""
 
 
 @dataclass(frozen=True)
 class TipLocation:
-    """Tip location at a ball: `out_mm` from its centre, against the unit vector `direction`.
+    """Tip location at the distance `out_mm` from the centre of `ball`, opposite to the unit vector `direction`.
 
-    `touching`: on the surface, after a touch.
+    `direction` is the direction of the touch. `touching` is True if the tip is on the surface after a touch.
     """
 
     ball: int
@@ -44,7 +44,7 @@ class TipLocation:
 
 
 def detour_corners(centre: Array, start: TipLocation, end: TipLocation, stylus_axis: Array) -> Array:
-    """Return corners (n, 1, 3) of detours round the ball at `centre` (3,), between both locations and before it."""
+    """Return corners (n, 1, 3) of one-corner detours round the ball at `centre` (3,), from `start` to `end`."""
     # Bisector of both outward directions, tilted back along the stylus by each of the setbacks.
     bisector = -np.array(start.direction) - np.array(end.direction)
     directions = bisector - np.outer(DETOUR_SETBACKS, stylus_axis)
@@ -56,7 +56,8 @@ def detour_corners(centre: Array, start: TipLocation, end: TipLocation, stylus_a
 
 
 def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
-    """Return corners (1, k, 3): off the surface, straight back, up, then across, past a bar end between both points."""
+    """Return corners (1, k, 3) of a path that lifts off, moves along Y, then along Z, then to `last`, past a bar
+    end."""
     beside = point(np.array(first) - LIFT_OFF_MM * np.array(start.direction)) if start.touching else first
     low = min(beside[1], last[1])
     out = [(beside[0], low, beside[2]), (beside[0], low, last[2])]
@@ -66,7 +67,7 @@ def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
 def lifting_off(first: Point, candidates: PathCandidates, start: TipLocation) -> PathCandidates:
     """Return the candidates from `first` whose first move leaves the touched surface.
 
-    A candidate with no first move is dropped: its next move might press against the surface.
+    A candidate whose first move has no length is dropped, because its second move might press against the surface.
     """
     if not start.touching:
         return candidates

@@ -1,4 +1,4 @@
-"""Order in which the balls of one position are measured: both ends first, then the others on the fastest way back."""
+"""Measuring order of the balls of one position: both end balls first, then the others on the fastest path back."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def measuring_sequence(
     first: int,
     last: int,
 ) -> list[int]:
-    """Return `balls` without both ends, in the order that takes the least machine time from `last` back to `first`."""
+    """Return `balls` without `first` and `last`, in the fastest order on the path from `last` back to `first`."""
     key = (pose, tuple(balls), first, last)
     if key not in finder.sequences:
         finder.sequences[key] = _sequence(finder, pose, probing, balls, first, last)
@@ -34,7 +34,7 @@ def _sequence(
     first: int,
     last: int,
 ) -> list[int]:
-    """Order by the times of straight paths; a detour between two neighbours costs about the same everywhere."""
+    """Order the balls by the times of straight paths, because a detour between neighbours takes about the same time."""
     contact_mm, out_mm = probing.contact_mm, probing.contact_mm + probing.narrow_search.approach_mm
     starts = [TipLocation(ball, point(probing.directions[-1]), contact_mm, touching=True) for ball in balls]
     ends = [TipLocation(ball, point(probing.directions[0]), out_mm) for ball in balls]

@@ -44,10 +44,10 @@ from twin.collision.probe_geometry import ProbeGeometry
 from twin.collision.swept_volume import CELL_MM, SphereCover, TurnSweep, cover_turning_bodies, turn_sweep
 
 UNCERTAINTY_STEPS_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Steps to which the uncertainty of a pose is rounded up, so that a few paths serve many poses."""
+"""Values in mm to which the uncertainty of a pose is rounded up, so that cached paths can be reused."""
 
 WORTHWHILE_RATIO = 0.95
-"""Another waiting point is searched only if it may shorten the path at least to this fraction."""
+"""Another waiting point is tried only if its lower bound is below this fraction of the best path's time."""
 
 _MAX_WAITING_POINTS = 24
 _GRID_MM = 80.0
@@ -55,9 +55,10 @@ _GRID_MM = 80.0
 
 @dataclass(frozen=True)
 class ArtefactPose:
-    """Nominal pose of the artefact: angles of the mount, and depth and height of its location (workpiece frame).
+    """Nominal pose of the artefact: the mount's angles, and the Y and Z of its location in the workpiece frame.
 
-    `station`: the station if other mounts or artefacts stand in the workspace; 0 if all stations are alike.
+    `station` is the station's number if other mounts or artefacts stand in the workspace, and 0 if paths are the same
+    at all stations.
     """
 
     azimuth_deg: float
@@ -69,9 +70,10 @@ class ArtefactPose:
 
 @dataclass(frozen=True)
 class TurningPath:
-    """Path out of the old pose to a waiting point, where the tip stays while the mount turns, and into the new pose.
+    """Path from a ball in the old pose to a waiting point, at which the tip stays while the mount turns, and from there
+    to a ball in the new pose.
 
-    Corners and `waiting_point` are relative to the mount's location; `seconds`: time of both parts without the turn.
+    Corners and `waiting_point` are relative to the mount's location. `seconds`: time of both parts without the turn.
     """
 
     exit_path: tuple[Point, ...]
@@ -82,7 +84,7 @@ class TurningPath:
 
 @dataclass(eq=False)
 class _PosedBodies:
-    """Ball centres (N, 3), the same as points, and all bodies, relative to the mount's location."""
+    """Ball centres (N, 3) as an array and as tuples, and all bodies, relative to the mount's location."""
 
     centres: Array
     centre_points: Sequence[Point]
@@ -92,10 +94,11 @@ class _PosedBodies:
 @dataclass(frozen=True, eq=False)
 class FreePathRules:
     """Rules for free paths. `stylus_axis` (3,): unit vector along which the stylus points. `lower_mm`, `upper_mm` (3,):
-    travel of the axes.
+    limits of the axes' travel.
 
-    `clearance_mm`: distance between any two bodies on every path. The uncertainty of the pose is added to it:
-    `aligned_uncertainty_mm` once the end balls have been found, `unaligned_uncertainty_mm` before.
+    `clearance_mm`: minimum distance between moving and stationary bodies on every path. The uncertainty of the
+    artefact's pose is added to it: `unaligned_uncertainty_mm` until the end balls have been measured,
+    `aligned_uncertainty_mm` afterwards.
     """
 
     stylus_axis: Array
@@ -108,7 +111,8 @@ class FreePathRules:
     _finders: dict[MeasuringLayout, FreePathFinder] = field(default_factory=dict, init=False, repr=False)
 
     def finder_for(self, layout: MeasuringLayout) -> FreePathFinder:
-        """Return the path finder among the bodies of `layout`; the same object each time, with its cached paths."""
+        """Return the path finder for the bodies of `layout`; every call returns the same object with its cached
+        paths."""
         if layout not in self._finders:
             self._finders[layout] = FreePathFinder(layout, self)
         return self._finders[layout]
@@ -116,7 +120,7 @@ class FreePathRules:
 
 @dataclass(frozen=True, eq=False)
 class FreePathFinder:
-    """Finds free paths and caches them: the same ones are needed at every station and again in every verification."""
+    """Finder of free paths. It caches them, because every station and every verification needs the same paths."""
 
     layout: MeasuringLayout
     rules: FreePathRules
@@ -134,11 +138,12 @@ class FreePathFinder:
         return ArtefactPose(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
 
     def axes_at(self, station: int, corner: Point) -> Array:
-        """Return the axis positions (3,) for a tip centre given relative to the mount's location at `station`."""
+        """Return the axis positions (3,) at which the tip centre is at `corner` from the mount's location at
+        `station`."""
         return np.asarray(self.layout.location(station) - self.layout.tool_offset_mm + corner)
 
     def ball_axes(self, pose: ArtefactPose, station: int) -> Array:
-        """Return the nominal axis positions (N, 3) of all balls."""
+        """Return the nominal axis positions (N, 3) at which the tip centre and each ball centre coincide."""
         return np.asarray(self._posed(pose).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
 
     def tip_at(self, pose: ArtefactPose, location: TipLocation) -> Point:
@@ -173,7 +178,7 @@ class FreePathFinder:
         return self._paths[key]
 
     def straight_seconds(self, pose: ArtefactPose, starts: Sequence[TipLocation], ends: Sequence[TipLocation]) -> Array:
-        """Return lower bounds (n, m), in s, of the time from each start to each end: straight paths."""
+        """Return the times (n, m) in s of straight paths from each start to each end, lower bounds for free paths."""
         first, last = (
             np.array([self.tip_at(pose, location) for location in locations]) for locations in (starts, ends)
         )
@@ -188,7 +193,7 @@ class FreePathFinder:
         mount_x_mm: float,
         faster_than_s: float = math.inf,
     ) -> TurningPath | None:
-        """Return a path from `start` in one pose to `end` in the next; None if no path that takes less than
+        """Return a path from `start` in pose `before` to `end` in pose `after`; None if no path faster than
         `faster_than_s` is proved free."""
         (low, high), reach = self._x_range(mount_x_mm), self._reach_mm(after)
         key = (before, start, after, end, (max(low, -reach), min(high, reach)))
@@ -203,7 +208,7 @@ class FreePathFinder:
     def min_turning_seconds(
         self, before: ArtefactPose, starts: Sequence[TipLocation], after: ArtefactPose, ends: Sequence[TipLocation]
     ) -> float:
-        """Return a lower bound of the time from the best of `starts` to the best of `ends`, without the turn itself.
+        """Return a lower bound in s of the fastest path from any of `starts` to any of `ends`, without the turn itself.
 
         It assumes that every path in front of the turning artefact is free; `turning_path` is rarely much slower.
         """
@@ -214,7 +219,7 @@ class FreePathFinder:
         return float(np.where(clear, self._seconds_by_way_of(points, first, last), math.inf).min())
 
     def _x_range(self, mount_x_mm: float) -> tuple[float, float]:
-        """Return the travel of the tip along X, relative to the mount's location."""
+        """Return the limits of the tip's travel along X in mm, relative to the mount's location."""
         low, high = (
             float(end[0] + self.layout.tool_offset_mm[0]) - mount_x_mm
             for end in (self.rules.lower_mm, self.rules.upper_mm)
@@ -256,16 +261,17 @@ class FreePathFinder:
         return direct_path(posed.prefiltered.scene, self.rules.dynamics, first, last, clearances)
 
     def _corners(self, pose: ArtefactPose, start: TipLocation, last: Point, beside_mm: float) -> list[Array]:
-        """Return candidate corners (n, k, 3) from `start`; after a touch some also lift off by `beside_mm` first."""
+        """Return arrays of candidate corners (n, k, 3) from `start`; after a touch, some first lift off by
+        `beside_mm`."""
         aside = -beside_mm * np.array(start.direction) if start.touching else None
         retract_limit = float(self._travel(pose)[0] @ np.abs(self.rules.stylus_axis))
         return retract_candidates(self.tip_at(pose, start), last, -self.rules.stylus_axis, retract_limit, aside)
 
     def _clearance_options(self, start: TipLocation, end: TipLocation, uncertainty_mm: float) -> Iterator[Clearances]:
-        """Yield clearances from all bodies, strictest first.
+        """Yield two options of the clearances from all bodies, the stricter one first.
 
-        The balls at both ends have less: their surface is to be touched. So have their holders in the second option:
-        a holder moves with its ball, so the uncertainty of the pose does not matter there.
+        In both, the balls at both ends of the path have a smaller clearance, because they are touched. In the second,
+        their holders have no allowance for the uncertainty of the pose, because a holder moves with its ball.
         """
         clearance_mm = self.rules.clearance_mm + uncertainty_mm
         balls = {start.ball, end.ball}
@@ -286,9 +292,10 @@ class FreePathFinder:
         x_range: tuple[float, float],
         faster_than_s: float,
     ) -> TurningPath | None:
-        """Return the fastest path by way of a waiting point, tried in the order of their lower bounds.
+        """Return the fastest path by way of a waiting point; None if no path is proved free.
 
-        A later waiting point is worth a search only if its bound is below `WORTHWHILE_RATIO` times the best time.
+        Waiting points are tried in the order of the lower bounds of their times, until a bound is not below
+        `WORTHWHILE_RATIO` times the best time found.
         """
         first, last = (np.array([self.tip_at(*one)]) for one in ((before, start), (after, end)))
         (candidates,), (clear,) = self._waiting_points(before, after, first, last, x_range)
@@ -313,7 +320,8 @@ class FreePathFinder:
         end: TipLocation,
         faster_than_s: float,
     ) -> TurningPath | None:
-        """Return the path by way of `waiting_point`; None if a part is not free or it takes `faster_than_s` or more."""
+        """Return the path by way of `waiting_point`; None if a part is not free or the whole takes `faster_than_s` or
+        more."""
         exit_path = self.path_to_point(before, start, waiting_point)
         if (
             exit_path is None
@@ -328,15 +336,17 @@ class FreePathFinder:
         )
 
     def _seconds_by_way_of(self, points: Array, first: Array, last: Array) -> Array:
-        """Return lower bounds (c, n), in s, from `first` (c, 3) by way of `points` (c, n, 3) to `last` (c, 3)."""
+        """Return lower bounds (c, n) in s of the times from `first` (c, 3) via `points` (c, n, 3) to `last` (c, 3)."""
         return self._straight_times(first[:, None], points) + self._straight_times(points, last[:, None])
 
     def _waiting_points(
         self, before: ArtefactPose, after: ArtefactPose, first: Array, last: Array, x_range: tuple[float, float]
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return waiting points (c, n, 3) for ends (c, 3), and whether each is inside the travel (c, n).
+        """Return waiting points (c, n, 3) for c pairs of path ends (c, 3), and a mask (c, n) of points within the
+        travel.
 
-        The points lie in front of the volume swept by the turn: on a grid in X and Z, and straight before both ends.
+        The points lie in front of the volume swept by the turn, on a grid in X and Z that also contains the X and Z of
+        both path ends.
         """
         low, high = self._travel(before)
         low[0], high[0] = x_range
@@ -350,14 +360,14 @@ class FreePathFinder:
 
     @staticmethod
     def _grid_along(first: Array, last: Array, low: float, high: float) -> Array:
-        """Return coordinates (c, n) along one axis: both ends (c,), their middle, and a grid over the travel."""
+        """Return coordinates (c, n) along one axis: both path ends (c,), their midpoint, and a grid over the travel."""
         grid = np.arange(low, high, _GRID_MM)
         every = np.broadcast_to(grid, (len(first), len(grid)))
         return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))
 
     def path_to_point(self, pose: ArtefactPose, location: TipLocation, waiting_point: Point) -> FreePath | None:
-        """Return a path from `location` to a point before the artefact, relative to the mount's location; None if no
-        path is proved free. The path in is its reverse."""
+        """Return a path from `location` to `waiting_point`, relative to the mount's location; None if no path is proved
+        free. Its reverse is the path from the waiting point to the ball."""
         key = (pose, location, waiting_point)
         if key not in self._paths:
             self._paths[key] = self._search_path_to_point(*key)
@@ -411,8 +421,9 @@ class FreePathFinder:
         return float(self._straight_times(np.array(start), np.array(end)))
 
     def _travel(self, pose: ArtefactPose) -> tuple[Array, Array]:
-        """Return the lower and upper limits (3,) of the tip relative to the mount's location on the table's X, less the
-        uncertainty of the unaligned pose."""
+        """Return the lower and upper limits (3,) of the tip's travel, reduced by the uncertainty of the unaligned pose.
+
+        Y and Z are relative to the mount's location, X to the workpiece frame."""
         place = np.array([0.0, pose.depth_mm, pose.height_mm])
         shift, margin_mm = self.layout.tool_offset_mm - place, self.rules.unaligned_uncertainty_mm
         return self.rules.lower_mm + shift + margin_mm, self.rules.upper_mm + shift - margin_mm
@@ -437,7 +448,7 @@ class FreePathFinder:
 
     @property
     def _probe(self) -> ProbeGeometry:
-        """Probe with a stem at least as thick as the tip, so that withdrawing straight back is free from any point."""
+        """Probe with a stem at least as thick as the tip, so that the tip can always withdraw along the stylus."""
         probe = self.layout.probe
         return replace(probe, stem_radius_mm=max(probe.stem_radius_mm, probe.tip_radius_mm))
 
@@ -467,7 +478,7 @@ class FreePathFinder:
 
 
 def round_up_uncertainty(uncertainty_mm: float) -> float:
-    """Round up to the next of `UNCERTAINTY_STEPS_MM`; a value beyond the last is returned unchanged."""
+    """Return the uncertainty rounded up to one of `UNCERTAINTY_STEPS_MM`, or unchanged if it exceeds the largest."""
     return next((value for value in UNCERTAINTY_STEPS_MM if uncertainty_mm <= value), uncertainty_mm)
 
 

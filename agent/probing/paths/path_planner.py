@@ -1,6 +1,6 @@
-"""Path planner interface: moves the tip to the start of the next touch and out again.
+"""Interface of path planners, which move the tip to the start of the next touch and away from the ball.
 
-`PlainPathPlanner` withdraws from every ball, and to the retreat plane between positions; the planner in
+`PlainPathPlanner` withdraws from every ball, and moves to the retreat plane between positions. The planner in
 `agent.probing.paths.shortest_path` takes the fastest path that is proved free.
 """
 
@@ -17,7 +17,7 @@ from twin.artefact.position_set import Position
 
 
 class PlannedPosition(Protocol):
-    """Next position to measure, as far as a path planner needs it."""
+    """Properties of the next position to measure that a path planner needs."""
 
     @property
     def key(self) -> str: ...
@@ -34,18 +34,20 @@ class PlannedPosition(Protocol):
 
 
 class PathPlanner(Protocol):
-    """Path planner of one plan, which starts and ends at the retreat plane; between positions it may stay closer."""
+    """Path planner of one plan. A plan starts and ends at the retreat plane; between positions the tip may stay
+    closer."""
 
     def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
-        """Return the ball to begin and end with, the balls in between in measuring order, and the other end ball."""
+        """Return the end ball measured first and again last, the balls between the ends in measuring order, and the
+        other end ball."""
         ...
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
-        """Move to where the artefact may turn, and turn it. `here` (3,): current axis positions."""
+        """Move the tip clear of the turning artefact, then turn it. `here` (3,): current axis positions."""
         ...
 
     def enter(self, task: PlannedPosition, ball: int) -> Plan[None]:
-        """Move before the first ball once the artefact has stopped."""
+        """Move in front of `ball`, the first one, after the artefact has turned."""
         ...
 
     def align(self, centres_mm: Array) -> None:
@@ -59,16 +61,17 @@ class PathPlanner(Protocol):
     def from_ball(self, key: str, centre: Array) -> Plan[None]: ...
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Take over with the tip in the plane before `ball`, which was found at `centre` (3,)."""
+        """Start planning with the tip in the plane in front of `ball`, which was found at `centre` (3,)."""
         ...
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move to the retreat plane, or beside the station; `centre` (3,) of the ball measured last."""
+        """Move to the retreat plane or to the park location. `centre` (3,): centre of the ball measured last."""
         ...
 
 
 class PlainPathPlanner:
-    """Withdraws by `retract_mm` from every ball, and to the retreat plane and beside the station between positions."""
+    """Planner that withdraws by `retract_mm` from every ball, and moves by the retreat plane and the park location
+    between positions."""
 
     def __init__(self, retreat: Retreat, probing: ProbingParameters) -> None:
         self._retreat = retreat

@@ -1,4 +1,4 @@
-"""Retreat plane and park locations: safe paths between positions that need no proof."""
+"""Retreat plane and park locations, which give safe paths between positions without a collision check."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from twin.arrays import Array
 
 @dataclass(frozen=True)
 class Retreat:
-    """Locations that are safe, and the rules for paths between them.
+    """Safe locations, and the rules for paths between them.
 
-    `retreat_axis` is the axis the stylus points along, `retreat_mm` the axis position on it that no part of
-    artefact or mount reaches; `park_mm` the X position at each station's mount, clear of the turning artefact.
-    `path_rules`: rules for free paths; None: plain paths by way of `withdrawn_from` and `park_location`.
+    `retreat_axis`: index of the axis along which the stylus points. `retreat_mm`: position of this axis that no part of
+    artefact or mount reaches. `station_axis`: index of the axis along which the stations stand. `park_mm`: by station,
+    position of that axis clear of the turning artefact. `path_rules`: rules for free paths; None for plain paths by way
+    of `withdrawn_from` and `park_location`.
     """
 
     retreat_axis: int
@@ -33,7 +34,8 @@ class Retreat:
         return out
 
     def withdrawn_from(self, centre: Array, probing: ProbingParameters) -> Array:
-        """Return the axis positions (3,) withdrawn from a ball along the stylus, within the travel, clear of others."""
+        """Return the axis positions (3,) withdrawn along the stylus from the ball at `centre`, at most to the retreat
+        plane."""
         out = centre - probing.stylus_axis * (probing.contact_mm + probing.retract_mm)
         towards = np.sign(probing.stylus_axis[self.retreat_axis])
         out[self.retreat_axis] = towards * max(towards * out[self.retreat_axis], towards * self.retreat_mm)

@@ -1,4 +1,4 @@
-"""Path planner that moves the tip on the fastest paths proved free, and on plain paths if there is none."""
+"""Path planner that moves the tip on the fastest path proved free, or on a plain path if no path is proved free."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from twin.collision.geometry import Point as Corner
 from twin.collision.measuring_layout import MeasuringLayout
 
 PARK_OFFSETS_MM = ((0.0, 0.0, 0.0), *((0.0, 0.0, height) for height in (150.0, -150.0, 300.0, -300.0)))
-"""Offsets of alternative park locations, above and below a bar end that reaches into the path."""
+"""Offsets of the park locations tried: none first, then above and below a bar end that is in the path."""
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(eq=False)
 class _CurrentPose:
-    """Pose being measured. `nominal` and `centres` (N, 3): axis positions of the balls by the drawings, and as known so
-    far with the uncertainty `uncertainty_mm`."""
+    """Pose being measured. `nominal` (N, 3): axis positions of the balls by the drawings. `centres` (N, 3): the
+    positions known so far, with the uncertainty `uncertainty_mm`."""
 
     artefact_pose: ArtefactPose
     station: int
@@ -37,20 +37,21 @@ class _CurrentPose:
     uncertainty_mm: float
 
     def deviation_mm(self, offset: Array, ball: int) -> float:
-        """Return the distance of `ball`, assumed at `offset` (3,) from its nominal location, from its known centre."""
+        """Return the distance in mm between the known centre of `ball` and its nominal location shifted by `offset`
+        (3,)."""
         return math.dist(offset.tolist(), (self.centres[ball] - self.nominal[ball]).tolist())
 
 
 @dataclass(frozen=True, eq=False)
 class _TipState:
-    """Tip location at a ball that was assumed at `offset` (3,) from its nominal location."""
+    """Tip location at a ball, and the `offset` (3,) of the ball from its nominal location assumed for it."""
 
     location: TipLocation
     offset: Array
 
 
 class ShortestPathPlanner:
-    """Plans the fastest free paths and tracks the tip; a plan rebuilt from the same results has the same paths."""
+    """Planner of the fastest free paths, which tracks the tip. The same results always give the same paths."""
 
     def __init__(self, finder: FreePathFinder, retreat: Retreat, probing: ProbingParameters) -> None:
         self._finder = finder
@@ -63,7 +64,8 @@ class ShortestPathPlanner:
         self._here: Array = np.zeros(3)
 
     def assume_measured(self, station: int) -> Array:
-        """Assume that ball 0 has just been measured with the mount at zero; return the axis positions (3,) there."""
+        """Assume that ball 0 has just been measured with the mount at zero; return the axis positions (3,) of the
+        tip."""
         artefact_pose = self._finder.pose_at(station, 0.0, 0.0)
         nominal = self._finder.ball_axes(artefact_pose, station)
         location = TipLocation(0, point(self._probing.directions[-1]), self._probing.contact_mm, touching=True)
@@ -124,14 +126,15 @@ class ShortestPathPlanner:
         return _BallTouchPath(self, ball)
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move to the park location beside the station, which no bar reaches in any pose. If no path there is proved
-        free, lift off the surface and withdraw straight back, through space that the stylus has already passed."""
+        """Move to the park location beside the station, which no bar reaches in any pose. If no path to it is proved
+        free, lift off the surface and withdraw straight along the stylus, through space that it has already passed."""
         if self._tip is not None:
             yield from self._withdraw(key)
         self._tip = self._pose = self._entry_path = None
 
     def _withdraw(self, key: str) -> Plan[Array]:
-        """Withdraw as in `leave`; return the axis positions (3,) reached."""
+        """Withdraw to the park location or straight along the stylus, see `leave`; return the axis positions (3,)
+        reached."""
         path = self._exit_path()
         if path is None:
             free = yield from self._lift_off(key, self._here)
@@ -144,7 +147,8 @@ class ShortestPathPlanner:
         return end
 
     def _lift_off(self, key: str, here: Array) -> Plan[Array]:
-        """Lift the tip off the surface that it may rest on, so that it can be withdrawn freely; return that point."""
+        """Lift the tip off if it is on a surface; return the axis positions (3,) from which it can be withdrawn
+        freely."""
         tip = self._tip
         if tip is None or not tip.location.touching:
             return here
@@ -154,7 +158,7 @@ class ShortestPathPlanner:
         return np.asarray(free)
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Take over with the tip in the plane before `ball`, which was found at `centre` (3,)."""
+        """Start planning with the tip in the plane in front of `ball`, which was found at `centre` (3,)."""
         station = position.station
         artefact_pose = self._finder.pose_at(station, position.azimuth_deg, position.elevation_deg)
         nominal = self._finder.ball_axes(artefact_pose, station)
@@ -186,8 +190,8 @@ class ShortestPathPlanner:
     def _inside(self, corner: Array) -> Array:
         """Return `corner` clipped to the travel of the axes.
 
-        Park locations and corners on the path there lie at the end of the travel; the artefact's offset may shift them
-        beyond it. The clearance includes that shift.
+        Park locations and the corners of paths to them lie at the end of the travel, and the artefact's offset may
+        shift them beyond it. The clearance allows for that shift.
         """
         rules = self._finder.rules
         return np.asarray(np.clip(corner, rules.lower_mm, rules.upper_mm))
@@ -210,7 +214,8 @@ class ShortestPathPlanner:
         self._set_tip(_TipState(location, offset), touch.start)
 
     def retract(self, key: str, ball: int, touch: PlannedTouch, latched_mm: Point | None) -> Plan[None]:
-        """No move if contact was at the expected point (the next path starts there); otherwise return to the start."""
+        """Stay on the surface if the contact was at the expected point (the next path starts there), else return to the
+        start of the touch."""
         tip = self._tip
         assert tip is not None  # noqa: S101  `approach` came before
         if latched_mm is not None and touch.search == self._probing.narrow_search:
@@ -222,7 +227,7 @@ class ShortestPathPlanner:
         yield MoveTo(f"{key}/back", point(touch.start))
 
     def _corners(self, location: TipLocation, offset: Array, touch: PlannedTouch) -> list[Array]:
-        """Return the axis positions of the corners of the path to `location`."""
+        """Return the axis positions (3,) of each corner of the path to `location`."""
         pose, tip = self._known_pose, self._tip
         if tip is None:
             corners, self._entry_path = self._entry_path or (), None
@@ -242,7 +247,8 @@ class ShortestPathPlanner:
         ]
 
     def _plain_corners(self, tip: _TipState, touch: PlannedTouch) -> list[Array]:
-        """Return plain corners: by the plane before the ball if it is the same ball, else by the retreat plane."""
+        """Return the corners of a plain path: by the plane in front of the ball if the tip is at that ball already,
+        else by the retreat plane."""
         here = self._here
         beside = here - np.array(tip.location.direction) * (touch.out_mm - tip.location.out_mm)
         leaving = [beside] if tip.location.touching else []
@@ -261,7 +267,7 @@ class ShortestPathPlanner:
     # ------------------------------------------------------------------ between positions
 
     def _ends(self, task: PlannedPosition, artefact_pose: ArtefactPose) -> tuple[int, int]:
-        """Return first and last ball; the first is the end ball that the tip reaches sooner."""
+        """Return the first and the last ball; the first is the end ball that the tip reaches faster."""
         ends = task.balls[0], task.balls[-1]
         path = self._turning_path(task, artefact_pose, ends[0])
         if path is None or self._turning_path(task, artefact_pose, ends[1], faster_than_s=path.seconds) is None:
@@ -281,7 +287,7 @@ class ShortestPathPlanner:
         return self._finder.turning_path(pose.artefact_pose, tip.location, artefact_pose, pole, mount_x, faster_than_s)
 
     def _moved_too_far(self, tip: _TipState) -> bool:
-        """Return whether the mount is farther off its location than planned paths allow (the wide search)."""
+        """Return whether the ball's offset exceeds the uncertainty for which the paths were planned."""
         return float(np.linalg.norm(tip.offset)) > self._finder.rules.unaligned_uncertainty_mm
 
     def _artefact_pose(self, task: PlannedPosition) -> ArtefactPose:
@@ -295,7 +301,7 @@ class ShortestPathPlanner:
 
 @dataclass(frozen=True, eq=False)
 class _BallTouchPath:
-    """Touch paths of one ball."""
+    """Paths to and from the touches of one ball."""
 
     planner: ShortestPathPlanner
     ball: int
@@ -310,21 +316,21 @@ class _BallTouchPath:
 def create_path_planner(
     retreat: Retreat, probing: ProbingParameters, layout: MeasuringLayout
 ) -> PlainPathPlanner | ShortestPathPlanner:
-    """Return a planner of shortest paths, or of plain ones if `retreat` has no rules for free paths."""
+    """Return a ShortestPathPlanner, or a PlainPathPlanner if `retreat` has no rules for free paths."""
     if retreat.path_rules is None:
         return PlainPathPlanner(retreat, probing)
     return ShortestPathPlanner(retreat.path_rules.finder_for(layout), retreat, probing)
 
 
 def _slow_down_point(touch: PlannedTouch, coming_from: Array) -> Array:
-    """Return the point on the last leg from which the tip moves slowly, because the ball may already be there."""
+    """Return the point on the last leg from which the tip moves slowly, because it may meet the ball from there on."""
     path = coming_from - touch.start
     length = float(np.linalg.norm(path))
     return np.asarray(touch.start + path * min(1.0, 2.0 * touch.search.approach_mm / max(length, 1e-9)))
 
 
 def _fraction_along(corner: Corner, first: Corner, last: Corner) -> float:
-    """Return the position of a corner's projection on the straight path, 0 … 1."""
+    """Return the projection of `corner` on the line from `first` (0) to `last` (1), clipped to 0 … 1."""
     # t = (c − a)·(b − a) / |b − a|², limited to the segment from a to b.
     x, y, z = last[0] - first[0], last[1] - first[1], last[2] - first[2]
     along = (corner[0] - first[0]) * x + (corner[1] - first[1]) * y + (corner[2] - first[2]) * z
