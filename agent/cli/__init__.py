@@ -1,1 +1,1 @@
-"""Command line: one module per command, errors printed in one place."""
+"""Command line with one module per command. All errors are printed in `agent.cli.errors`."""

@@ -53,14 +53,15 @@ def calibrate_command(
 
 
 def calibration_here() -> RunRequest:
-    """Return the request for a calibration from the command line; the person who types it attends the machine."""
+    """Return the request for a calibration from the command line, with consent: the person who types it is at the
+    machine."""
     return RunRequest(kind="calibrate", source="command line", consent=True)
 
 
 def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: float | None = None) -> RunResult:
     """Carry out a request in this process, with a progress bar on stderr; Ctrl-C and SIGTERM abort it.
 
-    `nights` since the last accepted one; None: by the calendar.
+    `nights`: number of nights since the last accepted night; None: computed from the calendar.
     """
     job = job_of(request, settings, base)
     kind = kind_of(request, slot_minutes=request.slot_minutes, nights=nights)
@@ -70,7 +71,7 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
 
 @contextmanager
 def interruptible() -> Iterator[list[Supervisor]]:
-    """Forward Ctrl-C and SIGTERM as abort requests to the supervisors in the list while the block runs."""
+    """Yield a list; during the block Ctrl-C and SIGTERM send an abort request to every supervisor in it."""
     supervisors: list[Supervisor] = []
 
     def ask(number: int, _: FrameType | None) -> None:
@@ -86,7 +87,7 @@ def interruptible() -> Iterator[list[Supervisor]]:
 
 
 def conclude(ended: RunResult) -> None:
-    """Exit with the code of the outcome: 0 only if the new table is active and was verified."""
+    """Return if the new table is active and was verified; otherwise exit with the exit code of the outcome."""
     if ended.error is not None:
         raise fail(ended.error)
     proof = ended.outcome.proof
@@ -96,7 +97,7 @@ def conclude(ended: RunResult) -> None:
 
 
 def show_summary(outcome: Outcome) -> None:
-    """Print the result of a run for people; the path of the report is a line of its own, so that it is never cut."""
+    """Print the result of a run as text. The path of the report has its own line, so that it is never cut."""
     console = results_console()
     console.print(facts_table(_rows(outcome), title=f"{outcome.run_id}: {outcome.state.value}"))
     console.print(f"report: {outcome.report or 'none'}", markup=False)

@@ -1,4 +1,4 @@
-"""`volcal config check|schema`: check of a settings file, and its JSON schema."""
+"""`volcal config check|schema`: check of a settings file, and the JSON schema of settings files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`volcal demo`: one simulated night over real links, and the truth that only the simulator knows."""
+"""`volcal demo`: calibration of a simulated machine over real links, compared with the simulator's true errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ from twin.formats.toml_reading import validate_document
 
 @dataclass(frozen=True)
 class Truth:
-    """Truth reported by the simulator, in µm, rigidly aligned; None if the simulator could no longer be reached."""
+    """True volumetric errors in µm, rigidly aligned, and number of collisions, as reported by the simulator.
+
+    None if the simulator could no longer be reached.
+    """
 
     before_um: float
     after_um: float | None
@@ -82,7 +85,7 @@ def demo_command(
 
 
 def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
-    """Return the settings with the addresses on which the simulator listens."""
+    """Return the settings with the addresses on which the simulator listens (`ready`) and state directory `out`."""
     document = settings.model_dump(mode="json")
     devices = document["devices"]
     roles = document["roles"]

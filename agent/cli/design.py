@@ -1,4 +1,4 @@
-"""`volcal design`: choice of positions before anything moves; no device is contacted."""
+"""`volcal design`: choice of the positions to be measured; no device is contacted."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _goal(slot: float | None, positions: int | None, target_vce: float | None) -
 
 
 def _rivals(job: Job) -> list[ReferenceSet]:
-    """Return the position set of the settings for comparison, if it can be measured at all."""
+    """Return the position set of the settings for comparison, or an empty list if the set cannot be measured."""
     name = job.settings.procedure.position_set
     try:
         vce_um = valuation_of(job, job.positions).after.aligned_um
@@ -223,7 +223,7 @@ def _show(
 
 
 def _verification(found: DesignResult) -> str:
-    """Return the lines for the settings file."""
+    """Return the text of the section `[verification]` to be copied into the settings file."""
     orientations = list(dict.fromkeys((p.azimuth_deg, p.elevation_deg) for p in found.held_out))
     stations = sorted({p.station for p in found.held_out})
     listed = ", ".join(f"[{azimuth:g}, {elevation:g}]" for azimuth, elevation in orientations)

@@ -1,4 +1,4 @@
-"""`volcal doctor`: connect to every device, read from it and measure its latency; nothing moves or is written."""
+"""`volcal doctor`: connection to every device, reading and latency measurement; nothing is moved or written."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def doctor_command(config: Path, as_json: bool) -> None:
 
 
 def examine(settings: Settings, base: Path) -> dict[str, list[DiagnosticFinding]]:
-    """Return the findings of every device; a device that cannot be opened gives a finding, and the others are still
-    examined."""
+    """Return the findings of every device by its name. A device that cannot be opened yields a finding about that, and
+    the other devices are still examined."""
     with closing_clock(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)
         return {name: _examined(device) for name, device in rig.devices.items()}
@@ -61,7 +61,7 @@ def _examined(device: Device) -> list[DiagnosticFinding]:
 
 
 def _without_opening(device: Device) -> list[DiagnosticFinding]:
-    """Return the findings of a device that could not be opened; some devices can be diagnosed nevertheless."""
+    """Return the findings of a device that could not be opened; empty if the device can be diagnosed only when open."""
     try:
         return device.diagnose()
     except VolcalError:

@@ -1,7 +1,8 @@
-"""Errors of a command: one line on stderr, the exit code of the error tree, never a traceback.
+"""Output of a command's errors: one line on stderr and the exit code of the error class, never a traceback.
 
-Exit codes of `volcal`: 0 success; 2 wrong input (usage errors of click included); 3 a device failed; 4 the run itself
-decided; 5 a person aborted it; 6 the service did not start a run at this time; 1 an unexpected error.
+Exit codes of `volcal`: 0 success; 1 unexpected error; 2 wrong input (including usage errors of click); 3 failure of a
+device; 4 negative decision of the run itself, such as a failed check; 5 abort by a person; 6 the service declined to
+start a run at this time.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ R = TypeVar("R")
 
 
 def fail(error: VolcalError) -> SystemExit:
-    """Print the error for people and return the exit to raise."""
+    """Print the error on stderr and return the exception that ends the program with its exit code."""
     click.echo(f"error: {error}", err=True)
     return SystemExit(error.exit_code)
 
 
 def reported(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate the body of a command so that an error of the tree becomes a message and an exit code."""
+    """Decorate the function of a command so that a VolcalError is printed as a message and sets the exit code."""
 
     @wraps(function)
     def command(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -41,7 +42,7 @@ def reported(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class VolcalGroup(click.Group):
-    """Group of commands that turn errors into messages and exit codes, and suggest the nearest command for a typo."""
+    """Group of commands that prints errors as messages, sets the exit code, and suggests a command after a typo."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

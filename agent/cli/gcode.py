@@ -1,4 +1,4 @@
-"""`volcal gcode correct`: corrections of a table written into a part program."""
+"""`volcal gcode correct`: correction of a part program with a compensation table."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _start(_: click.Context, __: click.Parameter, text: str | None) -> Triple | 
 
 
 def _named(_: click.Context, parameter: click.Parameter, texts: Sequence[str]) -> dict[str, Triple]:
-    """Parse NAME=X,Y,Z, given several times."""
+    """Return the values of an option that may be given several times as NAME=X,Y,Z."""
     known = {"work_offset": SYSTEMS, "reference": ("G28", "G30")}.get(parameter.name or "", ())
     found = {}
     for text in texts:

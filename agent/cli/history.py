@@ -133,7 +133,10 @@ def sync_command(config: Path, as_json_object: bool) -> None:
 
 @contextmanager
 def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
-    """Yield the store, first updated from the journal of this machine; a missing journal is not an error."""
+    """Yield the settings and the open history store, after updating the store from the journal of this machine.
+
+    A missing journal is not an error.
+    """
     with naming(config):
         settings = read_settings(config)
         with closing(HistoryStore(database_address(settings))) as store:

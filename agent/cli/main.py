@@ -1,7 +1,7 @@
-"""The command `volcal`: its own commands, and those that other packages declare as entry points.
+"""The program `volcal` with its own commands and those that other packages declare as entry points.
 
-A command's module is imported only if that command is called: `volcal --help` and the completion of a shell do not wait
-for plotting and protocol libraries.
+A command's module is imported only if that command is called: `volcal --help` and shell completion do not wait for
+plotting and protocol libraries.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMAND_GROUP = "volcal.commands"
 HELP_GROUP = "volcal.command_help"
-"""Entry points with the names of commands; each is the help line of its command, in a module that imports fast."""
+"""Group of entry points that have the name of a command and load its help line, from a module that imports quickly."""
 LONGEST_HELP = 200
 
 
 class OwnCommand(NamedTuple):
-    """Import path of a command, and the first sentence of its help: repeated here so that the list of all commands
-    imports none of them.
+    """Import path of a command, and the first sentence of its help text, which is repeated here so that the list of all
+    commands can be shown without importing them.
 
-    `logs`: whether anything that the command calls writes logs; the others do not wait for the logging library.
+    `logs`: True if anything that the command calls writes logs; if False, the logging library is not imported.
     """
 
     import_path: str
@@ -132,7 +132,7 @@ OWN_COMMANDS = {
 
 
 class LazyGroup(VolcalGroup):
-    """Commands by name, imported on demand."""
+    """Group of commands, each of which is imported when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted({*OWN_COMMANDS, *_declared(COMMAND_GROUP).names})
@@ -162,7 +162,7 @@ def main(ctx: click.Context, verbose: bool) -> None:
 
 
 def configure_logging(level: int) -> None:
-    """Write structured logs to stderr; stdout is for results."""
+    """Configure structured logs, which go to stderr because stdout is for results."""
     import structlog  # noqa: PLC0415  slow to import, and the list of commands does not log
 
     structlog.configure(
@@ -178,7 +178,8 @@ def configure_logging(level: int) -> None:
 
 
 def _declared(group: str) -> EntryPoints:
-    """Return the entry points of a group, from the metadata of all installed packages; none of them is imported."""
+    """Return the entry points of a group from the metadata of all installed packages, without importing the
+    packages."""
     from importlib.metadata import entry_points  # noqa: PLC0415  slow to import, and own commands do not need it
 
     return entry_points(group=group)

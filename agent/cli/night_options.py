@@ -1,4 +1,4 @@
-"""Options and output that `volcal verify` and `volcal nightly` share."""
+"""Options and output shared by `volcal verify` and `volcal nightly`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from agent.settings.load import load_settings, naming
 
 
 def night_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options that both commands take."""
+    """Add the options shared by `volcal verify` and `volcal nightly`."""
     for option in (
         click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end."),
         click.option(
@@ -39,7 +39,7 @@ def night_options(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def run_night(config: Path, request: RunRequest, nights: float | None, *, as_json: bool) -> RunResult:
-    """Carry out the night and print its outcome."""
+    """Carry out the requested night in this process, print its outcome and return the result."""
     settings = load_settings(config)
     with naming(config):
         ended = run_here(request, settings, config.resolve().parent, nights=nights)

@@ -1,7 +1,6 @@
-"""`volcal verify` and `volcal nightly`.
+"""`volcal verify` and `volcal nightly`, which check the machine against the last accepted night.
 
-Both check the machine against the last accepted night. `verify` writes nothing; `nightly` uses the rest of its slot to
-maintain the compensation.
+`verify` writes nothing; `nightly` uses the rest of its time slot to improve the compensation.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 import click
 
 PATH = click.Path(path_type=Path)
-"""Type of options that name a file or a folder."""
+"""Type of options whose value is a file or a folder."""
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|)")
 
 
 class Duration(click.ParamType[float]):
-    """Duration such as `15min` or `1.5h`; a bare number is in minutes."""
+    """Type of options with a duration such as `15min` or `1.5h`, converted to min; a bare number is in min."""
 
     name = "duration"
 
@@ -26,7 +26,7 @@ class Duration(click.ParamType[float]):
 
 
 def config_option(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the option for the settings file of the agent."""
+    """Add the option `--config` for the settings file of the agent."""
     option = click.option(
         "--config",
         "config",
@@ -39,12 +39,12 @@ def config_option(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options of every command with a procedure."""
+    """Add the options of `measured_options` and the option for the formulation."""
     return measured_options(click.option("--formulation", type=click.Choice(["centres", "distances"]))(command))
 
 
 def measured_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options for the machine and for what is measured."""
+    """Add the options for the settings file, the position set and the stations."""
     for option in (
         click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations at which to measure."),
         click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),

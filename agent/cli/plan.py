@@ -1,4 +1,4 @@
-"""`volcal plan`: preflight of a whole run on the simulated machine; no device is contacted."""
+"""`volcal plan`: preflight of a whole run on a simulation of the machine; no device is contacted."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ def plan_command(
 
 
 def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path]]:
-    """Return a function that draws the plan, refused or not, and returns the paths of its files.
+    """Return a function that draws the plan and returns the paths of the files; its argument is the refusal, if any.
 
-    Raises InputError if `folder` cannot be written.
+    Raise InputError, before the plan is made, if `folder` cannot be written.
     """
     from agent.planning.preview.preview_files import write_preview  # noqa: PLC0415  plotting is slow to import
 
@@ -150,7 +150,7 @@ def _table(
 
 
 def _minutes_table(minutes: Mapping[int, Mapping[str, float]]) -> Table:
-    """Return a table with one row per station and one for all stations."""
+    """Return a table of machine time in min with one row per station and one for all stations."""
     parts_and_all = (*PARTS, "all")
     table = columns_table(("station", *parts_and_all), title="machine minutes", numbers=parts_and_all)
     everywhere = {part: sum(parts[part] for parts in minutes.values()) for part in PARTS}

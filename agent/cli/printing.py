@@ -1,4 +1,4 @@
-"""Tables and lines on standard output that never cut an identity or a path."""
+"""Output of tables and lines on standard output, in which identities and paths are never cut."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from rich.console import JustifyMethod
 
 UNLIMITED = 100_000
-"""Columns of output that is not a terminal: every line is written whole, for pipes and files."""
+"""Width in characters of output to a pipe or file, large enough that every line is written whole."""
 
 
 def results_console() -> Console:
     """Return the console on standard output.
 
-    In a terminal it has the terminal's width, elsewhere none: a line outside a table is never wrapped.
+    In a terminal it has the width of the terminal, elsewhere no limit. A line outside a table is never wrapped.
     """
     width = None if sys.stdout.isatty() else UNLIMITED
     return Console(width=width, highlight=False, soft_wrap=True)
@@ -28,10 +28,10 @@ def results_console() -> Console:
 def columns_table(
     headings: Sequence[str], *, title: str | None = None, whole: Sequence[str] = (), numbers: Sequence[str] = ()
 ) -> Table:
-    """Return a table with these columns.
+    """Return an empty table with one column per heading.
 
-    Columns named in `whole` are never narrowed; the text of the others is folded over several lines if the terminal is
-    too narrow. Columns named in `numbers` are aligned to the right.
+    Columns named in `whole` are never narrowed; the text of other columns is folded over several lines if the terminal
+    is too narrow. Columns named in `numbers` are aligned to the right.
     """
     table = Table(title=title, title_justify="left")
     for heading in headings:

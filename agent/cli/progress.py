@@ -41,7 +41,7 @@ class _Watcher:
 
 @contextmanager
 def watching(console: Console) -> Iterator[Listener]:
-    """Yield a listener that draws on `console` until the block ends."""
+    """Yield a listener that prints the states and the progress of a run on `console` until the block ends."""
     columns = (
         BarColumn(bar_width=20),
         TextColumn("{task.percentage:>3.0f} %"),

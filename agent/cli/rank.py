@@ -1,4 +1,4 @@
-"""`volcal rank`: errors that a set-up can determine, errors that stay hidden, and changes that would show more."""
+"""`volcal rank`: errors that a set-up can determine, errors that it cannot, and changes that would determine more."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from twin.design.setup_trials import TrialGain
 from twin.units import UM_PER_MM
 
 MILLIONTHS = 1e3, 1e6
-"""µm per mm and µrad per rad."""
+"""Factors to millionths: µm per mm and µrad per rad."""
 
 
 def _shape(_: click.Context, __: click.Parameter, text: str) -> tuple[int, int, int]:
@@ -101,7 +101,8 @@ def _show(found: RankResult, console: Console) -> None:
 
 
 def _first_of_each_kind(advice: Sequence[TrialGain]) -> list[TrialGain]:
-    """Return only the best of each kind of trial, such as a length or a stylus along one axis."""
+    """Return the first entry of each kind of trial, such as a length or a stylus along one axis; the best comes
+    first."""
     best: dict[str, TrialGain] = {}
     for gain in advice:
         best.setdefault(gain.trial.kind, gain)
@@ -132,7 +133,7 @@ def _fields_table(found: RankResult) -> Table:
 
 
 def _sigma_table(seen: Identifiability) -> Table:
-    """Return the table of standard deviations by error and order, before and after."""
+    """Return the table of standard deviations by error and polynomial order, before and after the measurement."""
     rows = [(error, list(cells)) for error, cells in _sigma_rows(seen)]
     table = Table(title="standard deviation, before → after, in µm and µrad", title_justify="left")
     table.add_column("error")
@@ -145,7 +146,8 @@ def _sigma_table(seen: Identifiability) -> Table:
 
 
 def _sigma_rows(seen: Identifiability) -> Iterator[tuple[str, Iterator[tuple[int, str]]]]:
-    """Yield the name of an error or single term with its (order, text) cells; a term without order goes to order 1."""
+    """Yield the name of each error or single term with its cells (order, text). A term without order is shown at order
+    1."""
     parts = zip(seen.model.parameters, seen.prior_sigma.tolist(), seen.posterior_sigma.tolist(), strict=True)
     named = ((p.error if p.order else p.name, max(p.order, 1), _change(p.unit, a, b)) for p, a, b in parts)
     for error, cells in groupby(named, key=lambda cell: cell[0]):

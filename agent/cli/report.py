@@ -1,4 +1,4 @@
-"""`volcal report`: report of a run from the journal, again or for the first time."""
+"""`volcal report`: report of a run, rendered from the journal even if a report already exists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`volcal resume`: resume the interrupted run, or give it up."""
+"""`volcal resume`: continuation or abandonment of the interrupted run."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def resume_command(config: Path, abandon: bool, as_json: bool) -> None:
 
 
 def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
-    """Print the outcome and exit as the command that started the run would have done."""
+    """Print the outcome and exit with the same code as the command that started the run would have."""
     outcome = ended.outcome
     if as_json:
         click.echo(json.dumps(outcome.as_json(), allow_nan=False))

@@ -1,7 +1,7 @@
-"""`volcal simulate` as a separate process, and requests to its control channel.
+"""Process that runs `volcal simulate`, and requests to its control channel.
 
-Nothing of the simulator is imported here; the interface is a command line, one ready line and the JSON lines of the
-control channel.
+Nothing of the simulator is imported here. The interface consists of its command line, one line of JSON that the
+simulator prints when it is ready, and the JSON lines of the control channel.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ END_WITHIN_S = 5.0
 
 
 class SimulatorProcess:
-    """Context manager of the process, which never outlives it: the process ends when its standard input closes."""
+    """Context manager that runs the simulator as a process.
+
+    The process never outlives this program, because it ends when its standard input closes.
+    """
 
     def __init__(self, scenario: Path, *, can: str, log: Path, modbus_rtu: str | None = None) -> None:
         self._command = [
@@ -87,9 +90,9 @@ class SimulatorProcess:
             process.wait()
 
     def ask(self, request: str) -> dict[str, Any]:
-        """Send one request to the control channel (``truth``, ``collisions`` or ``status``) and return the answer.
+        """Send the request ``truth``, ``collisions`` or ``status`` to the control channel and return the answer.
 
-        Raises LinkLost if the channel is gone, ProtocolError if the simulator refuses.
+        Raise LinkLost if the channel cannot be used any longer, ProtocolError if the simulator refuses the request.
         """
         place = self.ready["control"]
         try:

@@ -1,4 +1,4 @@
-"""Devices of the settings, open for the duration of one command."""
+"""Connection to the devices in the settings for the duration of one command."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from agent.settings.load import load_settings, naming
 
 @contextmanager
 def connected(config: Path) -> Iterator[tuple[Job, Rig]]:
-    """Yield the job of the settings and its open devices."""
+    """Yield the job made from the settings, and the rig with its devices open."""
     settings = load_settings(config)
     base = config.resolve().parent
     with naming(config):

@@ -1,4 +1,4 @@
-"""`volcal table show|export|restore`: compensation tables in the controller, and those stored by runs."""
+"""`volcal table show|export|restore`: compensation tables in the controller, and tables stored by runs."""
 
 from __future__ import annotations
 

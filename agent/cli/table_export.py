@@ -1,4 +1,5 @@
-"""`volcal table export`: a table as neutral files, or in the format of a controller with the losses stated."""
+"""`volcal table export`: export of a table to neutral files, or to the format of a controller with its losses
+stated."""
 
 from __future__ import annotations
 
@@ -50,7 +51,7 @@ def _points(_: click.Context, __: click.Parameter, text: str | None) -> tuple[in
 
 
 def _click_option(option: FormatOption[object]) -> Callable[[FC], FC]:
-    """Return the command line's option for an option that formats declare; None if it is not given."""
+    """Return the command-line option for an option declared by formats. Its value is None if it is not given."""
     flag = "--" + option.key.replace("_", "-")
     match option.domain:
         case WholeNumber(minimum, maximum):
@@ -66,7 +67,8 @@ def _click_option(option: FormatOption[object]) -> Callable[[FC], FC]:
 
 
 def _parsed(parse: Callable[[str], Any]) -> Callable[[click.Context, click.Parameter, str | None], Any]:
-    """Return a callback that parses the text; the ValueError of `parse` becomes the error of the option."""
+    """Return a click callback that parses the text of an option and reports a ValueError of `parse` as a usage
+    error."""
 
     def callback(_: click.Context, __: click.Parameter, text: str | None) -> Any:
         try:
@@ -78,7 +80,7 @@ def _parsed(parse: Callable[[str], Any]) -> Callable[[click.Context, click.Param
 
 
 def options_of_formats(command: FC) -> FC:
-    """Add every option that a format declares, in the order of the formats."""
+    """Add all options that formats declare, in the order of the formats."""
     for option in reversed(all_options()):
         command = _click_option(option)(command)
     return command
@@ -137,8 +139,8 @@ def export(
 
 
 def _chosen(format_name: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the format options that were given. Raises UsageError for one that the format does not read, because it
-    would be ignored."""
+    """Return the format options that were given. Raise UsageError for an option that the format does not use, instead
+    of ignoring it."""
     chosen = {key: value for key, value in given.items() if value is not None}
     for key in chosen:
         if format_name not in formats_with(key):

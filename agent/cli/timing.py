@@ -1,4 +1,4 @@
-"""`volcal timing`: step times of a finished run against the prediction, and the settings that fit them."""
+"""`volcal timing`: step times of a finished run compared with the prediction, and settings that fit these times."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def timing_command(run: Path, as_json: bool) -> None:
 
 
 def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
-    """Return the time model with which the run was predicted, and its steps."""
+    """Return the time model with which the run's times were predicted, and the observed steps of the run."""
     with translated(InputError):
         settings = validate_document(with_current_keys(recorded.settings, Settings), "settings of the run", Settings)
     model = time_model(load_machine(settings.machine), settings.timing)
@@ -66,7 +66,7 @@ def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
 
 
 def _table(kinds: Sequence[StepKindTiming]) -> Table:
-    """Return the table: minutes of all steps of a kind, milliseconds per step."""
+    """Return the table with one row per kind of step: total times in min, latencies per step in ms."""
     table = Table(title="machine time of the run")
     table.add_column("step", no_wrap=True)
     for heading in ("count", "predicted\nmin", "observed\nmin", "set\nms", "suggested\nms", "rest (rms)\nms"):

@@ -1,2 +1,2 @@
-"""History of the runs of all machines, with trends and alarms. It is derived from the journals, which are
+"""History of the runs of all machines, with trends and alarms. It is derived from the journals, which remain
 authoritative."""

@@ -1,4 +1,4 @@
-"""Address of the history database from the settings; its password is read from a file and never shown."""
+"""Address of the history database, from the settings. The password is read from a file and is never shown."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KEY = "history.url"
 
 @dataclass(frozen=True)
 class DatabaseAddress:
-    """Address of the database. `url` contains the password and must not be printed; `machine`: name of this machine."""
+    """Address of the database. `url`: contains the password, must not be printed; `machine`: name of this machine."""
 
     url: URL
     machine: str
@@ -38,8 +38,8 @@ class DatabaseAddress:
 
 
 def database_address(settings: Settings) -> DatabaseAddress:
-    """Return the address. Raise ConfigurationError for an unsupported URL, one with a password, or an unsafe
-    credentials file."""
+    """Return the address. Raise ConfigurationError if the URL is unsupported or contains a password, or if other users
+    can read the credentials file."""
     chosen, machine = settings.history, machine_name(settings.model_dump(mode="json"))
     if chosen.url is None:
         url = URL.create("sqlite", database=str(settings.state_directory / FILE_NAME))

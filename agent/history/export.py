@@ -15,7 +15,10 @@ COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
 
 
 def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
-    """Return one run; `whole`: with parameters, temperatures and decisions. Keys as in docs/reference/json.md."""
+    """Return one run as a document with the keys of docs/reference/json.md.
+
+    `whole`: include the parameters, temperatures and decisions.
+    """
     document = {name: _plain(getattr(run, name)) for name in COLUMNS}
     if whole:
         document["parameters"] = [
@@ -30,7 +33,8 @@ def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
 
 
 def as_csv(runs: Sequence[StoredRun]) -> str:
-    """Return CSV with one line per run; value and standard uncertainty of each parameter follow in further columns."""
+    """Return CSV text with one line per run. The last columns hold the value and standard uncertainty of each
+    parameter."""
     names = list(dict.fromkeys(p.name for run in runs for p in run.parameters))
     units = {p.name: p.unit for run in runs for p in run.parameters}
     heads = [head for name in names for head in (f"{name}_{units[name]}", f"u_{name}_{units[name]}")]

@@ -1,4 +1,4 @@
-"""Update of the history after a run. Apart from `agent.history.sync`, because it logs."""
+"""Update of the history after a run; a module separate from `agent.history.sync` because it logs."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ log = structlog.get_logger()
 
 
 def update_history(settings: Settings, run_id: str) -> str:
-    """Update the history after run `run_id`, with any run that is missing; return the error text, or "" on success.
+    """Add run `run_id` and all other runs that are missing to the history. Return the error text, or "" on success.
 
-    A run is never affected by a failing database.
+    A failure of the database does not affect the run.
     """
     try:
         with closing(HistoryStore(database_address(settings))) as store:

@@ -1,4 +1,5 @@
-"""Figure of trends: values with uncertainty, fitted line with band, steps, control limits, tolerance."""
+"""Figure of trends with values, uncertainties, fitted lines, uncertainty bands, steps, control limits and
+tolerances."""
 
 from __future__ import annotations
 
@@ -36,14 +37,14 @@ PAGE = Colours(report_style.BLUE, report_style.ORANGE, report_style.PURPLE, repo
 
 
 def trends_png(trends: Sequence[Trend]) -> bytes:
-    """Return a PNG with one panel per trend, two in a row."""
+    """Return a PNG image with one panel per trend, two panels in a row."""
     rows = -(-len(trends) // _COLUMNS)
     size = (9.0, max(_ROW_IN * rows, 2.6) + 0.4)
     return study_style.picture("trends", lambda figure: _panels(figure, trends, PICTURE), size).png
 
 
 def trends_svg(trends: Sequence[Trend]) -> str:
-    """Return the same figure as SVG for a report; it follows the theme of the page."""
+    """Return the figure of `trends_png` as SVG for a report; its colours follow the theme of the report page."""
     rows = -(-len(trends) // _COLUMNS)
     drawing = report_style.Drawing("trends", 10.4, 2.1 * rows + 0.3, report_style.Margins(bottom=0.45))
     with drawing as figure:
@@ -85,7 +86,10 @@ def _panel(panel: Axes, trend: Trend, colours: Colours) -> None:
 
 
 def _line(panel: Axes, trend: Trend, drift: Drift, colours: Colours) -> None:
-    """Draw the line section by section, so that steps are not slanted lines; the band belongs to the last section."""
+    """Draw the fitted line in sections from step to step, so that no slanted line connects the two sides of a step.
+
+    The uncertainty band is drawn only for the last section.
+    """
     nights = trend.series.nights
     edges = [-np.inf, *(at for at, _, _ in drift.steps), np.inf]
     for start, end in pairwise(edges):

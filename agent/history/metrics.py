@@ -20,8 +20,8 @@ ACCEPTED = "complete"
 def metrics_text(
     machine: str, runs: Sequence[StoredRun], trends: Sequence[Trend], live: Mapping[str, float] | None = None
 ) -> str:
-    """Return the whole page. `runs`: of the machine, oldest first; `live`: further gauges of the service by name
-    (`link_errors` becomes `volcal_link_errors`). A separate registry excludes metrics of the process."""
+    """Return all metrics as text. `runs`: all runs of the machine, oldest first; `live`: further gauges of the service
+    by name (`link_errors` becomes `volcal_link_errors`). Metrics of the process itself are not included."""
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)
     _of_trends(registry, machine, trends)

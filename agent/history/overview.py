@@ -1,4 +1,4 @@
-"""Selection of the trends of one machine to be shown, and all alarms."""
+"""Trends of one machine, selection of the trends to be shown, and their alarms."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _MOST_SHOWN = 6
 
 
 def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
-    """Return the trend of every series of one machine's runs, given oldest first."""
+    """Return the trends of all series of one machine's runs; `runs` must be sorted, oldest first."""
     return tuple(trend_of(series, settings.warn_nights) for series in all_series(runs, settings))
 
 
 def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:
-    """Return the trends with these names; an error such as `EXX` includes its coefficients. Raise InputError if
-    unknown."""
+    """Return the trends with these names. The name of an error such as `EXX` also selects its coefficients. Raise
+    InputError for an unknown name."""
     by_name = {trend.series.name: trend for trend in trends}
     found: dict[str, Trend] = {}
     for name in names:
@@ -34,7 +34,11 @@ def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend,
 
 
 def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Trend, ...]:
-    """Return volumetric errors first, then series with a tolerance or an alarm, then by significance of their drift."""
+    """Return the `most` most relevant trends: volumetric errors, then series with a tolerance, then series with an
+    alarm.
+
+    Otherwise they are sorted by the significance of their drift.
+    """
     volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]
     others.sort(key=lambda trend: (trend.series.tolerance is None, not trend.alarms, -_significance(trend)))
@@ -42,8 +46,8 @@ def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Tre
 
 
 def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
-    """Return alarms of volumetric errors and of series with a tolerance; among a hundred coefficients some exceed their
-    control limits by chance."""
+    """Return the alarms of the volumetric errors and of series with a tolerance. Other alarms are omitted, because some
+    of a hundred coefficients exceed their control limits by chance."""
     return tuple(
         alarm
         for trend in trends

@@ -1,4 +1,4 @@
-"""Rows of the history database for a run, from its record in the journal; a pure function."""
+"""Conversion of a run's record in the journal to rows of the history database, without access to the database."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ STORED_DECISIONS = frozenset(
     {"gate", "proof", "night", "verify", "accepted", "refused", "full-calibration-needed", "activate/activated"}
     | {"restore/activated", "publish/staged"}
 )
-"""Decisions stored in the history; the large records of a run stay in its journal."""
+"""Kinds of decisions stored in the history. The large records of a run are only in its journal."""
 _TOO_BIG = ("written",)
 
 
 @dataclass(frozen=True)
 class RunRows:
-    """Rows of one run. `run`: columns of `StoredRun` except its digest; the others: rows of the other tables."""
+    """Database rows of one run. `run`: values of the columns of `StoredRun` except the digest; the other fields: rows
+    of the tables with the same names."""
 
     run: Mapping[str, Any]
     parameters: tuple[Mapping[str, Any], ...]
@@ -36,7 +37,7 @@ class RunRows:
 
 
 def machine_name(settings: Mapping[str, Any]) -> str:
-    """Return the machine's name in the history settings, otherwise the name of its file without suffix."""
+    """Return the machine's name from the history settings, otherwise the name of the machine file without suffix."""
     named = settings.get("history", {}).get("machine")
     return str(named or Path(settings["machine"]).stem)
 
@@ -76,13 +77,13 @@ def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any
 
 
 def _started_by(record: RunRecord) -> str:
-    """Source of the first request; a resumed run has been requested again."""
+    """Return the source of the first request for the run; a run that was resumed has further requests."""
     asked = [note.record for note in record.events if note.kind == "asked"]
     return str((asked[0] if asked else {}).get("source", "command line"))
 
 
 def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """Volumetric errors and held-out balls."""
+    """Return the columns with the volumetric errors, the held-out balls and the decisions about the table."""
     volumetric = (record.decision(IDENTIFIED) or {}).get("volumetric", {})
     before, after = volumetric.get("before_aligned", {}), volumetric.get("after_aligned", {})
     proof = record.decision("proof") or {}
@@ -148,5 +149,6 @@ def _decisions(record: RunRecord) -> tuple[Mapping[str, Any], ...]:
 
 
 def _to_json(record: Mapping[str, Any]) -> str:
-    """Write a record as the journal writes it. It came from JSON, so numpy is not needed."""
+    """Return a record as JSON text in the format of the journal. It was read from JSON, so it contains no numpy
+    values."""
     return json.dumps(record, separators=(",", ":"), allow_nan=False)

@@ -1,7 +1,8 @@
-"""Tables of the history of all machines; `machine` and `run_id` identify a run.
+"""Database tables of the history of all machines. The columns `machine` and `run_id` identify a run.
 
-The columns of a table are derived from the fields of its row class. The rows are plain values and the tables those of
-SQLAlchemy Core, because its object-relational mapper adds about 0.2 s to the start of `volcal history list`.
+The columns of a table are derived from the fields of its row class. The row classes are plain
+dataclasses and the tables belong to SQLAlchemy Core, because SQLAlchemy's object-relational mapper would add about
+0.2 s to the start of `volcal history list`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from sqlalchemy import (
 
 SCHEMA_VERSION = 1
 _TYPES = {float: Double(), datetime: DateTime(timezone=True), int: Integer(), str: Text(), bool: Boolean()}
-"""Floats have double precision in all databases."""
+"""SQL type for each Python type. Floats have double precision in all databases."""
 
 Name = Annotated[str, String(100)]
 RunId = Annotated[str, String(40)]
@@ -39,7 +40,10 @@ Sha256 = Annotated[str, String(64)]
 
 @dataclass(frozen=True)
 class StoredParameter:
-    """A parameter of the error model by its ISO 230-1 name; µm or µrad, standard uncertainty."""
+    """Parameter of the error model with its ISO 230-1 name; value and standard uncertainty are in `unit`, µm or µrad.
+
+    `place`: index in the order of the parameters.
+    """
 
     machine: Name
     run_id: RunId
@@ -52,7 +56,7 @@ class StoredParameter:
 
 @dataclass(frozen=True)
 class StoredTemperature:
-    """One sensor over a run, °C."""
+    """Lowest, mean and highest temperature of one sensor during a run, in °C."""
 
     machine: Name
     run_id: RunId
@@ -64,7 +68,8 @@ class StoredTemperature:
 
 @dataclass(frozen=True)
 class StoredDecision:
-    """Gates, verification, acceptance …; `place`: index in their order; `record`: JSON."""
+    """Decision of a run, such as a gate, a verification or an acceptance. `place`: index in the order of the run's
+    decisions; `record`: its content as JSON text."""
 
     machine: Name
     run_id: RunId
@@ -76,13 +81,13 @@ class StoredDecision:
 
 @dataclass(frozen=True)
 class StoredRun:
-    """One run. Lengths in µm, VE and VCE rigidly aligned; None if the run did not reach that point or is of another
-    kind.
+    """One run. Lengths are in µm, volumetric errors (VE) rigidly aligned. A value is None if the run ended before it
+    was known, or if runs of this kind do not have it.
 
-    `since`, `nights`: run of the last accepted night, and nights since then. `ve_before_um`: estimated without table;
-    `ve_after_um`: predicted with its table; `ve_now_um`: expected by a night run with the active table; `acting_um`:
-    with the table active at the end. `digest`: hash of all stored values, so that unchanged runs are not written again.
-    The lists hold the run's rows of the other tables; they are not columns.
+    `since`: run of the last accepted night; `nights`: number of nights since then. `ve_before_um`: VE estimated without
+    table; `ve_after_um`: VE predicted with the new table; `ve_now_um`: VE that a night run expects with the table
+    active at its start; `acting_um`: VE with the table active at the end. `digest`: hash of all stored values, so that
+    unchanged runs are not written again. The lists contain the run's rows of the other tables; they are not columns.
     """
 
     machine: Name
@@ -144,7 +149,7 @@ def _child(name: str, row: type, key: str) -> Table:
 
 METADATA = MetaData()
 VERSIONS = Table("volcal_schema", METADATA, Column("version", Integer, primary_key=True))
-"""Single row with the version of these tables in the database."""
+"""Table whose only row contains the schema version of the database."""
 RUNS = Table("volcal_runs", METADATA, *_columns(StoredRun, ("machine", "run_id")))
 PARAMETERS = _child("volcal_parameters", StoredParameter, "name")
 TEMPERATURES = _child("volcal_temperatures", StoredTemperature, "sensor")

@@ -1,4 +1,6 @@
-"""Series over the nights from the runs of one machine: volumetric errors, 21 geometric errors, single parameters."""
+"""Series of values over the nights, from the runs of one machine: volumetric errors, the 21 geometric errors and single
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,10 @@ _CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Series of a quantity. `nights`: (n,) since the first run; `values`, `sigmas`: (n,) in `unit`; `stated`: the
-    sigmas are known; `tolerance`: None for none; `two_sided`: values may have either sign; `steps`: nights from which
-    on the machine or its table is known to have changed."""
+    """Series of a quantity. `nights`: (n,) nights since the first run; `values`: (n,) in `unit`; `sigmas`: (n,)
+    standard uncertainties in `unit`, all 1 unless `stated`; `stated`: the standard uncertainties are known;
+    `tolerance`: None if there is none; `two_sided`: values may have either sign; `steps`: nights at which the machine
+    or its table is known to have changed."""
 
     name: str
     title: str
@@ -48,17 +51,18 @@ class Series:
 
 
 def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Series, ...]:
-    """Return the series of one machine's runs, given oldest first; series without values are omitted."""
+    """Return all series of one machine's runs, which must be sorted, oldest first. Series without values are
+    omitted."""
     timeline = nights_of(runs)
     found = [*_volumetric(runs, timeline, settings), *_errors(runs, timeline, settings)]
     return tuple(series for series in found if len(series.values))
 
 
 def nights_of(runs: Sequence[StoredRun]) -> Array:
-    """Return (n,) nights since the first run.
+    """Return the nights of the runs since the first run, (n,).
 
-    A run that records the nights since the last accepted night (from the calendar unless stated by the user) is placed
-    by that, other runs by the calendar.
+    A run may record the number of nights since the last accepted night, from the calendar or as given by the user. Its
+    night is computed from this number; the nights of other runs are computed from the calendar.
     """
     nights: dict[str, float] = {}
     last = 0.0
@@ -73,7 +77,7 @@ def nights_of(runs: Sequence[StoredRun]) -> Array:
 
 
 def _utc(moment: datetime) -> datetime:
-    """Return the time with its zone, which SQLite does not store and which is always UTC."""
+    """Return the time with the zone UTC, which SQLite does not store. All stored times are in UTC."""
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
 
 
@@ -86,7 +90,8 @@ class _Point:
 
 
 def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
-    """Yield VE without table, VE with the active table, and the rms of the held-out balls at the end of each run."""
+    """Yield the series of VE without table, of VE with the table active at the end of each run, and of the rms of the
+    held-out balls with that table."""
     changed = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
     anew = _nights_where(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
     readings: tuple[tuple[str, Callable[[StoredRun], tuple[float | None, float | None]], float | None], ...] = (
@@ -109,7 +114,7 @@ def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySet
 
 
 def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
-    """Yield each geometric error by its largest value along the axis, then each parameter."""
+    """Yield the series of each geometric error (its largest absolute value along the axis), then of each parameter."""
     tolerances = settings.parameter_tolerances
     steps = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
     whole: dict[str, list[_Point]] = {}
@@ -131,7 +136,8 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
 
 
 def title_of(parameter: str) -> str:
-    """Return e.g. `EXX slope`, `EYX bow`, `EXX order 4`; other names unchanged."""
+    """Return the title of a parameter, e.g. `EXX slope`, `EYX bow`, `EXX order 4`; other names are returned
+    unchanged."""
     found = _COEFFICIENT.fullmatch(parameter)
     if found is None:
         return parameter
@@ -139,7 +145,7 @@ def title_of(parameter: str) -> str:
 
 
 def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int, StoredParameter]]:
-    """Return the coefficients of each error motion by Legendre order."""
+    """Return the coefficients of each error motion, by its name and by Legendre order."""
     errors: dict[str, dict[int, StoredParameter]] = {}
     for parameter in parameters:
         found = _COEFFICIENT.fullmatch(parameter.name)
@@ -149,10 +155,10 @@ def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int
 
 
 def _largest(coefficients: Mapping[int, StoredParameter]) -> tuple[float, float]:
-    """Return the largest absolute value along the axis and its standard uncertainty there.
+    """Return the largest absolute value of an error along the axis, and the standard uncertainty at that point.
 
-    Coefficients are treated as uncorrelated: history stores no covariances, and only the weight of a night depends on
-    them.
+    The coefficients are treated as uncorrelated, because the history stores no covariances and only the weight of a
+    night depends on the result.
     """
     orders = list(coefficients)
     rows = legendre_values(np.linspace(-1.0, 1.0, _SAMPLES), max(orders))[orders]

@@ -1,4 +1,4 @@
-"""Storage of the history in its database: one row per machine and run, which may be rewritten."""
+"""Storage of the history in its database, with one row per machine and run, which may be rewritten."""
 
 from __future__ import annotations
 
@@ -44,18 +44,19 @@ from agent.history.schema import (
 from drivers.errors import ConfigurationError, LinkLost
 
 _LOCK = 7_283_001
-"""Key of the PostgreSQL advisory lock held while creating or changing the tables."""
+"""Key of the PostgreSQL advisory lock that is held while the tables are created or their version is checked."""
 _CHILDREN: Mapping[str, tuple[Table, type, str]] = {
     "parameters": (PARAMETERS, StoredParameter, "place"),
     "temperatures": (TEMPERATURES, StoredTemperature, "sensor"),
     "decisions": (DECISIONS, StoredDecision, "place"),
 }
-"""Lists of a run: table, class of its rows, and column by which they are ordered."""
+"""For each list of a `StoredRun`: the table, the class of its rows, and the column by which they are sorted."""
 
 
 @dataclass(frozen=True)
 class RunEnd:
-    """Time of a run's end in UTC, None while it is under way; its state and the reason for it."""
+    """End of a run. `ended`: time in UTC, None while the run is in progress; `state`: its state; `reason`: of that
+    state."""
 
     ended: datetime | None
     state: str
@@ -75,12 +76,12 @@ class HistoryStore:
         self._engine.dispose()
 
     def digests(self, machine: str) -> Mapping[str, str]:
-        """Return the stored digest of each run of the machine."""
+        """Return the stored digest of each run of the machine, by run identity."""
         rows = self._read(select(RUNS.c.run_id, RUNS.c.digest).where(RUNS.c.machine == machine))
         return {run_id: digest for run_id, digest in rows}  # noqa: C416  a Row is no pair
 
     def ends(self, machine: str) -> Mapping[str, RunEnd]:
-        """Return the stored end of each run of the machine."""
+        """Return the stored end of each run of the machine, by run identity."""
         query = select(RUNS.c.run_id, RUNS.c.ended, RUNS.c.state, RUNS.c.reason)
         rows = self._read(query.where(RUNS.c.machine == machine))
         return {run_id: RunEnd(utc_time(ended), state, reason) for run_id, ended, state, reason in rows}
@@ -107,9 +108,10 @@ class HistoryStore:
         return tuple(machine for (machine,) in rows)
 
     def runs(self, machine: str | None = None, last: int | None = None, *, whole: bool = True) -> Sequence[StoredRun]:
-        """Return the runs of a machine, or of all, oldest first; `last`: at most so many, the newest.
+        """Return the runs of one machine (None: of all machines), oldest first.
 
-        `whole`: with parameters, temperatures and decisions; without it those are empty.
+        `last`: return only this number of newest runs; `whole`: include parameters, temperatures and decisions, which
+        are otherwise empty.
         """
         query = select(RUNS)
         if machine is not None:
@@ -126,7 +128,7 @@ class HistoryStore:
             return connection.execute(query).all()
 
     def _prepare(self) -> None:
-        """Create the tables, or check that their version is supported."""
+        """Create the tables if they are missing. Raise ConfigurationError if their version is not supported."""
         with self._engine.begin() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
@@ -144,7 +146,8 @@ class HistoryStore:
 
     @contextmanager
     def _translated_errors(self) -> Iterator[None]:
-        """Convert errors of the library to errors of the error tree, without the password."""
+        """Convert errors of SQLAlchemy in the block to ConfigurationError or LinkLost, with messages without the
+        password."""
         try:
             yield
         except ModuleNotFoundError as error:
@@ -173,7 +176,7 @@ class HistoryStore:
 
 
 def stored_run(rows: RunRows) -> StoredRun:
-    """Return the row that `put` would store, without a database."""
+    """Return the run that `HistoryStore.runs` would return after `put`, without using a database."""
     moments = {at: _parse_time(rows.run[at]) for at in ("started", "ended")}
     key = {name: rows.run[name] for name in ("machine", "run_id")}
     return StoredRun(
@@ -185,7 +188,7 @@ def stored_run(rows: RunRows) -> StoredRun:
 
 
 def _add_children(connection: Connection, query: Select[Any], runs: Sequence[StoredRun]) -> None:
-    """Fill the lists of the runs that `query` has found, from the other tables."""
+    """Add the rows of the other tables to the lists of `runs`, which were found by `query`."""
     by_key = {(run.machine, run.run_id): run for run in runs}
     found = query.with_only_columns(RUNS.c.machine, RUNS.c.run_id).subquery()
     for name, (table, row_type, order) in _CHILDREN.items():
@@ -197,7 +200,8 @@ def _add_children(connection: Connection, query: Select[Any], runs: Sequence[Sto
 
 
 def _engine(address: DatabaseAddress) -> Engine:
-    """Return an engine without connection pool: accesses are minutes apart, and servers are restarted."""
+    """Return an engine without connection pool, since accesses are minutes apart and servers may be restarted
+    meanwhile."""
     seconds = address.timeout_s
     if address.is_file:
         engine = create_engine(address.url, poolclass=NullPool, connect_args={"timeout": seconds})
@@ -235,7 +239,7 @@ def _parse_time(stamp: str | None) -> datetime | None:
 
 
 def utc_time(time: datetime | None) -> datetime | None:
-    """Return the time in UTC; one without a zone, as SQLite returns it, is in UTC already."""
+    """Return the time in UTC. A time without zone, as SQLite returns it, is already in UTC."""
     if time is None:
         return None
     return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)

@@ -1,4 +1,4 @@
-"""Update of the history from the journal: adds runs that are missing or have changed since the last update."""
+"""Update of the history from the journal with the runs that are missing or have changed since the last update."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ from agent.history.store import HistoryStore, RunEnd, utc_time
 
 
 def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
-    """Store all runs of the journal in the state directory; return the identities of those written, in order.
+    """Store all runs of the journal in state directory `directory`. Return the identities of the runs written, in
+    order.
 
-    May be repeated: runs that are stored and unchanged are skipped. Raise LinkLost if the connection to the database is
-    lost; the next update continues from there.
+    Runs that are stored and unchanged are skipped. Raise LinkLost if the connection to the database is lost; the next
+    call then stores the remaining runs.
     """
     return _store_changed(directory, run_ids(directory), store)
 
 
 def sync_ends(directory: Path, store: HistoryStore) -> tuple[str, ...]:
-    """Store the runs that have not ended, and those whose end is not stored yet; return and raise as `sync`.
+    """Store the runs that have not ended and those whose end is not stored yet.
 
-    For commands that only show the history: of a run whose end is stored only the head is read, which saves about
-    50 ms per run with an estimate of 1.5 MB. `sync` follows every run and compares everything.
+    Return the identities of the runs written, in order. Raise LinkLost if the connection to the database is lost.
+
+    This is for commands that only show the history. If the end of a run is stored, only the head of its record is read,
+    which saves about 50 ms per run with an estimate of 1.5 MB. `sync`, in contrast, compares all runs completely; it is
+    called after every run.
     """
     stored: dict[str, dict[str, RunEnd]] = {}
     changed = []
@@ -53,7 +57,7 @@ def _store_changed(directory: Path, chosen: Iterable[str], store: HistoryStore) 
 
 
 def _end_of(head: RunHead) -> RunEnd | None:
-    """Return None while the run is under way or can be resumed."""
+    """Return the end of a run; None while the run is in progress or can be resumed."""
     row = head.row
     return (
         None if row.ended is None else RunEnd(utc_time(datetime.fromisoformat(row.ended)), row.state, row.reason or "")

@@ -1,4 +1,4 @@
-"""Trend of each series: drift per night, control limits, and alarms before a tolerance is reached."""
+"""Trend of a series, with drift per night, control limits, and alarms before a tolerance is reached."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ MIN_CHARTED = 8
 
 
 class AlarmKind(Enum):
-    """`LIMIT`: the tolerance is reached; `TREND`: it will be reached; `CONTROL`: the series is outside its control
-    limits."""
+    """Kind of a trend alarm. `LIMIT`: the tolerance is reached; `TREND`: the tolerance will soon be reached; `CONTROL`:
+    the newest value is outside the control limits of the series."""
 
     LIMIT = "limit"
     TREND = "trend"
@@ -48,8 +48,9 @@ class TrendAlarm:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Trend of a series. `drift`: None if there are too few values; `chart`, `smoothed`: of the values since the last
-    step, None below `MIN_CHARTED` values; `crossing`: None without a tolerance."""
+    """Trend of a series. `drift`: None if there are too few values; `chart`, `smoothed`: control charts of the values
+    since the last step, None if there are fewer than `MIN_CHARTED`; `crossing`: None if there is no tolerance or no
+    drift."""
 
     series: Series
     drift: Drift | None
@@ -59,7 +60,7 @@ class Trend:
     alarms: tuple[TrendAlarm, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Keys as documented in docs/reference/json.md."""
+        """Return the trend as a document with the keys of docs/reference/json.md."""
         series, drift, chart, reach = self.series, self.drift, self.chart, self.crossing
         return {
             "name": series.name,
@@ -96,7 +97,8 @@ def trend_of(series: Series, warn_nights: float) -> Trend:
 
 
 def _drift(series: Series) -> Drift | None:
-    """Return the drift; None if there are too few nights, or too few to estimate a repeatability that is not stated."""
+    """Return the drift; None if there are too few nights for it, or if the standard uncertainties are not stated and
+    there are too few nights to estimate the repeatability."""
     relative = series.sigmas if series.stated else np.ones_like(series.values)
     try:
         steps = find_steps(series.nights, series.values, relative, series.steps)
@@ -129,7 +131,7 @@ def _tolerance_alarm(
 def _control_alarm(series: Series, chart: IndividualsChart | None, smoothed: EwmaChart | None) -> Iterable[TrendAlarm]:
     """Yield an alarm for the newest value only, since older ones were reported before.
 
-    A magnitude that has become smaller than ever is an improvement and raises no alarm.
+    No alarm is raised for a magnitude (a series that is not two-sided) below the centre line: it is an improvement.
     """
     if chart is None or smoothed is None:
         return

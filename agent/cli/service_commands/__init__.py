@@ -1,1 +1,1 @@
-"""Commands that send requests to the running service; they load neither mathematics nor drivers."""
+"""Commands that start the service or send requests to it; the latter import neither numerical libraries nor drivers."""

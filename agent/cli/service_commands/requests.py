@@ -1,4 +1,4 @@
-"""`volcal hold`, `abort`, `reset`, `answer`: one request to the service each."""
+"""`volcal hold`, `abort`, `reset` and `answer`, each of which sends one request to the service."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def answer_command(number: int, said: str, config: Path) -> None:
 
 
 def resumed_by_service(settings: Settings) -> bool:
-    """Request the service to resume a held or interrupted run; return False if no service is running."""
+    """Request the service to resume the held or interrupted run. Return False if no service is running."""
     try:
         client = Client(settings)
     except NoService:

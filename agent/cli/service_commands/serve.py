@@ -1,4 +1,4 @@
-"""`volcal serve`: the service, under systemd or in a terminal."""
+"""`volcal serve`: service process, started by systemd or in a terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`volcal start`: request of a run from the service; the command of the timer."""
+"""`volcal start`: request to the service to start a run; also the command that the timer executes."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ from drivers.clock import Clock, Deadline, RealClock
 from drivers.errors import LinkError, PermissionMissing, VolcalError
 
 DECLINED = 6
-"""Exit code if the service declines at this time. No run exists and nothing has moved; a timer asks again."""
+"""Exit code if the service declines to start a run at this time. Nothing has moved, and a timer may try again later."""
 STARTED_BY_SYSTEMD = "INVOCATION_ID"
 LOOK_EVERY_S = 1.0
 GONE_FOR_S = 90.0
-"""A service restarted by its watchdog is available again within this time and reports how the run ended."""
+"""Longest wait in s for a service that cannot be reached. A service restarted by its watchdog is available sooner and
+reports how the run ended."""
 
 
 @click.command("start")
@@ -69,9 +70,9 @@ def start_command(
 
 
 def begun(client: Client, body: Mapping[str, object]) -> str:
-    """Return the identity of the run that now exists.
+    """Start a run and return its identity.
 
-    Exits with DECLINED if the hour, the warm-up, a missing permission or another run prevents it.
+    Exit with code DECLINED if the hour, the warm-up, a missing permission or another run prevents the start.
     """
     try:
         return str(client.post("/api/start", body)["run_id"])
@@ -81,7 +82,7 @@ def begun(client: Client, body: Mapping[str, object]) -> str:
 
 
 def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
-    """Return the status in which the run has ended. A service that is unavailable for a while is waited for."""
+    """Wait for the end of the run and return the status then. The service may be unavailable for up to GONE_FOR_S."""
     console = Console(stderr=True)
     said = ""
     while True:
@@ -95,7 +96,8 @@ def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
 
 
 def conclude(client: Client, status: Mapping[str, Any]) -> None:
-    """Exit with the code of the outcome: 0 only if the run is complete and a table that it wrote was verified."""
+    """Return if the run is complete and any table that it wrote was verified; otherwise exit with the code of the
+    outcome."""
     state = RunState(status["state"])
     if status["alarms"]:
         raise fail(_error_of(status["alarms"][0]))
@@ -121,6 +123,6 @@ def _status(client: Client, clock: Clock) -> Mapping[str, Any]:
 
 
 def _error_of(alarm: Mapping[str, Any]) -> VolcalError:
-    """Return the error that the alarm's number stands for, with its exit code."""
+    """Return an error of the class to which the alarm's number belongs, so that the exit code is the right one."""
     kind = next((kind for kind, code in CODES.items() if code.code == alarm["code"]), VolcalError)
     return kind(alarm["text"], hint=alarm["hint"], **alarm["where"])

@@ -1,4 +1,4 @@
-"""`volcal status`: state of the machine."""
+"""`volcal status`: current state of the machine and of its run."""
 
 from __future__ import annotations
 
