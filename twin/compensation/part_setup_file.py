@@ -1,6 +1,6 @@
-"""Setup of a part program that is not stated in the program, as TOML.
+"""TOML file with the setup of a part program that the program itself does not state.
 
-Work offsets, reference points, tools and the initial state of the controller.
+It contains work offsets, reference points, tools and the initial state of the controller.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Compensation table: corrections added to the commanded axis position so that the tool reaches the nominal point."""
+"""Compensation table: corrections added to the commanded axis position so that the tool reaches its nominal
+position.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,11 @@ _HALF_BALL_PITCH_MM = 75.0
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Six constraints that fix the rigid motion, which no free artefact can observe.
+    """Six constraints that determine the rigid motion of the corrections, which a free artefact cannot measure.
 
-    The correction is zero at the axis position `point_mm` (3,): three. Along the `primary` axis through that point the
-    best-fit straight line keeps its direction: two. Along the `secondary` axis the best-fit line stays in the plane of
-    both axes: one.
+    The correction is zero at the axis position `point_mm` (3,), which gives three constraints. The best-fit straight
+    line along the `primary` axis through that point keeps its direction (two constraints). The best-fit line along the
+    `secondary` axis stays in the plane of both axes (one constraint).
     """
 
     point_mm: Array
@@ -47,11 +49,11 @@ class Anchor:
 
 @dataclass(frozen=True, eq=False)
 class CompensationTable:
-    """Table of `corrections` (nx, ny, nz, 3) mm at the nodes, ADDED to the commanded axis position; trilinear in
-    between.
+    """Table of `corrections` (nx, ny, nz, 3) mm at the nodes, interpolated trilinearly between them.
 
-    Valid for `tool_offset` (3,) mm only. `extrapolated` (nx, ny, nz): nodes outside the measured region. Raises
-    DataError for shapes that do not match, nodes out of order and values that are not finite.
+    The corrections are ADDED to the commanded axis position. The table is valid only for the tool offset `tool_offset`
+    (3,) mm. `extrapolated` (nx, ny, nz): True for nodes outside the measured region. Raises DataError if shapes do not
+    match, nodes are not in order or values are not finite.
     """
 
     x: Array
@@ -77,7 +79,9 @@ class CompensationTable:
         return self.x, self.y, self.z
 
     def at(self, axis_positions: ArrayLike) -> Array:
-        """Return corrections (n, 3) mm at axis positions (n, 3): trilinear, constant beyond the border."""
+        """Return corrections (n, 3) mm at axis positions (n, 3): trilinear inside the grid, constant beyond its
+        border.
+        """
         points = as_points(axis_positions, "axis positions")
         cells, shares = zip(*(_cell(nodes, points[:, k]) for k, nodes in enumerate(self.nodes)), strict=True)
         total = np.zeros_like(points)
@@ -92,14 +96,21 @@ class CompensationTable:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRegion:
-    """Measured region as half-spaces: `walls` (m, 4), inside if normal · X + offset <= margin."""
+    """Convex measured region as half-spaces.
+
+    `walls` (m, 4): normal vector and offset of each wall. An axis position X is inside if normal · X + offset <= margin
+    for all walls.
+    """
 
     walls: Array
     margin_mm: float
 
     @classmethod
     def around(cls, axis_positions: ArrayLike, margin_mm: float = _HALF_BALL_PITCH_MM) -> MeasuredRegion:
-        """Return the convex hull of measured axis positions (n, 3), or their bounding box if they are coplanar."""
+        """Return the region around measured axis positions (n, 3) mm.
+
+        It is their convex hull, or their bounding box if they are coplanar.
+        """
         points = as_points(axis_positions, "measured axis positions")
         try:
             return cls(ConvexHull(points).equations, margin_mm)
@@ -110,7 +121,7 @@ class MeasuredRegion:
             )
 
     def contains(self, axis_positions: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Return (n,) bool, True for axis positions (n, 3) inside."""
+        """Return (n,) bool, True for axis positions (n, 3) inside the region."""
         distance = axis_positions @ self.walls[:, :3].T + self.walls[:, 3]
         return np.asarray((distance <= self.margin_mm).all(axis=1))
 
@@ -137,12 +148,15 @@ def build_table(
 ) -> CompensationTable:
     """Build the table of a model with parameters (p,) for a tool offset (3,).
 
-    At every node the model with the table deviates only by the small rigid motion r of the anchor: c(X) + d(X + c(X)) =
-    r(X), to 1e-12 mm. Machines compensated from one estimate under two anchors therefore differ only by a rigid motion,
-    linear in its rotation φ (a true rotation deviates by φ²/2 of the distance, nanometres). The tables themselves
-    differ by a rigid motion except for the slope of d times their difference, some ten nanometres.
+    At every node X, the correction c and the deviation d of the model satisfy c(X) + d(X + c(X)) = r(X) to 1e-12 mm.
+    Here r is the small rigid motion that the anchor determines, so the compensated model deviates from nominal only by
+    r. If one estimate is compensated with two different anchors, the compensated machines therefore differ only by a
+    small rigid motion, linear in its rotation φ (a true rotation differs from it by φ²/2 times the distance, which is
+    nanometres). The two tables also differ by this rigid motion, except for the slope of d times their difference,
+    which is some ten nanometres.
 
-    `measured`: the region, or the measured axis positions (n, 3). Raises ModelError for an anchor outside the nodes.
+    `measured`: the measured region, or the measured axis positions (n, 3). Raises ModelError if the anchor is outside
+    the range of the nodes.
     """
     values = as_vector(parameters, model.size, "parameters")
     offset = as_vector(tool_offset, 3, "tool offset")
@@ -174,7 +188,7 @@ def _check_anchor(anchor: Anchor, nodes: Nodes) -> None:
 
 
 def _anchoring_motion(model: ErrorModel, values: Array, nodes: Nodes, offset: Array, anchor: Anchor) -> Array:
-    """Return the small rigid motion (6,) of the deviation field at the anchor and along its two lines."""
+    """Return the small rigid motion (6,) that agrees with the deviation field in the six quantities of the anchor."""
     lines = _anchor_points(nodes, anchor)
     held = _constraints(exact_deviation(model, lines, offset, values)[:, :, None], lines, anchor)
     motions = _constraints(rigid_fields(lines, anchor.point_mm, 1.0), lines, anchor)
@@ -182,7 +196,9 @@ def _anchoring_motion(model: ErrorModel, values: Array, nodes: Nodes, offset: Ar
 
 
 def _anchor_points(nodes: Nodes, anchor: Anchor) -> Array:
-    """Return the anchor point, then the points of the primary and of the secondary line: (1 + 2 m, 3)."""
+    """Return the anchor point, then m points each on the primary and the secondary line, as an array (1 + 2 m,
+    3) mm.
+    """
     points = np.tile(anchor.point_mm, (1 + 2 * _LINE_POINTS, 1))
     for number, letter in enumerate((anchor.primary, anchor.secondary)):
         axis = AXES.index(letter)
@@ -192,7 +208,7 @@ def _anchor_points(nodes: Nodes, anchor: Anchor) -> Array:
 
 
 def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
-    """Return the six anchored quantities (6, m) of fields (n, 3, m) at the anchor points."""
+    """Return the six quantities that the anchor constrains, (6, m), for m fields (n, 3, m) at the anchor points."""
     first, second = AXES.index(anchor.primary), AXES.index(anchor.secondary)
     third = 3 - first - second
     primary, secondary = slice(1, 1 + _LINE_POINTS), slice(1 + _LINE_POINTS, None)
@@ -202,7 +218,7 @@ def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
 
 
 def _slope(along: Array, fields: Array) -> Array:
-    """Return the least-squares slope (3, m) of fields (n, 3, m) along (n,)."""
+    """Return the least-squares slope (3, m) of m fields (n, 3, m) as functions of `along` (n,)."""
     centred = along - along.mean()
     return np.asarray(np.tensordot(centred, fields, axes=1) / (centred @ centred))
 
@@ -212,7 +228,10 @@ def _rigid(points: Array, anchor: Anchor, motion: Array) -> Array:
 
 
 def _cell(nodes: Array, positions: Array) -> tuple[np.ndarray[Any, np.dtype[np.intp]], Array]:
-    """Return the cell of each position and the fraction of the cell before it, clamped to the border."""
+    """Return for each position the index of its cell and its location in the cell as a fraction of the cell.
+
+    Positions beyond the border are clamped to it.
+    """
     inside = np.clip(positions, nodes[0], nodes[-1])
     cell = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, len(nodes) - 2)
     return cell, (inside - nodes[cell]) / (nodes[cell + 1] - nodes[cell])

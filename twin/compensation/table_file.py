@@ -1,7 +1,8 @@
 """Compensation table as CSV with a JSON side file.
 
-CSV: `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um`, full grid, x slowest, z fastest, values ADDED to the commanded position. Side
-file: grid, tool offset, anchor, extrapolated nodes, and the CRC-32 (IEEE 802.3, that of zlib) of the CSV file's bytes.
+The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and contains the full grid, x slowest, z fastest. Its
+corrections are ADDED to the commanded position. The side file contains grid, tool offset, anchor, extrapolated nodes,
+and the CRC-32 (IEEE 802.3, as in zlib) of the bytes of the CSV file.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ class GridSection(StrictModel):
 
 
 class SideFile(StrictModel):
-    """JSON side file. `extrapolated_nodes`: indices of the nodes outside the measured region, in the order of the CSV
-    from 0.
+    """JSON side file of a table.
+
+    `extrapolated_nodes`: indices of the nodes outside the measured region, counted from 0 in the order of the CSV rows.
     """
 
     format: Literal["volcal compensation table 1"]
@@ -56,7 +58,7 @@ class SideFile(StrictModel):
 
 
 def format_table(table: CompensationTable) -> str:
-    """Return the CSV text, corrections to 0.1 nm."""
+    """Return the CSV text of a table, with corrections rounded to 0.1 nm."""
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     lines = [",".join(COLUMNS)]
     for point, correction in zip(points.tolist(), (1e3 * table.corrections.reshape(-1, 3)).tolist(), strict=True):
@@ -66,7 +68,7 @@ def format_table(table: CompensationTable) -> str:
 
 
 def format_side_file(table: CompensationTable) -> str:
-    """Return the JSON text of the side file of `format_table(table)`."""
+    """Return the JSON text of the side file that belongs to the CSV text `format_table(table)`."""
     x, y, z = (_rounded(nodes) for nodes in table.nodes)
     document = {
         "format": "volcal compensation table 1",
@@ -85,13 +87,14 @@ def format_side_file(table: CompensationTable) -> str:
 
 
 def checksum(text: str) -> str:
-    """Return the CRC-32 of the UTF-8 bytes as eight hexadecimal digits."""
+    """Return the CRC-32 of the UTF-8 bytes of `text` as eight hexadecimal digits."""
     return f"{zlib.crc32(text.encode()):08x}"
 
 
 def parse_table(text: str, side_text: str, source: str, side_source: str) -> CompensationTable:
-    """Parse the table from the two texts; FormatError names file and row, column or key. The CRC-32 is checked
-    first.
+    """Parse a table from the texts of its CSV file and its side file; the CRC-32 is checked first.
+
+    Raises FormatError naming file and row, column or key.
     """
     side = read_json(side_text, side_source, SideFile)
     found = checksum(text)
@@ -118,7 +121,7 @@ def parse_table(text: str, side_text: str, source: str, side_source: str) -> Com
 
 
 def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> Array:
-    """Read the corrections (nx, ny, nz, 3) mm and check that every line is at its node."""
+    """Return the corrections (nx, ny, nz, 3) mm, after checking that each line has the coordinates of its node."""
     shape = (len(nodes[0]), len(nodes[1]), len(nodes[2]))
     values = np.empty((math.prod(shape), 3))
     count = 0
@@ -153,5 +156,5 @@ def _mask(
 
 
 def _rounded(nodes: Array) -> list[float]:
-    """Return the node coordinates as written in the CSV."""
+    """Return the node coordinates rounded as written in the CSV file."""
     return [float(f"{value:.10g}") for value in nodes.tolist()]

@@ -1,4 +1,5 @@
-"""Part programs in G-code (ISO 6983, RS-274/NGC) with the corrections of a compensation table written into them.
+"""Correction of part programs in G-code (ISO 6983, RS-274/NGC) with a compensation table.
 
-For controllers without compensation tables. Lines of text in, lines of text out; nothing else is changed.
+For controllers without compensation tables. The input is lines of text, and so is the output; only the moves are
+changed.
 """

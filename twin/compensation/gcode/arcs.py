@@ -14,7 +14,10 @@ from twin.compensation.gcode.words import Block
 Axes = tuple[int, int, int]
 
 PLANE_AXES: dict[int, Axes] = {170: (0, 1, 2), 180: (2, 0, 1), 190: (1, 2, 0)}
-"""First, second and normal axis by ten times the G code: right-handed, so that G18 is the plane Z, X."""
+"""First, second and normal axis of each plane; the key is ten times the G code.
+
+The three axes are right-handed, so the plane of G18 is Z, X.
+"""
 
 CENTRE_LETTERS = "IJK"
 
@@ -30,9 +33,9 @@ _MOST_TURNS = 10_000
 class Arc:
     """Arc of a block.
 
-    `axes`: first, second, normal axis. `centre` in the first two, mm; angles in rad, `sweep` signed, full turns
-    included. The radius changes linearly from `radius` to `end_radius`: programs are rounded, so the two differ by a µm
-    or so.
+    `axes`: first, second and normal axis. `centre`: coordinates in mm on the first two axes; angles are in rad, and
+    `sweep` is signed and includes full turns. The radius changes linearly from `radius` to `end_radius`, because
+    coordinates in programs are rounded and the two radii differ by about a µm.
     """
 
     axes: Axes
@@ -56,7 +59,7 @@ def read_arc(
     """Return the arc from `start` to `end` (mm, axis positions) of a block with G2 or G3 in effect.
 
     `centre_origin`: axis position of the program's zero if centres are absolute (G90.1); None if they are relative to
-    the start (G91.1). FormatError if the block does not describe an arc.
+    the start (G91.1). Raises FormatError if the block does not describe an arc.
     """
     a, b, normal = axes
     if CENTRE_LETTERS[normal] in block.values:
@@ -76,9 +79,10 @@ def read_arc(
 
 
 def arc_points(arcs: Sequence[Arc], which: np.ndarray, share: Array, starts: Array, ends: Array) -> Array:
-    """Return axis positions (n, 3) at the fraction `share` (n,) of the arc number `which` (n,) of `arcs`.
+    """Return points (n, 3) mm on m arcs: axis positions at the fraction `share` (n,) of the arc with index `which`
+    (n,).
 
-    `starts`, `ends` (m, 3) of the arcs; only their component along the normal is used.
+    `starts`, `ends` (m, 3) mm: start and end of each arc; only their component along the normal is used.
     """
     axes = np.array([arc.axes for arc in arcs])[which]
     a0, b0, radius, end_radius, angle, sweep = np.array(
@@ -112,8 +116,10 @@ def _centre_by_offsets(
 def _centre_by_radius(
     block: Block, start: Sequence[float], end: Sequence[float], axes: Axes, clockwise: bool, unit_mm: float
 ) -> tuple[float, float]:
-    """Return the centre from the radius: left of the chord for a left turn; a negative R means more than half
-    a turn.
+    """Return the centre of an arc that is given by its radius R.
+
+    The centre is to the left of the chord for a left turn of up to half a turn; a negative R means more than half a
+    turn.
     """
     if any(letter in block.values for letter in CENTRE_LETTERS):
         block.refuse("an arc has a centre or a radius, not both")
@@ -142,14 +148,17 @@ def _check_radii(block: Block, radius: float, end_radius: float) -> None:
 
 
 def _directed(turn: float, clockwise: bool) -> float:
-    """Return the angle in the requested direction, more than zero and at most a full turn."""
+    """Return the angle of rotation in the requested direction, greater than zero and at most a full turn."""
     if clockwise:
         return turn if turn < -_NO_TURN_RAD else turn - math.tau
     return turn if turn > _NO_TURN_RAD else turn + math.tau
 
 
 def _more_turns(block: Block, clockwise: bool) -> float:
-    """Return the additional full turns: P of an arc is its number of turns, the last one possibly partial."""
+    """Return the angle of the additional full turns.
+
+    The word P of an arc is its number of turns, of which the last may be partial.
+    """
     turns = block.values.get("P", 1.0)
     if not (turns.is_integer() and 1.0 <= turns <= _MOST_TURNS):
         block.refuse(f"P of an arc is its number of turns: an integer from 1 to {_MOST_TURNS}, not {turns:g}")

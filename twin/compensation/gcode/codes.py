@@ -1,7 +1,7 @@
-"""G and M codes that are interpreted, those that are passed on, and the reasons for refusing the others.
+"""G and M codes that are interpreted or passed on, and the reasons for refusing the others.
 
-All numbers are ten times that of the word. Meanings as in RS-274/NGC (NISTIR 6556), LinuxCNC and Grbl 1.1; codes that
-these and Fanuc-like controllers interpret differently are refused.
+Codes are stored as ten times the number of the word. Their meanings are those of RS-274/NGC (NISTIR 6556), LinuxCNC and
+Grbl 1.1; codes that these and Fanuc-like controllers interpret differently are refused.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ HINTS: dict[str, str] = {
 
 TOOL_CHANGE = 60
 TOOL_NAMED = 610
-"""M61, which sets the number of the tool in the spindle."""
+"""Ten times the number of M61, which sets the number of the tool in the spindle."""
 
 PROGRAM_END = (20, 300)
 STOPS = frozenset((0, 10, 600, *PROGRAM_END))
@@ -104,7 +104,7 @@ def check_codes(block: Block, kept_g: frozenset[int]) -> None:
 
 
 def check_letters(block: Block) -> None:
-    """Refuse words of axes that the table does not have, and O-words."""
+    """Refuse a block with O-words or with words of axes that the table does not have."""
     values = block.values
     if "O" in values:
         block.refuse("an O-word begins or calls a subprogram", "Set the post-processor to write a single program")

@@ -21,11 +21,11 @@ def correct_program(
     *,
     name: str = "",
 ) -> CorrectionSummary:
-    """Pass the corrected program to `emit`, some thousand lines at a time, and return a summary.
+    """Pass the text of the corrected program to `emit`, some thousand lines at a time, and return a summary.
 
-    `lines` include their line ends; the first decides the line end of the output. `name` of the table is written in the
-    comment that marks the program as corrected; without a name there is no mark. Raises FormatError with the line that
-    cannot be corrected; the output passed to `emit` until then must be discarded.
+    `lines` include their line ends; the output uses the line end of the first one. `name`: name of the table, which is
+    written in the comment that marks the program as corrected; without a name there is no such comment. Raises
+    FormatError naming the first line that cannot be corrected; the output passed to `emit` before must be discarded.
     """
     unit_mm = ModalState(setup).unit_mm
     writer = ProgramWriter(table, options, setup.start or UNKNOWN, unit_mm, emit)

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 class CorrectionSummary:
     """Counts of a corrected program.
 
-    `moves` were corrected, `divided` of them written as several lines, `arcs` as straight ones. `not_corrected`: rapid
-    moves before all three axes had a known position. `outside`: points beyond the table's volume, `held`: points at
-    which the correction would have left it, both with the largest amount. `extrapolated`: points in cells with nodes
-    outside the measured region.
+    `moves`: moves that were corrected; `divided`: moves among them that were written as several lines; `arcs`: arcs
+    among them, written as straight moves. `not_corrected`: rapid moves before all three axes had a known position.
+    `outside`: points beyond the table's volume; `held`: points at which the correction was limited, because it would
+    have left the volume. Both are given with their largest amount. `extrapolated`: points in cells with nodes outside
+    the measured region.
     """
 
     lines: int = 0

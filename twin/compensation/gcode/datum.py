@@ -1,4 +1,7 @@
-"""Blocks with axis words that are not plain moves: G92, G28, G30, G43.1, and moves from an unknown position."""
+"""Handling of blocks with axis words that are not plain moves.
+
+These are G92, G28, G30, G43.1, and moves from an unknown position.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,12 @@ _START = "Give the position of the axes at the beginning: --start X,Y,Z"
 
 
 def axes_in_block(block: Block) -> list[int]:
-    """Return the indices of the axes named in the block."""
+    """Return the indices of the axes that have a word in the block."""
     return [axis for axis, letter in enumerate(AXIS_LETTERS) if letter in block.values]
 
 
 def program_zero(block: Block, modal: ModalState) -> Triple:
-    """Return the axis position of the program's zero. FormatError if the work offset is not known."""
+    """Return the axis position (mm) of the program's zero point; FormatError if the work offset is not known."""
     if modal.offset is None:
         name = modal.system
         block.refuse(f"the work offset {name} is not known", f"Give it: --work-offset {name}=X,Y,Z")
@@ -28,7 +31,7 @@ def program_zero(block: Block, modal: ModalState) -> Triple:
 
 
 def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
-    """Return the axis position given by the block; axes that are not named keep their programmed position."""
+    """Return the programmed axis position after the block; axes without a word keep their programmed position."""
     values, unit, position = block.values, modal.unit_mm, modal.position
     if machine:
         base: Triple | list[float] = NO_OFFSET
@@ -46,7 +49,7 @@ def set_datum(block: Block, code: int, modal: ModalState, writer: ProgramWriter)
     """Handle G92 and its variants.
 
     G92 assigns given coordinates to the present position. The controller is at the corrected position, so the
-    correction is added to the coordinates; its offset is then the one the program intends.
+    correction is added to the coordinates. The offset in the controller is then the offset that the program intends.
     """
     writer.flush()
     if code == 920:
@@ -86,7 +89,8 @@ def _set_zero(block: Block, modal: ModalState, writer: ProgramWriter) -> None:
 def go_to_reference(block: Block, name: str, modal: ModalState, writer: ProgramWriter) -> None:
     """Handle G28 or G30: move through a corrected intermediate point, then to the controller's stored reference point.
 
-    At the reference point the axes are not corrected. The axis words select the axes that move; without any, all move.
+    At the reference point the axes are not corrected. The axis words select the axes that move; without axis words all
+    axes move.
     """
     writer.flush()
     axes = axes_in_block(block)
@@ -120,8 +124,9 @@ def set_tool_length(block: Block, modal: ModalState) -> None:
 def move_from_unknown_position(
     block: Block, end: Triple, machine: bool, modal: ModalState, writer: ProgramWriter
 ) -> None:
-    """Write a rapid move unchanged if not all axes have a known position after it, and record the positions it
-    gives.
+    """Write a rapid move unchanged, because the position of some axis is unknown even after it.
+
+    The positions of the axes named in the block are recorded.
     """
     writer.flush()
     frame = (*NO_OFFSET, True) if machine else modal.frame
@@ -142,7 +147,7 @@ def forget_position(modal: ModalState, writer: ProgramWriter) -> None:
 
 
 def replace_axis_words(block: Block, texts: dict[int, str]) -> str:
-    """Return the block with other numbers in its axis words."""
+    """Return the text of the block with other numbers in its axis words."""
     words = []
     for letter, number, _ in block.tokens:
         axis = AXIS_LETTERS.find(letter)

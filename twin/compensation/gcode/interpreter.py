@@ -28,7 +28,7 @@ from twin.compensation.gcode.words import Block, code_number, is_program_number,
 from twin.compensation.gcode.writer import ProgramWriter
 
 MARK = "volcal gcode correct"
-"""Text in a comment of every corrected program, so that no program is corrected twice."""
+"""Text in a comment of every corrected program, by which a second correction of the same program is refused."""
 
 _AXES = frozenset("XYZ")
 _ARC = frozenset("IJKR")
@@ -48,8 +48,9 @@ _UNSURE = "M{} takes effect before the motion on some controllers and after it o
 
 
 class Interpreter:
-    """Interpreter that passes moves and unchanged lines to a writer. `heading`: comment written before the
-    first block.
+    """Interpreter that passes moves and unchanged lines to a writer.
+
+    `heading`: comment that is written before the first block.
     """
 
     def __init__(self, setup: PartSetup, options: CorrectionOptions, writer: ProgramWriter, heading: str) -> None:
@@ -87,7 +88,10 @@ class Interpreter:
 
     @property
     def _may_flow(self) -> bool:
-        """True if a line with only N, G0 or G1, X, Y, Z and F is a plain move to be corrected."""
+        """Return True if the fast path may be used in the present state.
+
+        A line with only N, G0 or G1, X, Y, Z and F is then a plain move to be corrected.
+        """
         modal = self.modal
         known = self._position_known and modal.offset is not None and not modal.ended
         return known and modal.motion in _LINEAR and not modal.inverse_time and not self._heading
@@ -197,7 +201,7 @@ class Interpreter:
             self._keep(block)
 
     def _use_axis_words_specially(self, block: Block, code: int) -> None:
-        """Execute G4, G28, G30, G43.1, G92 and others that have their own meaning for the axis words."""
+        """Execute a code that gives the axis words a meaning of its own: G4, G28, G30, G43.1, G92 and others."""
         stated = [other for other in block.g if other in MOTIONS]
         named = _AXES.intersection(block.values)
         if stated and not (stated == [0] and code in _REFERENCES):
@@ -236,9 +240,10 @@ class Interpreter:
         self._coded = False
 
     def _begin_from_unknown_position(self, block: Block, end: Triple, machine: bool, motion: int) -> bool:
-        """Return True if a move from an unknown position can be corrected, which requires that it sets all axes.
+        """Return True if a rapid move from an unknown position can be corrected, because all axis positions are known
+        after it.
 
-        Any other rapid move is written unchanged.
+        Otherwise the rapid move is written unchanged. Any other motion is refused.
         """
         if motion != 0:
             message = "the position of the axes before this block is not known"
@@ -307,7 +312,7 @@ def _check_deletable(block: Block) -> None:
 
 
 def _nothing(_: ModalState) -> None:
-    """Ignore a code that sets nothing relevant here."""
+    """Ignore a code that changes nothing in the modal state."""
 
 
 def _setter(name: str, value: object) -> Callable[[ModalState], None]:

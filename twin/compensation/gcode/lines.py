@@ -1,4 +1,4 @@
-"""Text of the lines written for a move."""
+"""Formatting of the lines that are written for a move."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ ALL_AXES = 7
 
 
 class MoveBlock(NamedTuple):
-    """One block with a move: the text before and after its axis words.
+    """Block with a move: the text before (`head`) and after (`tail`) its axis words.
 
-    `code`: G0 or G1 as it is written; `coded`: the block states it. `mask`: bits of the named axes. `stop`: words that
-    take effect after the motion; `comment` ends the line. `inverse`: F of a block with G93, else 0. `whole`: reason for
-    which it must not be divided, or empty.
+    `code`: G0 or G1 as it is to be written; `coded`: True if the block states it. `mask`: bits of the axes named in the
+    block. `stop`: words that take effect after the motion; `comment`: comment at the end of the line. `inverse`: F of a
+    block with G93, else 0. `whole`: reason why the move must not be divided, or an empty string.
     """
 
     line: int
@@ -31,7 +31,10 @@ class MoveBlock(NamedTuple):
 
 
 class LineFormatter:
-    """Formatter of successive moves that tracks the motion code in effect; call `forget` if it is no longer known."""
+    """Formatter of successive moves.
+
+    It tracks the motion code in effect; `forget` must be called if this code is no longer known.
+    """
 
     def __init__(self, decimals: int) -> None:
         x, y, z = (f"{letter}%.{decimals}f" for letter in "XYZ")
@@ -51,9 +54,10 @@ class LineFormatter:
         return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}{move.comment}"
 
     def lines(self, move: MoveBlock, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
-        """Yield the lines of a divided move, one for each piece that moves at the resolution of the words.
+        """Yield the lines of a divided move, one for each piece that changes a rounded axis word and one for the last
+        piece.
 
-        With G93 each piece gets its share of the total time (F is one over minutes).
+        With G93 each piece gets its share of the total time, in which F is the reciprocal of the time in minutes.
         """
         count, waiting, first = len(values), 0, True
         for number, (piece, bits) in enumerate(zip(values, axes, strict=True), start=1):

@@ -1,4 +1,4 @@
-"""Modal state between two lines of a part program."""
+"""Modal state of a part program between two of its lines."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MM_PER_INCH = 25.4
 UNKNOWN: Triple = (math.nan, math.nan, math.nan)
 
 Frame = tuple[float, float, float, bool]
-"""Axis position of the controller's zero for words, and True if words are absolute."""
+"""Reference of axis words: axis position (mm) of the controller's zero point, and True if words are absolute."""
 
 MACHINE_FRAME: Frame = (0.0, 0.0, 0.0, True)
 
@@ -23,9 +23,10 @@ SYSTEM_CODES = {round(10.0 * float(name[1:])): name for name in SYSTEMS}
 class ModalState:
     """Modal state of the interpreter.
 
-    G codes as ten times their number. Lengths in mm, positions are axis positions; NaN if unknown. `position`:
-    programmed axis position, without corrections. `g92` as the program intends it, `g92_written` as stored in the
-    controller: it was set at a corrected position that is rounded.
+    G codes are stored as ten times their number. Lengths are in mm; positions are axis positions, NaN if unknown.
+    `position`: programmed axis position, without corrections. `g92`: G92 offset as the program intends it;
+    `g92_written`: G92 offset as stored in the controller. The two differ, because the controller sets its offset at a
+    corrected and rounded position.
     """
 
     setup: PartSetup
@@ -60,7 +61,7 @@ class ModalState:
         self.update_frame()
 
     def update_frame(self) -> None:
-        """Recompute `offset` (None: the work offset is not known) and `frame` after a change."""
+        """Recompute `offset` (None if the work offset is not known) and `frame` after a change of the state."""
         work = self.setup.work_offsets.get(self.system)
         self.offset = None if work is None else _sum(work, self.g92, self.tool_offset)
         written = _sum(work or UNKNOWN, self.g92_written, self.tool_offset)

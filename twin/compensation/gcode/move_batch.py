@@ -1,4 +1,4 @@
-"""Numerical part of many moves at once: division into pieces, corrected points, rounded words."""
+"""Numerical processing of many moves at once: division into pieces, correction of points, rounding of axis words."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class MovePaths:
-    """Paths of consecutive moves: `starts`, `ends` (m, 3), axis positions in mm; `arcs` of those that are not lines."""
+    """Paths of m consecutive moves: `starts`, `ends` (m, 3), axis positions in mm, and `arcs` for the moves that are
+    arcs.
+    """
 
     starts: Array
     ends: Array
@@ -36,8 +38,10 @@ class MovePaths:
         return count
 
     def points(self, first: int, pieces: Indices) -> tuple[Array, Indices, Flags]:
-        """Return the ends (n, 3) of the pieces of the moves from `first` on, their move index, and True for the last
-        piece.
+        """Return the end points of all pieces of the moves from index `first` on.
+
+        The result is the points (n, 3) mm, the index of the move of each point, and a flag that is True for the last
+        piece of a move.
         """
         total = int(pieces.sum())
         rows = np.repeat(np.arange(len(pieces)), pieces) + first
@@ -53,7 +57,7 @@ class MovePaths:
         return points, rows, last
 
     def _bend(self, points: Array, rows: Indices, share: Array, curved: list[int]) -> None:
-        """Move the points of arcs from the chord onto the arc."""
+        """Move the points of arcs from the chord onto the arc, in place."""
         place = np.full(len(self.ends), -1)
         place[curved] = np.arange(len(curved))
         which = place[rows]
@@ -80,10 +84,10 @@ class MovePaths:
 
 @dataclass(frozen=True, eq=False)
 class AxisWords:
-    """Rounded axis words.
+    """Rounded axis words of n points.
 
-    `values` (n, 3): numbers of the X, Y, Z words; `changed` (n, 3): True if the word is needed; `position` (n, 3) mm:
-    axis position that the controller then has.
+    `values` (n, 3): numbers of the X, Y, Z words; `changed` (n, 3): True if the word has to be written; `position` (n,
+    3) mm: axis position of the controller after the words.
     """
 
     values: Array
@@ -94,10 +98,11 @@ class AxisWords:
 def round_to_words(
     points: Array, frames: Sequence[Frame], rows: Indices, position: Sequence[float], unit_mm: float, decimals: int
 ) -> AxisWords:
-    """Round `points` (n, 3) mm to words with `decimals`, absolute or incremental according to their frame (`rows`).
+    """Round `points` (n, 3) mm to words with `decimals` decimals.
 
-    Absolute words are on a lattice from the frame's zero, incremental ones on a lattice from the last absolute position
-    or `position`, the initial position of the controller.
+    `rows` (n,) gives the index of each point's frame in `frames`, and the frame decides if its words are absolute or
+    incremental. Absolute words are rounded to a lattice that starts at the frame's zero, incremental words to a lattice
+    that starts at the last absolute position or at `position`, the initial position of the controller.
     """
     step = unit_mm * 10.0**-decimals
     frame = np.array(frames)[rows]
@@ -116,10 +121,11 @@ def round_to_words(
 
 @dataclass(frozen=True, eq=False)
 class CorrectedPoints:
-    """Corrected points.
+    """Corrected points and their amounts outside the table's volume.
 
-    `points` (n, 3): axis positions to command, mm. `beyond_mm` (n,): distance of the programmed point outside the
-    table's volume; `held_mm` (n,): amount by which the correction was limited to stay inside.
+    `points` (n, 3) mm: axis positions to command. `largest_mm`: length of the largest correction. `beyond_mm` (n,):
+    distance of the programmed point outside the table's volume; `held_mm` (n,): amount by which the correction was
+    limited to stay inside. `extrapolated`: number of points that depend on a node outside the measured region.
     """
 
     points: Array
@@ -130,9 +136,10 @@ class CorrectedPoints:
 
 
 def correct_points(table: CompensationTable, points: Array, *, held: bool) -> CorrectedPoints:
-    """Add the table's correction to points (n, 3). `held`: the result is limited to the table's volume.
+    """Add the table's correction to points (n, 3) mm.
 
-    The volume is usually the travel, and a controller stops at a position a µm beyond it.
+    `held`: if True, the results are limited to the table's volume. The volume usually equals the travel, and a
+    controller stops with an error at a position a µm beyond it.
     """
     lower = np.array([nodes[0] for nodes in table.nodes])
     upper = np.array([nodes[-1] for nodes in table.nodes])

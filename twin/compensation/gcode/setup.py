@@ -1,4 +1,7 @@
-"""Setup that a part program does not state: work offsets, tool lengths and the initial state of the controller."""
+"""Setup of a part program that the program itself does not state.
+
+It consists of work offsets, tool lengths and the initial state of the controller.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ NO_OFFSET: Triple = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class PartSetup:
-    """Setup of a part program. All lengths in mm, all positions as axis positions (machine coordinates).
+    """Setup of a part program. All lengths are in mm, all positions are axis positions (machine coordinates).
 
-    `work_offsets`: axis position of the zero point of G54 ...; `reference_points`: end points of G28 and G30; `tools`:
-    by the number of H, the length that G43 adds to the programmed position; `g92`: G92 offset left by an earlier
-    program. `start`: position of the axes before the first line, None: unknown. `tool_change_moves`: M6 may move the
-    axes.
+    `work_offsets`: axis positions of the zero points of G54 and so on; `reference_points`: end points of G28 and G30;
+    `tools`: map from the number of H to the length that G43 adds to the programmed position; `g92`: G92 offset left by
+    an earlier program. `start`: position of the axes before the first line, None if it is unknown. `tool_change_moves`:
+    True if M6 may move the axes.
     """
 
     work_offsets: Mapping[str, Triple] = field(default_factory=dict)
@@ -40,9 +43,10 @@ class PartSetup:
 class CorrectionOptions:
     """Options of the correction.
 
-    `max_chord_error_mm`: largest distance of the written lines from the corrected curve, rounding included. `decimals`
-    of a coordinate in mm; in inches one more. `outside`: behaviour beyond the table's volume. `kept_g`: ten times the
-    numbers of G codes that are passed on although they are not supported.
+    `max_chord_error_mm`: largest permissible distance of the written lines from the corrected curve, rounding included.
+    `decimals`: number of decimals of a coordinate in mm; coordinates in inches have one more. `outside`: behaviour
+    beyond the table's volume. `kept_g`: G codes, as ten times their number, that are passed on although they are not
+    supported.
     """
 
     max_chord_error_mm: float

@@ -1,8 +1,8 @@
-"""One line of a part program as words.
+"""Parsing of one line of a part program into words.
 
 A word is a letter and a decimal number (RS-274/NGC, NISTIR 6556, section 3.3). Computed numbers (expressions,
-parameters) and jumps (O-words, macros) are refused, because the resulting tool position is only known to the
-controller.
+parameters) and jumps (O-words, macros) are refused, because only the controller knows the tool position that results
+from them.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ _FLOW = "variables, expressions and O-words are computed by the controller"
 class Block:
     """Words of one line.
 
-    `text` is the line without its end. `g` and `m` contain ten times the number: G91.1 is 911. `values`: numbers of all
-    other letters, each of which may occur only once; `tokens`: all words in their order; `comments` as written.
+    `text`: the line without its line end. `g` and `m`: ten times the numbers of the G and M words, for example 911 for
+    G91.1. `values`: numbers of all other letters, each of which may occur only once; `tokens`: all words in their
+    order; `comments`: comments as written.
     """
 
     line: int
@@ -55,7 +56,7 @@ def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
 
 
 def read_block(text: str, line: int) -> Block:
-    """Parse the words of one line (without its end). FormatError for anything but plain words."""
+    """Parse the words of one line, given without its line end; FormatError if it contains anything but plain words."""
     block = Block(line, text)
     code = text.upper()
     if "(" in code or ";" in code or ")" in code:
@@ -79,9 +80,10 @@ def read_block(text: str, line: int) -> Block:
 
 
 def read_plain(text: str) -> tuple[str | None, ...] | None:
-    """Return the texts of N, G (0 or 1), X, Y, Z, F of a line without other words, each at most once in this order.
+    """Return the texts of N, G (0 or 1), X, Y, Z, F of a line that has no other words; None for any other line.
 
-    Nine out of ten lines of a CAM program have this form, and one match reads them. None for any other line.
+    Each word may occur once at most, in this order. Nine out of ten lines of a CAM program have this form, and a single
+    regular expression match reads them.
     """
     found = _PLAIN.match(text)
     return found.groups() if found else None

@@ -1,7 +1,7 @@
 """Writer that collects moves over many lines, corrects them in batches and writes them.
 
-The controller's own position is tracked number by number as rounded, so rounding errors do not accumulate, not even
-with incremental words.
+The position of the controller is tracked with every number rounded as written. Rounding errors therefore do not
+accumulate, not even with incremental words.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _AXIS_BITS = np.array([1, 2, 4])
 
 
 class ProgramWriter:
-    """Writer of moves and unchanged lines in their order, which passes text to `emit`.
+    """Writer that passes moves and unchanged lines in their order to `emit` as text.
 
-    `position`: axis position of the controller after everything written so far, mm; NaN if unknown. `newline` ends each
-    line.
+    `position` (mm): axis position of the controller after everything written so far, NaN if unknown. `newline` ends
+    each line.
     """
 
     def __init__(
@@ -60,7 +60,11 @@ class ProgramWriter:
         self.resume_at(start, list(start), unit_mm)
 
     def resume_at(self, programmed: Triple, position: list[float], unit_mm: float) -> None:
-        """Continue from a state: programmed axis position, actual axis position and unit of the words in mm."""
+        """Continue from a given state.
+
+        `programmed`: axis position according to the program, mm; `position`: actual axis position, mm; `unit_mm`: unit
+        of the words.
+        """
         self._programmed = programmed
         self.position = position
         self.unit_mm = unit_mm
@@ -74,7 +78,7 @@ class ProgramWriter:
             self._write_batch()
 
     def move(self, move: MoveBlock, end: Triple, frame: Frame, arc: Arc | None) -> None:
-        """Write a move to the uncorrected axis position `end` (mm) with its words relative to `frame`."""
+        """Collect a move to the uncorrected axis position `end` (mm), to be written with words relative to `frame`."""
         if arc is not None:
             self._arcs[len(self._ends)] = arc
         self._items.append(move)
@@ -84,13 +88,14 @@ class ProgramWriter:
             self._write_batch()
 
     def flush(self) -> None:
-        """Write all collected lines, so that `position` is up to date. The next move states its G code."""
+        """Write all collected lines, so that `position` is up to date; the move written next states its G code."""
         self._write_batch()
         self._pen.forget()
 
     def corrected_point(self, point: Triple, block: Block) -> Triple:
-        """Return one corrected axis position, not counted. Refuse `block` if it is outside the table and that is not
-        allowed.
+        """Return the corrected axis position of `point` in mm, without counting it.
+
+        `block` is refused if the point is outside the table's volume and this is not allowed.
         """
         points = np.array([point])
         found = correct_points(self.table, points, held=self._held)
@@ -123,7 +128,7 @@ class ProgramWriter:
             lines.clear()
 
     def _moves(self) -> Iterator[list[str]]:
-        """Yield the lines of every collected move, some thousand points at a time."""
+        """Yield the lines of the collected moves, in batches of some thousand points."""
         if not self._ends:
             return
         moves = [item for item in self._items if not isinstance(item, str)]
@@ -200,7 +205,7 @@ _OUTSIDE_HINT = (
 
 
 def _without_rounding(options: CorrectionOptions) -> float:
-    """Return the chord error that remains after the rounding of words. DataError if nothing remains."""
+    """Return the permissible chord error minus the rounding error of words; DataError if nothing remains."""
     step = max(10.0**-options.decimals, MM_PER_INCH * 0.1 ** (options.decimals + 1))
     rounding: float = 0.5 * math.sqrt(3.0) * step
     if rounding >= options.max_chord_error_mm:
