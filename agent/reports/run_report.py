@@ -32,8 +32,8 @@ from agent.reports.shown_events import drifts_um, shown_events
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
+from agent.results.journal_entries import observations_from
 from drivers.errors import InputError
-from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
@@ -96,7 +96,7 @@ def _found(record: RunRecord) -> IdentificationData | None:
         return None
     volumetric = {name: Quantity(**quantity) for name, quantity in identified["volumetric"].items()}
     return IdentificationData(
-        observations=Observations(**identified["observations"]),
+        observations=observations_from(identified["observations"]),
         estimate=journal_estimate(_stored(record), identified["unresolved_mm2"]),
         residuals_mm=np.array(identified["residuals_mm"], dtype=np.float64),
         positions=measured_positions(record),

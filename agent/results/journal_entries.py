@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,14 @@ from agent.results.observations import displayed_residuals
 from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
 from drivers.errors import ConfigurationError
+from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import checksum, format_table
 from twin.design.procedure import MIN_BALLS
 from twin.units import UM_PER_MM
+
+STORED_KEYS = {"thermal_regressors": "course"}
+"""Keys of journaled observations that differ from the names of the fields."""
 
 _NAMED_FILES = ("grid", "covariance_file")
 """Keys under which a machine file or an artefact file names another file."""
@@ -56,6 +60,17 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
         journal.decision(PROBE, {"facts": asdict(facts), "warnings": warnings})
 
 
+def observations_record(observations: Observations) -> dict[str, object]:
+    """Return the journaled form of observations, with the keys of journal version 2."""
+    return {STORED_KEYS.get(name, name): value for name, value in vars(observations).items()}
+
+
+def observations_from(record: Mapping[str, Any]) -> Observations:
+    """Return the observations of a journaled record, also of a run of an earlier program version."""
+    names = {stored: name for name, stored in STORED_KEYS.items()}
+    return Observations(**{names.get(key, key): value for key, value in record.items()})
+
+
 def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
     """Journal the parts of the result that the estimate file does not contain.
 
@@ -67,7 +82,7 @@ def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estima
         IDENTIFIED,
         {
             "positions": [list(position[1:]) for position in positions],
-            "observations": vars(estimation.observations),
+            "observations": observations_record(estimation.observations),
             "residuals_mm": estimate.residuals_mm,
             "unresolved_mm2": 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2,
             "order": order_text(estimate),

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 
 from agent.files import translated
-from drivers.errors import InputError
+from drivers.errors import InputError, UserError
 from twin.formats.toml_reading import validate_document
 
 KindName = Literal["calibrate", "verify", "nightly"]
@@ -38,10 +38,10 @@ class RunRequest(BaseModel):
 
     @property
     def single_station(self) -> int | None:
-        """Station of a run that measures at one station. InputError if several are named."""
+        """Station of a run that measures at one station. UserError if several are named."""
         stations = self.stations or []
         if len(stations) > 1:
-            raise InputError(
+            raise UserError(
                 f"{self.kind} measures at one station, {len(stations)} were named",
                 hint="name the station at which the artefact stands",
             )
