@@ -195,7 +195,7 @@ def _add_children(connection: Connection, query: Select[Any], runs: Sequence[Sto
         of_run = (table.c.machine == found.c.machine) & (table.c.run_id == found.c.run_id)
         for row in connection.execute(select(table).join(found, of_run).order_by(table.c[order])):
             run = by_key.get((row.machine, row.run_id))
-            if run is not None:  # else another process has stored the run since
+            if run is not None:  # None if another process has stored the run since
                 getattr(run, name).append(row_type(*row))
 
 

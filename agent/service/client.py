@@ -54,7 +54,9 @@ class Client:
         return self._request("POST", path, body, headers)
 
     def events(self, after: int | None = None) -> Iterator[tuple[str, Document]]:
-        """Yield (kind, document) of the status and then of every event, from the one after number `after` if given.
+        """Yield (kind, document) of the status and then of every event.
+
+        `after`: number of the last event already known; the later events are yielded, even those from before this call.
 
         Raise LinkLost when the service ends or the connection fails, LinkTimeout if the service does not respond.
         """

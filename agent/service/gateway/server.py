@@ -30,8 +30,10 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 class _Client:
-    """A connection and the age of its last request, expressed as the running number of that request among all
-    connections."""
+    """A connection and its last request, identified by a running number over the requests of all connections.
+
+    This number takes the place of a time when the connection that has been idle for longest is sought.
+    """
 
     def __init__(self, connection: socket.socket, peer: str) -> None:
         self.connection = connection

@@ -28,7 +28,7 @@ REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
 
 
 def page_router() -> APIRouter:
-    """Return the router. It caches results, since those of a run that has ended never change."""
+    """Return the router, which caches results because the results of a run that has ended never change."""
     router = APIRouter(prefix="/api/page", include_in_schema=False, responses=DOCUMENTED)
     results, set_values = ResultCache(), SetValueCache()
     trends = cache(_trend_cache)
@@ -40,24 +40,24 @@ def page_router() -> APIRouter:
 
     @router.get("/runs/{run_id}/map")
     def error_map(app_state: AppStateDependency, run_id: str) -> Document:
-        """Return deviation and its uncertainty in µm on planes of the workspace."""
+        """Return the deviation and its uncertainty, both in µm, on planes of the workspace."""
         return results.maps(app_state.archive.directory, run_id)
 
     @router.get("/runs/{run_id}/report.{form}")
     def report(app_state: AppStateDependency, run_id: str, form: Literal["html", "pdf"]) -> Response:
-        """Return the report as `volcal report` writes it, from the journal alone."""
+        """Return the same report as `volcal report` writes, rendered from the journal alone."""
         content = render_in_subprocess(app_state.archive.directory, run_id, pdf=form == "pdf")[f"report.{form}"]
         headers = {"Content-Disposition": f'attachment; filename="volcal-{run_id}.{form}"'}
         return Response(content, media_type=REPORT_TYPES[form], headers=headers)
 
     @router.get("/trends")
     def all_trends(app_state: AppStateDependency, of: Annotated[str | None, Query(max_length=20)] = None) -> Document:
-        """Return volumetric errors and the 21 errors over the nights; with `of` the parameters of one error."""
+        """Return volumetric errors and the 21 errors over the nights or, if `of` names an error, its parameters."""
         return trends().document(app_state.settings(), of)
 
     @router.get("/worth")
     def worth(app_state: AppStateDependency) -> Document:
-        """Return the position set of the settings, its expected benefit, and the loss without each position."""
+        """Return the position set of the settings, its expected benefit, and the loss if each position were omitted."""
         return set_values.document(prepare_job(app_state.settings(), app_state.config.parent))
 
     @router.get("/tables/{run_id}/{role}.csv")
@@ -72,7 +72,7 @@ def page_router() -> APIRouter:
     def tables_difference(
         app_state: AppStateDependency, one: str, one_role: TableRole, other: str, other_role: TableRole
     ) -> Document:
-        """Return `other` minus `one`, each the table stored by a run with a role."""
+        """Return the difference of two stored tables, `other` minus `one`; run and role identify each table."""
         directory = app_state.archive.directory
         return table_difference(stored_table(directory, one, one_role), stored_table(directory, other, other_role))
 

@@ -19,7 +19,7 @@ from twin.arrays import Array
 
 Document = dict[str, Any]
 SQUARENESSES = ("C0Y", "B0Z", "A0Z")
-"""Squareness errors, which are those of the 21 errors of ISO 230-1 that consist of a single number."""
+"""Squareness errors. Among the 21 errors of ISO 230-1 only these three consist of a single number."""
 MAX_CACHED = 16
 
 

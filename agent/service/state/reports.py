@@ -62,7 +62,7 @@ class ReportQueue:
         path = self._directory / run_id / REPORT
         with self._making:
             if run_id in self._outdated or not path.is_file():
-                self._outdated.discard(run_id)  # first: the run may be resumed and end again meanwhile
+                self._outdated.discard(run_id)  # before rendering: the run may end again meanwhile
                 try:
                     write_all_atomically(path.parent, self._make(self._directory, run_id))
                 except BaseException:
