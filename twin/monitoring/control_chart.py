@@ -25,7 +25,8 @@ MIN_VALUES = 3
 
 @dataclass(frozen=True, eq=False)
 class IndividualsChart:
-    """Centre, standard deviation of one value and limits, in the values' unit; `outside`: indices beyond a limit."""
+    """Centre line, standard deviation `sigma` of a single value, and limits, in the unit of the values; `outside`:
+    indices of the values beyond a limit."""
 
     centre: float
     sigma: float
@@ -36,7 +37,7 @@ class IndividualsChart:
 
 @dataclass(frozen=True, eq=False)
 class EwmaChart:
-    """EWMA `values` with their limits `lower`, `upper` (n,); `outside`: indices at which the mean is beyond
+    """EWMA `values` with their limits `lower`, `upper` (n,); `outside`: indices at which the moving average is beyond
     its limits.
     """
 
@@ -47,7 +48,7 @@ class EwmaChart:
 
 
 def individuals_chart(values: ArrayLike) -> IndividualsChart:
-    """Return the individuals chart of values (n,) in order of time; n at least 3, else DataError."""
+    """Return the individuals chart of values (n,) in order of time; raise DataError if n is less than 3."""
     found = _series(values)
     sigma = float(np.abs(np.diff(found)).mean()) / D2
     centre = float(found.mean())
@@ -57,8 +58,8 @@ def individuals_chart(values: ArrayLike) -> IndividualsChart:
 
 
 def ewma_chart(values: ArrayLike, centre: float, sigma: float) -> EwmaChart:
-    """Return the EWMA chart z_i = w x_i + (1 - w) z_(i-1) from z_0 = `centre`; limits with the exact variance
-    of z_i.
+    """Return the EWMA chart z_i = w x_i + (1 - w) z_(i-1) from z_0 = `centre`; the limits use the exact variance of
+    z_i. `sigma`: standard deviation of a single value.
     """
     found = _series(values)
     smooth = np.empty_like(found)

@@ -12,10 +12,11 @@ _STEPS = 60  # bisections of the horizon
 
 @dataclass(frozen=True)
 class LimitCrossing:
-    """Nights from the last one until `limit` is reached.
+    """Number of nights after the last measured one until `limit` is reached.
 
-    `expected`: crossing of the line itself; `earliest`: crossing of the edge of its 95 % band; 0: already reached;
-    infinite: not within the horizon. `reached`: the line itself has reached the limit.
+    `expected`: until the fitted line reaches the limit; `earliest`: until the edge of its 95 % band reaches it. Both
+    are 0 if the limit is already reached, and infinite if it is not reached within the horizon. `reached`: True if the
+    fitted line has already reached the limit.
     """
 
     limit: float
@@ -49,7 +50,8 @@ def _line(drift: Drift, limit: float, side: float, horizon: float) -> float:
 def _band(drift: Drift, limit: float, side: float, horizon: float) -> float:
     """Return the first night at which value + k·uncertainty is beyond the limit.
 
-    The edge of the band is convex, so it crosses upwards once if it begins below; found by bisection.
+    The edge of the band is convex, so it crosses the limit only once if it begins below. The crossing is found by
+    bisection.
     """
 
     def beyond(nights: float) -> bool:

@@ -1,8 +1,9 @@
-"""Positions that best show that an error has jumped, and which of several suspected errors it is.
+"""Positions that best show if an error has jumped, or which of several suspected errors has jumped.
 
-A position with factor W observes a change a of z as W a, with the touches and the uncertainty C of the machine as
-noise, 1 + W C Wᵀ. The detectability is the noncentrality of the χ² test, aᵀWᵀ(1 + W C Wᵀ)⁻¹W a. For the difference of
-two suspected jumps it is twice the divergence between them (Box & Hill, Technometrics 9, 1967).
+A position with information factor W observes a change a of the unknowns z as W a; touch noise and the covariance C of z
+give this the covariance 1 + W C Wᵀ. The detectability is the noncentrality of the χ² test, aᵀWᵀ(1 + W C Wᵀ)⁻¹W a. If a
+is the difference of two suspected jumps, the detectability is twice the divergence between them (Box & Hill,
+Technometrics 9, 1967).
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from twin.monitoring.step_detection import ERRORS
 
 @dataclass(frozen=True, eq=False)
 class JumpQuestions:
-    """Questions about jumps: `shifts` (m, P) of z, and `weights` (q, m), the shifts whose noncentralities each question
-    adds.
+    """Questions about jumps. `shifts` (m, P): shifts of z; `weights` (q, m): weights with which each of the q questions
+    adds up the noncentralities of the shifts.
     """
 
     shifts: Array
@@ -31,13 +32,13 @@ class JumpQuestions:
 
     @classmethod
     def which_jump(cls, jumps: Array) -> JumpQuestions:
-        """Return one question for each pair of the `jumps` (k, P): which of the two it is."""
+        """Return one question for each pair of the `jumps` (k, P): which of the two has occurred."""
         pairs = np.array(list(combinations(range(len(jumps)), 2)), dtype=np.intp).reshape(-1, 2)
         return cls(jumps[pairs[:, 0]] - jumps[pairs[:, 1]], np.eye(len(pairs)))
 
     @classmethod
     def any_jump(cls, unknowns: Unknowns) -> JumpQuestions:
-        """Return one question per error: whether it has jumped, each coefficient by the standard deviation of the
+        """Return one question per error: has it jumped? Each coefficient is shifted by its standard deviation in the
         family.
         """
         names = np.array([parameter.error for parameter in unknowns.model.parameters])
@@ -45,8 +46,8 @@ class JumpQuestions:
         return cls(moves, np.array([names == error for error in ERRORS], dtype=np.float64))
 
     def noncentralities(self, factors: Array, covariance: Array) -> Array:
-        """Return the noncentralities (N, q) that N positions of `factors` (N, r, P) give; `covariance` (P, P) of z
-        before.
+        """Return the noncentralities (N, q) given by N positions with `factors` (N, r, P). `covariance` (P, P):
+        covariance of z before they are measured.
         """
         seen = factors @ self.shifts.T
         noise = np.eye(factors.shape[1]) + factors @ covariance @ factors.transpose(0, 2, 1)
@@ -60,7 +61,8 @@ def rank_discriminating_positions(
     allowed: NDArray[np.bool_],
     minutes: Array,
 ) -> Iterator[int]:
-    """Yield candidates by decreasing value per minute, each given those before it and those `measured`.
+    """Yield indices of candidates by decreasing value per minute. The value of each assumes that `measured` and all
+    previously yielded candidates have been measured.
 
     `allowed` (N,): candidates that may be chosen, each once. The criterion is the sum of ln(1 + noncentrality), so
     questions already answered count little.

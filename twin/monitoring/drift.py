@@ -1,12 +1,12 @@
 """Drift per night by weighted regression, with separate terms for steps at known times so that they do not bias the
 drift.
 
-Model: y_i = level + slope (t_i - t_n) - the steps that come after t_i, variances proportional to the stated ones. The
-factor of proportionality comes from the residuals (GUM Type A; Deming 1943), because contributions common to all nights
-(certificate, prior) are part of the stated uncertainty but do not scatter a trend. With fewer than
-`MIN_FREEDOM_FOR_SCALE` degrees of freedom the stated uncertainties are used unchanged. Neighbouring nights that share
-information scatter too little: with a lag-1 correlation r > 0 of the residuals the variance is multiplied by (1 + r) /
-(1 - r) (Bartlett 1935).
+Model: y_i = level + slope (t_i - t_n) - (sum of the steps after t_i), where t_n is the last night and the variances are
+proportional to the stated ones. The factor of proportionality comes from the residuals (GUM Type A; Deming 1943),
+because contributions common to all nights (certificate, prior) are part of the stated uncertainty but cause no scatter
+about a trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom the stated uncertainties are used unchanged.
+Estimates of neighbouring nights that share information scatter too little: if the residuals have a lag-1 correlation r
+> 0, the variance is multiplied by (1 + r) / (1 - r) (Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ _HIGHEST_CORRELATION = 0.9
 class Drift:
     """Fitted drift, in the values' unit.
 
-    `level` at the last night and `slope` per night, with standard uncertainties and their covariance. `steps`: (night
-    from which on it holds, size, standard uncertainty). `fitted` (n,). `factor`: coverage factor for 95 % at the
-    degrees of freedom (1.96 if stated uncertainties were used).
+    `level` at the last night and `slope` per night, with their standard uncertainties and their `covariance`. `steps`:
+    (first night after the step, size, standard uncertainty) of each step. `fitted` (n,): fitted values. `scatter`:
+    factor on the stated uncertainties. `correlation`: lag-1 correlation of the residuals. `freedom`: degrees of
+    freedom. `factor`: coverage factor for 95 % at the degrees of freedom (1.96 if stated uncertainties were used).
     """
 
     level: float
@@ -53,7 +54,7 @@ class Drift:
         return abs(self.slope) > self.factor * self.slope_sigma
 
     def predict(self, nights: float) -> tuple[float, float]:
-        """Return value and standard uncertainty of the line `nights` after the last one."""
+        """Return value and standard uncertainty of the line, `nights` nights after the last one."""
         variance = self.level_sigma**2 + 2.0 * nights * self.covariance + (nights * self.slope_sigma) ** 2
         return self.level + self.slope * nights, float(np.sqrt(max(variance, 0.0)))
 
@@ -61,7 +62,8 @@ class Drift:
 def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Sequence[float] = ()) -> Drift:
     """Fit the drift of `values` (n,) with standard uncertainties (n,) at times (n,) in nights, ascending.
 
-    `steps`: times from which on another level holds. DataError if there are too few values.
+    `steps`: times in nights at which a new level begins. Raise DataError if there are too few values or if the input is
+    invalid.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     _check(t, y, u)

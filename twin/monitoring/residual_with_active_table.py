@@ -1,6 +1,6 @@
 """Expected volumetric error that remains with a given table active, according to the current knowledge of the machine.
 
-The table need not be built from the current knowledge: a machine drifts away from the one the table was written for.
+The active table may be older than the current knowledge: the machine may have drifted since the table was written.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from twin.machine.volumetric import VolumetricRms
 class ResidualWithTable:
     """Expected residual error over a workspace for one tool.
 
-    `form`: quadratic form of all `unknowns` z (P,). `left_out_mm2`: variance that the misfit modes do not represent.
+    `form`: quadratic form of all `unknowns` z (P,). `left_out_mm2`: mean square of the misfit that the modes do not
+    represent.
     """
 
     unknowns: Unknowns
@@ -31,7 +32,8 @@ class ResidualWithTable:
 
     @classmethod
     def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ResidualWithTable:
-        """Build for a `grid` of axis positions (n, 3) mm and a tool (3,) mm; `scales`: those of the known misfit."""
+        """Build for a `grid` of axis positions (n, 3) in mm and a tool offset (3,) in mm. `scales`: scales of the
+        current knowledge."""
         form = Criterion.build(unknowns, grid, tool_offset)
         return cls(unknowns, form, 3.0 * left_out_variance(unknowns, scales))
 
@@ -43,12 +45,12 @@ class ResidualWithTable:
         return self._root(covariance, self.uncompensated(mean, written), self.left_out_mm2)
 
     def between(self, mean: Array, other: Array) -> VolumetricRms:
-        """Return the volumetric difference of two z (P,), from the parameters only."""
+        """Return the volumetric rms of the difference of two z (P,), of which only the parameters are compared."""
         step = self._parameters_only(mean - other)
         return self._root(np.zeros_like(self.form.raw), step, 0.0)
 
     def uncompensated(self, mean: Array, written: ArrayLike) -> Array:
-        """Return z (P,) minus that of the parameters `written` (p,)."""
+        """Return `mean` (P,) minus the z of the parameters `written` (p,) in mm or rad."""
         return uncompensated(self.unknowns, mean, written)
 
     def _parameters_only(self, step: Array) -> Array:
@@ -66,7 +68,7 @@ class ResidualWithTable:
 
 
 def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
-    """Return z (P,) minus that of the parameters `written` (p,) in mm or rad."""
+    """Return `mean` (P,) of z minus the z of the parameters `written` (p,) in mm or rad."""
     parameters, scale = as_vector(written, unknowns.model.size, "written parameters"), unknowns.scale
     left = mean.copy()
     left[unknowns.blocks.parameters] -= np.where(scale > 0.0, parameters / np.where(scale > 0.0, scale, 1.0), 0.0)
@@ -74,7 +76,7 @@ def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
 
 
 def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
-    """Return the variance (mm²) per direction of misfit too short in wavelength for the modes."""
+    """Return the variance (mm²) per direction of the part of the misfit whose wavelength is too short for the modes."""
     modes = unknowns.modes
     return 0.0 if modes is None else unknowns.misfit_mm**2 * float(modes.left_out @ np.square(scales.kinds))
 
@@ -82,10 +84,11 @@ def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
 def residual_covariance(
     unknowns: Unknowns, scales: Scales, mean: Array, covariance: Array, points: ArrayLike, tool_offset: ArrayLike
 ) -> Array:
-    """Return the expected outer product (3n, 3n) mm² of machine minus table at axis positions (n, 3), point by point x,
-    y, z.
+    """Return the expected outer product (3n, 3n) in mm² of the residual field (machine minus table) at axis positions
+    (n, 3). Rows and columns run point by point, in the order x, y, z.
 
-    `mean` (P,): of z minus the written parameters (`uncompensated`), `covariance` (P, P).
+    `mean` (P,): mean of z minus the z of the written parameters, as returned by `uncompensated`; `covariance` (P, P):
+    covariance of z.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     blocks = unknowns.blocks

@@ -1,8 +1,9 @@
-"""Test whether a machine is still as expected, and which of its errors has jumped if not.
+"""Test if a machine is still as expected, and identify the error that has jumped if it is not.
 
 With prior knowledge z ~ N(m, C), and ball centres y = A z + noise (whitened, poses projected out), the innovation y - A
-m has the covariance S = σ² + A C Aᵀ. The hypothesis that one error has jumped by a in addition is a score test: with J
-the columns of its coefficients and a ~ N(0, Λ), Λ the variance of the family, the logarithm of the likelihood ratio is
+m has the covariance S = σ² + A C Aᵀ. A score test is used for the hypothesis that one error has also jumped by a. If J
+selects the coefficients of this error in z, and a ~ N(0, Λ) with the family's variance Λ, the logarithm of the
+likelihood ratio is
 
     ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(1 + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
 
@@ -43,11 +44,11 @@ _TRAVEL_POINTS = 101
 
 @dataclass(frozen=True)
 class SuspectedJump:
-    """One `error` that may have jumped.
+    """Geometric error that may have jumped, named `error`.
 
     `evidence`: ln of the likelihood ratio against no jump; `chi2` with `freedom` degrees of freedom. `change` in
     `unit`: for a squareness its change; for an error motion the peak-to-valley change over the travel, with the sign of
-    the difference of the ends. `coefficients`: by name, mm or rad.
+    the difference of the ends. `coefficients`: change of each coefficient by name, in mm or rad.
     """
 
     error: str
@@ -67,8 +68,8 @@ class SuspectedJump:
 class Innovation:
     """Ball centres compared with prior knowledge.
 
-    `mean` (P,) and `covariance` (P, P) of z before; `score` (P,) AᵀS⁻¹(y - A m), `information` (P, P) AᵀS⁻¹A, `chi2` (y
-    - A m)ᵀS⁻¹(y - A m) of `rows` equations.
+    `mean` (P,) and `covariance` (P, P) of z before the measurement; `score` (P,) AᵀS⁻¹(y - A m), `information` (P, P)
+    AᵀS⁻¹A, `chi2` (y - A m)ᵀS⁻¹(y - A m) of `rows` equations.
     """
 
     unknowns: Unknowns
@@ -85,24 +86,25 @@ class Innovation:
 
     @cached_property
     def posterior_mean(self) -> Array:
-        """Mean (P,) of z given these ball centres too."""
+        """Mean (P,) of z after these ball centres have been included."""
         return np.asarray(self.mean + self.covariance @ self.score)
 
     @cached_property
     def posterior_covariance(self) -> Array:
-        """Covariance (P, P) of z given these ball centres too."""
+        """Covariance (P, P) of z after these ball centres have been included."""
         after = self.covariance - self.covariance @ self.information @ self.covariance
         return np.asarray(0.5 * (after + after.T))
 
     def suspects(self, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Return every error of the model, the likeliest first; `jump`: size of the jump in units of the family's
-        spread.
+        """Return every error of the model as a suspect, the likeliest first. `jump`: size of the jump in units of the
+        family's standard deviation.
         """
         found = [self._suspect(error, jump) for error in ERRORS if self._columns(error).size]
         return tuple(sorted(found, key=lambda one: -one.evidence))
 
     def find_jumps(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Return the errors that must have jumped, one after the other, each tested with the previous ones set free.
+        """Return the errors that have jumped, found one after another; the errors already found are left free when the
+        next one is tested.
 
         Only errors with at least this much `evidence` are returned, at most `most` of them.
         """
@@ -163,8 +165,8 @@ class Innovation:
 def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
     """Compare `observations` with prior knowledge `known`.
 
-    `known` includes the process noise for the time elapsed since its estimate, and the scale of the touch noise. Raises
-    DataError for an artefact, a model or balls that do not match.
+    `known` must already include the process noise for the time since its estimate; its scale of the touch noise is
+    used. Raise DataError if model, artefact or balls do not match.
     """
     options = Options(carried_over=known, outliers="none", estimate_scales=False)
     problem = build_problem(family, observations, artefact, options)

@@ -1,9 +1,10 @@
 """Steps in a series of nights, found one by one as long as each explains more than noise would.
 
 A candidate is scored by its reduction of the residual sum of squares of the whole regression (level, slope, steps so
-far), in units of the noise estimated from successive differences, which neither slope nor single steps enlarge much
-(median moving range). It is accepted if the reduction exceeds about `PENALTY_PER_LOG` ln n: a step costs its size, its
-time and the choice of both, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
+far), in units of the noise. The noise is estimated from the median of successive differences (median moving range),
+which neither the slope nor single steps increase much. A candidate is accepted if the reduction exceeds about
+`PENALTY_PER_LOG` ln n for n nights. This penalty accounts for two fitted values, size and time, and for the search over
+times, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ PENALTY_PER_LOG = 6.0
 MIN_NIGHTS = 8
 MAX_STEPS = 5
 MIN_NOISE_SHARE = 1e-3
-"""Lower bound of the noise as a share of the stated uncertainty; below it the residuals are rounding."""
+"""Lower bound of the noise as a share of the stated uncertainty; smaller residuals are rounding errors."""
 MEDIAN_RANGE = 0.9539
 """Median of the range of two standard normal values: sqrt(2) times the upper quartile 0.6745."""
 
@@ -29,11 +30,11 @@ MEDIAN_RANGE = 0.9539
 def find_steps(
     nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, known: Sequence[float] = ()
 ) -> tuple[float, ...]:
-    """Return the times at which the level changes, ascending, `known` times included.
+    """Return the times at which the level changes, in ascending order, including the `known` times.
 
     Known steps that cannot be distinguished from the slope or from each other are left out. With fewer than
-    `MIN_NIGHTS` values no step is searched for. A step needs two values on either side and must remain significant
-    without any single value, so that one outlier does not count as a step.
+    `MIN_NIGHTS` values no further step is searched for. A step needs two values on either side and must remain
+    significant without any single value, so that one outlier does not count as a step.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     steps = list(_usable(t, known))
@@ -50,7 +51,8 @@ def find_steps(
 
 
 def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | None:
-    """Return the step that explains most, if it also explains enough without any single one of the values."""
+    """Return the time of the step that explains most and still exceeds the penalty if any single value is omitted, or
+    None."""
     gains = {at: _gain(t, y, sigmas, steps, at) for at in _candidates(t, steps)}
     penalty = _penalty(len(t))
     for at in sorted(gains, key=lambda at: -gains[at]):
@@ -65,15 +67,13 @@ def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | 
 def _penalty(count: int) -> float:
     """Return the penalty of a step; it is larger for few values, whose noise estimate is poor.
 
-    It is set so that a series without a step shows one in 1 of 50 cases.
+    It is chosen so that a step is found in about 1 of 50 series that contain none.
     """
     return PENALTY_PER_LOG * float(np.log(count)) * count / (count - 5.0)
 
 
 def _successive(y: Array) -> float:
-    """Return the standard deviation from the median of the successive differences, their common part (the slope)
-    removed.
-    """
+    """Return the standard deviation, estimated from the median of the successive differences after removing the slope."""
     differences = np.diff(y)
     return float(np.median(np.abs(differences - np.median(differences)))) / MEDIAN_RANGE
 

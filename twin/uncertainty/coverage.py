@@ -1,8 +1,8 @@
 """Coverage of stated uncertainty regions: estimates compared with machines whose true errors are known.
 
-Every region belongs to a nominal level. Each comparison is reduced to one number, the level of the region that just
-reaches the truth. If regions are stated correctly, these levels are uniformly distributed between 0 and 1 over many
-machines, and the fraction that is at most 0.95 is the coverage of the 95 % regions.
+Every region belongs to a nominal level. Each comparison is reduced to one number: the level of the region whose
+boundary passes through the true value. If the regions are stated correctly, these levels are uniformly distributed
+between 0 and 1 over many machines. The fraction of levels up to 0.95 is the observed coverage of the 95 % regions.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _RESAMPLES = 2000
 
 @dataclass(frozen=True)
 class ObservedCoverage:
-    """Fraction of comparisons, over all machines, whose region contains the truth, and its standard error between
-    machines."""
+    """Fraction of comparisons, over all machines, whose region contains the true value, and standard error of this
+    fraction."""
 
     observed: float
     standard_error: float
@@ -55,10 +55,10 @@ def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Ge
 
 @dataclass(frozen=True, eq=False)
 class FieldError:
-    """Error of the estimated field at n points: true deviation less its expectation, without the best rigid motion.
+    """Error of the estimated field at n points: true minus expected deviation, without the best rigid motion.
 
-    The rigid motion is removed because no artefact can determine it. `error` (3n,) in mm, `covariance` (3n, 3n) in mm²
-    as stated for it.
+    The rigid motion is removed because no artefact can determine it. `error` (3n,) in mm; `covariance` (3n, 3n) in mm²:
+    stated covariance of the error.
     """
 
     error: Array
@@ -66,7 +66,7 @@ class FieldError:
 
     @classmethod
     def of(cls, estimate: Estimate, truth: TrueMachine, axis_positions: Array) -> FieldError:
-        """Return the field error at axis positions (n, 3), with the tool of the truth."""
+        """Return the field error at axis positions (n, 3), for the tool of `truth`."""
         offset = truth.tool_offset
         left = truth.deviation(axis_positions)
         left -= exact_deviation(estimate.model, axis_positions, offset, estimate.parameters)
@@ -84,7 +84,7 @@ class FieldError:
         return cls(expected - motions @ (motions.T @ expected), whole)
 
     def pointwise_levels(self) -> Array:
-        """Return the levels (3n,) of the intervals for each component at each point separately."""
+        """Return the level (3n,) of the interval of each component at each point."""
         return two_sided_level(self.error / np.sqrt(np.diagonal(self.covariance)))
 
     def joint_level(self) -> float:
@@ -93,12 +93,13 @@ class FieldError:
 
 
 def two_sided_level(standardised: Array) -> Array:
-    """Return the levels (n,) of the symmetric intervals that just reach n standard normal values."""
+    """Return the levels (n,) of the symmetric intervals that end at the n given values, which are standard normal."""
     return np.asarray(2.0 * ndtr(np.abs(standardised)) - 1.0)
 
 
 def joint_level(error: Array, covariance: Array) -> float:
-    """Return the level of the ellipsoid that just reaches `error` (n,); directions without variance are ignored."""
+    """Return the level of the ellipsoid whose surface passes through `error` (n,); directions without variance are
+    ignored."""
     values, vectors = np.linalg.eigh(covariance)
     used = values > _MIN_VARIANCE * values[-1]
     square = float(np.sum((vectors.T @ error)[used] ** 2 / values[used]))
@@ -106,7 +107,7 @@ def joint_level(error: Array, covariance: Array) -> float:
 
 
 def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) -> Array:
-    """Return the levels for all parameters whose standard uncertainty is below `share_of_prior` times the prior one.
+    """Return the level of each parameter whose standard uncertainty is below `share_of_prior` times that of the prior.
 
     `truth` (p,) holds the parameters of the same model, so this is meaningful only for a machine that the model can
     represent.
@@ -118,10 +119,10 @@ def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) ->
 
 @dataclass(frozen=True)
 class VolumetricComparison:
-    """VE or VCE after the best rigid motion, true and expected.
+    """True and expected value of VE or VCE after the best rigid motion.
 
     `true_mm`: true value; `expected_mm`: root of the expected mean square; `level`: level of the equal-tailed interval
-    that just reaches the true value.
+    that ends at the true value.
     """
 
     true_mm: float
@@ -132,7 +133,8 @@ class VolumetricComparison:
 def volumetric_comparisons(
     estimate: Estimate, truth: TrueMachine, grid: Array
 ) -> tuple[VolumetricComparison, VolumetricComparison]:
-    """Compare VE and VCE over axis positions (n, 3) with their stated distributions."""
+    """Return the comparisons of VE and VCE over axis positions (n, 3) with their stated distributions, in this
+    order."""
     offset = truth.tool_offset
     true = truth.deviation(grid)
     left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
@@ -148,7 +150,8 @@ def volumetric_comparisons(
 def held_out_levels(
     estimate: Estimate, family: Family, seen: Observations, artefact: Artefact, options: Options
 ) -> Array:
-    """Return the levels (K,) of the joint regions of all balls of each position in `seen`, with the pose removed.
+    """Return, for each of the K positions in `seen`, the level of the joint region of all its balls, with the pose
+    removed.
 
     The estimate must not have used these positions.
     """

@@ -1,10 +1,10 @@
 """Expected volumetric compensated error in closed form, split by influence.
 
 The estimate is a linear function of all errors of a procedure (`twin.uncertainty.linear_estimator`), so the field that
-compensation leaves is linear in them too. Its expected mean square over machines, certificates and touches is a trace
-of second moments with the quadratic form of the field. All influences are independent with mean zero, except the
-deflection, which is the same for all machines and enters with its own square. The squares of the contributions
-therefore add up.
+compensation leaves is linear in them too. The expected mean square of this field over machines, certificates and
+touches is the trace of the second moments of the parameters, multiplied by the quadratic form of the field. All
+influences are independent and have mean zero, except the deflection, which is the same for all machines and contributes
+its own mean square. The squares of the contributions therefore add up.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ INFLUENCES = (TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE, DRIFT, MOUNT, MISFIT, 
 
 `mount` is the pose of the artefact: poses are free unknowns, so it contributes nothing. `misfit` covers errors of the
 true machines that the model cannot represent, including deflection and the bias they cause in the parameters. `unseen`
-covers the model's own parameters, as far as the position set does not determine them or the prior shrinks them.
+covers the model's own parameters, to the extent that the position set does not determine them or the prior shrinks them
+towards zero.
 """
 
 
@@ -47,8 +48,8 @@ covers the model's own parameters, as far as the position set does not determine
 class ErrorBudget:
     """Error budget of a procedure.
 
-    `moments`: for each influence the second moments (u, u) of the residual parameters of the joint model of `field`;
-    `bias` (u,): parameter error that the deflection causes, the same for all machines.
+    The residual parameters are those of the joint model of `field`, which has u parameters. `moments`: their second
+    moments (u, u) caused by each influence; `bias` (u,): parameter error that the deflection causes in all machines.
     """
 
     field: FieldForm
@@ -57,7 +58,7 @@ class ErrorBudget:
 
     @cached_property
     def contributions(self) -> Mapping[str, VolumetricRms]:
-        """Root of the contribution of each influence to the expected mean square."""
+        """Contribution of each influence to the expected VCE: root of its part of the expected mean square."""
         squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
         fixed = self.field.fixed_square(self.bias)
         squares[MISFIT] = (squares[MISFIT][0] + fixed[0], squares[MISFIT][1] + fixed[1])
@@ -65,13 +66,13 @@ class ErrorBudget:
 
     @cached_property
     def expected(self) -> VolumetricRms:
-        """Root of the expected mean square VCE over machines."""
+        """Expected VCE: root of the expected mean square over machines after compensation."""
         parts = self.contributions.values()
         return _root(sum(part.raw_mm**2 for part in parts), sum(part.aligned_mm**2 for part in parts))
 
     @cached_property
     def uncompensated(self) -> VolumetricRms:
-        """Root of the expected mean square VE over machines."""
+        """Expected VE: root of the expected mean square over machines without compensation."""
         return self.field.uncompensated()
 
     @cached_property
@@ -81,7 +82,7 @@ class ErrorBudget:
 
     @property
     def distribution(self) -> VolumetricDistribution:
-        """Distribution of the VCE over machines, with Gaussian parameters of the family's variances."""
+        """Distribution of the VCE over machines whose parameters are Gaussian with the variances of the family."""
         form = self.field.form
         return VolumetricDistribution(
             QuadraticDistribution.of(form.raw, form.raw_linear, form.raw_constant, self.bias, self.total),
@@ -89,15 +90,15 @@ class ErrorBudget:
         )
 
     def parameter_uncertainty(self) -> Array:
-        """Return the root mean square error (p,) of the identified parameters, true less identified, in mm or rad."""
+        """Return the root mean square error (p,) of the identified parameters (true minus identified) in mm or rad."""
         squares = np.maximum(np.diagonal(self.total) + self.bias**2, 0.0)
         return np.asarray(np.sqrt(squares[self.field.model_indices]))
 
     def field_uncertainty(self, axis_positions: ArrayLike, aligned: bool = False) -> Array:
         """Return the expected rms (n, 3) in mm of the residual field at axis positions (n, 3), per direction.
 
-        If `aligned`, the best rigid motion over the grid of the form is removed, since no free artefact can determine
-        it.
+        If `aligned`, the best rigid motion over the grid of `field` is removed, since no artefact in an unknown pose
+        can determine it.
         """
         basis, deflection = self.field.columns_at(axis_positions, aligned)
         squares = np.einsum("nip,nip->ni", basis @ self.total, basis) + (deflection + basis @ self.bias) ** 2
@@ -117,8 +118,8 @@ def error_budget(
     """Return the expected error of identifying `model` from planned `observations` on machines that follow
     `assumptions`.
 
-    `family` is the prior; the error is evaluated on `grid` (n, 3) for `tool_offset` (3,). Scales stay at 1 and no ball
-    is rejected, whatever `options` say. To evaluate many position sets build the `FieldForm` once and use
+    `family` is the prior; the error is evaluated on `grid` (n, 3) for `tool_offset` (3,). All scales are 1 and no ball
+    is rejected, regardless of `options`. To evaluate many position sets build the `FieldForm` once and use
     `error_budget_of_form`.
     """
     return error_budget_of_form(
@@ -129,7 +130,7 @@ def error_budget(
 def error_budget_of_form(
     field: FieldForm, family: Family, artefact: Artefact, observations: Observations, options: Options
 ) -> ErrorBudget:
-    """Return the expected error on an existing field form. Raise DataError if the prior belongs to another model."""
+    """Return the error budget for an existing field form. Raise DataError if the prior belongs to another model."""
     if family.model != field.model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     assumptions = field.assumptions
@@ -141,7 +142,7 @@ def error_budget_of_form(
     ends = np.cumsum([part.shape[2] for part in influences.values()])
     answers = dict(zip(influences, np.split(estimator.influences, ends[:-1], axis=1), strict=True))
     # Response K f of the estimate to a field f of one standard deviation; the residual error is -K f, and its second
-    # moment K f fᵀ Kᵀ. For a true machine parameter the residual is the parameter itself less the response.
+    # moment K f fᵀ Kᵀ. For a true machine parameter the residual is the parameter itself minus the response.
     moments = {name: _moments(field, -answers[name]) for name in (CTE, TEMPERATURE, DRIFT)}
     machines = _machine_residuals(field, answers["machines"])
     none = np.zeros((field.size, field.size))
@@ -159,7 +160,8 @@ def error_budget_of_form(
 
 
 def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:
-    """Return the fields (n, 3, x) in mm at the rows, one column per standard deviation (the deflection as it is)."""
+    """Return the fields (n, 3, x) in mm at the rows, one column for one standard deviation of each influence, and one
+    for the deflection itself."""
     seen, assumptions = problem.observations, field.assumptions
     stretched = problem.layout.unpad(problem.layout.pad(artefact.balls[seen.ball]) @ _transposed_rotations(problem))[
         :, :, None
@@ -199,7 +201,8 @@ def _deflection_field(assumptions: TruthAssumptions, seen: Observations) -> Arra
 
 
 def _drift_fields(problem: IdentificationProblem, drift_mm: float) -> Array:
-    """Return the drift fields (n, 3, 3K): an independent drift in each position, linear over its balls in row order."""
+    """Return the drift fields (n, 3, 3K): an independent drift in each position and direction, linear over the balls of
+    the position in row order."""
     layout = problem.layout
     if drift_mm == 0.0:
         return np.zeros((problem.observations.size, 3, 0))
@@ -211,7 +214,8 @@ def _drift_fields(problem: IdentificationProblem, drift_mm: float) -> Array:
 
 
 def _machine_residuals(field: FieldForm, answers: Array) -> Array:
-    """Return the residual (u, t), true less identified, of one standard deviation of each true parameter."""
+    """Return the residual (u, t), true minus identified, for one standard deviation of each of the t true
+    parameters."""
     left = np.zeros((field.size, len(field.true_indices)))
     left[field.true_indices, np.arange(len(field.true_indices))] = field.assumptions.family.prior_standard_deviation
     left[field.model_indices] -= answers
@@ -223,7 +227,7 @@ def _moments(field: FieldForm, columns: Array) -> Array:
 
 
 def _embed(field: FieldForm, covariance: Array) -> Array:
-    """Embed second moments (p, p) of the identified parameters into those of the joint model (u, u)."""
+    """Embed second moments (p, p) of the identified parameters in a matrix (u, u) of the joint model."""
     moments = np.zeros((field.size, field.size))
     moments[np.ix_(field.model_indices, field.model_indices)] = covariance
     return moments

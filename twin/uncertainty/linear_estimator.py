@@ -1,7 +1,8 @@
 """Identification as a linear map from measurement errors to parameters, accurate to nanometres.
 
-No measurements are needed: at the planned ball centres, without empirical Bayes and without outlier rejection, the
-estimate is K · data with K = H⁻¹Aᵀ for the chosen formulation, weights and prior.
+No measurements are needed: at the planned ball centres, without estimated scales and without outlier rejection, the
+estimate is K · data. K = H⁻¹Aᵀ follows from the design A and the posterior precision H of the chosen formulation,
+weights and prior.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from twin.identification.unknowns import UnknownBlocks
 class LinearEstimator:
     """Response of the estimated parameters, in mm or rad, to each influence.
 
-    `certificate` (p, m): per standard deviation of the certificate errors; `influences` (p, x): per unit of each added
-    field; `noise` (p, p): covariance caused by the stated touch noise.
+    `certificate` (p, m): response to one standard deviation of each certificate error; `influences` (p, x): response to
+    each of the x added fields; `noise` (p, p): covariance caused by the stated touch noise.
     """
 
     certificate: Array
@@ -35,10 +36,10 @@ class LinearEstimator:
 
     @classmethod
     def of(cls, problem: IdentificationProblem, options: Options, influences: Array) -> LinearEstimator:
-        """Build the estimator; `influences` (n, 3, x) in mm are fields added to the tool points, rows as in
-        `problem.observations`.
+        """Build the estimator. `influences` (n, 3, x): x fields in mm that are added to the tool points of the n rows
+        of `problem.observations`.
 
-        Raise DataError if an estimate is carried over: its mean is the result of measuring one particular machine.
+        Raise DataError if `options` contain a carried-over estimate, since its mean belongs to one particular machine.
         """
         if options.carried_over is not None:
             raise DataError(
@@ -79,7 +80,7 @@ def _equations(problem: IdentificationProblem, options: Options) -> CentreEquati
 
 
 def _posterior(matrix: Array, blocks: UnknownBlocks, options: Options) -> Posterior:
-    """Return the posterior; with the prior off, only directions that the measurements leave open are held at zero."""
+    """Return the posterior; if the prior is off, only directions that the measurements leave open are held at zero."""
     if options.weights == "unit":
         blocks = UnknownBlocks.of(blocks.parameters.stop, 0, 0)
     if options.use_prior:

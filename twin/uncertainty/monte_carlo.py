@@ -2,7 +2,7 @@
 
 Everything that `twin.identification` models as uncertain is drawn here: the machine from its family (uniform, of any
 order, with deflection), the artefact from its certificate, and thermometer, drift and touches from their uncertainties.
-The true field is the exact product of transforms, not its linearisation.
+The true field is computed from the exact product of the axis transforms, not from its linearisation.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from twin.uncertainty.truth_assumptions import TruthAssumptions
 IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 
 _STEPS = 3
-"""Steps of the fixed-point iteration. Each reduces the remaining error below 1e-4 of the previous one, initially 0.1
-mm."""
+"""Steps of the fixed-point iteration. Each reduces the error, initially about 0.1 mm, by a factor of at least 1e4."""
 
 
 def draw_truth(assumptions: TruthAssumptions, rng: np.random.Generator, tool_offset: ArrayLike) -> TrueMachine:
@@ -43,7 +42,8 @@ def simulated_observations(
     assumptions: TruthAssumptions,
     rng: np.random.Generator,
 ) -> Observations:
-    """Return the observations that `truth` would give, row by row, if an error-free machine gave those of `planned`.
+    """Return simulated observations on the machine `truth`; `planned` are those of an error-free machine at the same
+    balls.
 
     `artefact` is the artefact as certified. Every random influence is drawn even if it is switched off, so that
     switching one off does not change the others.
@@ -60,12 +60,14 @@ def simulated_observations(
 
 
 def uncompensated_errors(form: FieldForm, truths: Array) -> tuple[Array, Array]:
-    """Return the VE of machines with parameters (m, t) of the true family, raw and aligned (m,) in mm."""
+    """Return the raw and the aligned VE in mm, each (m,), of m machines with parameters `truths` (m, t) of the true
+    family."""
     return form.form.values(_embed(form, truths, form.true_indices))
 
 
 def compensated_errors(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array, Array]:
-    """Return the VCE of machines (m, t) compensated by estimates (m, p), raw and aligned (m,) in mm."""
+    """Return the raw and the aligned VCE in mm, each (m,), of m machines `truths` (m, t) compensated by `estimates` (m,
+    p)."""
     return form.form.values(_embed(form, truths, form.true_indices) - _embed(form, estimates, form.model_indices))
 
 
@@ -85,7 +87,7 @@ def _embed(form: FieldForm, parameters: Array, indices: IndexArray) -> Array:
 def _draw_artefact(
     artefact: Artefact, assumptions: TruthAssumptions, rng: np.random.Generator
 ) -> tuple[Artefact, float]:
-    """Draw the true artefact and the error of its thermometer (K, positive if it reads too high)."""
+    """Draw the true artefact and the error of its thermometer in K, positive if the thermometer reads too high."""
     off_mm = _factor(artefact.covariance) @ rng.standard_normal(3 * artefact.count)
     off_per_k = artefact.cte_standard_uncertainty_per_k * rng.standard_normal()
     shift_k = assumptions.thermometer_uncertainty_k * rng.standard_normal()
@@ -98,7 +100,8 @@ def _draw_artefact(
 
 
 def _ball_displacements(planned: Observations, stated: Artefact, real: Artefact, temperature_c: float) -> Array:
-    """Return the displacement (n, 3) in mm, machine axes, of the true balls from their planned points."""
+    """Return the displacement (n, 3) in mm of the true balls from their planned points, in the directions of the
+    machine axes."""
     local = np.empty((planned.size, 3))
     for elevation in np.unique(planned.elevation_rad):
         rows = planned.elevation_rad == elevation
@@ -107,7 +110,7 @@ def _ball_displacements(planned: Observations, stated: Artefact, real: Artefact,
 
 
 def _orientation(planned: Observations, stated: Artefact) -> Array:
-    """Return the rotation (n, 3, 3) from artefact to machine at each row, Rz(azimuth) Ry(-elevation).
+    """Return the rotation (n, 3, 3) from the artefact's to the machine's frame at each row: Rz(azimuth) Ry(-elevation).
 
     The elevation is known; the azimuth is the one that best fits the artefact to the planned points. This also gives
     the correct roll about a straight bar, which a fit of its balls cannot determine.
@@ -132,7 +135,7 @@ def _matrices(*rows: tuple[Array, Array, Array]) -> Array:
 
 
 def _about_centroid(points: Array, position: IndexArray) -> Array:
-    """Return points (n, 3) less the mean of the points of the same position."""
+    """Return points (n, 3) minus the mean of the points of the same position."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     sums = np.column_stack([np.bincount(group, points[:, axis]) for axis in range(3)])
     return np.asarray(points - (sums / counts[:, None])[group])
@@ -175,7 +178,7 @@ def _touch_noise(covariance: Array, rng: np.random.Generator) -> Array:
 
 
 def _factor(covariance: Array) -> Array:
-    """Return L with L Lᵀ = covariance, which may be singular; the result is the same in every process."""
+    """Return L with L Lᵀ = `covariance`, which may be singular; repeated runs give the same L."""
     diagonal = np.diagonal(covariance)
     if np.count_nonzero(covariance) == np.count_nonzero(diagonal):
         return np.diag(np.sqrt(diagonal))

@@ -4,10 +4,11 @@ For x with mean m and covariance L Lᵀ the form xᵀAx + 2bᵀx + c is a sum of
 
     Q = c₀ + Σ λ_j (g_j + δ_j)²,    g_j standard normal,
 
-whose moment generating function is known. The probability that Q exceeds q is its inverse Laplace transform (Imhof,
-Biometrika 48, 1961, with real frequencies). Here the path of integration is a parabola through the saddle point (Rice,
-SIAM J. Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983): the integrand neither oscillates nor decays
-slowly, both tails are accurate to many digits, and the number of terms, one or ninety, makes no difference.
+where λ_j are weights and δ_j shifts. Its moment generating function is known. The probability that Q exceeds q is its
+inverse Laplace transform (Imhof, Biometrika 48, 1961, with real frequencies). Here the path of integration is a
+parabola through the saddle point (Rice, SIAM J. Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983): the
+integrand neither oscillates nor decays slowly, both tails are accurate to many digits, and the accuracy does not depend
+on the number of terms.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ Complex = np.ndarray[Any, np.dtype[np.complex128]]
 
 @dataclass(frozen=True)
 class _Path:
-    """Parabola s = `saddle` + i v + `bend` v², sampled in steps of v."""
+    """Parabola s = `saddle` + i v + `bend` v² in the complex plane, sampled at intervals `step` of v."""
 
     saddle: float
     bend: float
@@ -51,7 +52,8 @@ class _Path:
 
 @dataclass(frozen=True, eq=False)
 class QuadraticDistribution:
-    """Distribution of Q: `weights` λ (k,) above zero, `shifts` δ (k,), and `least` c₀, the lower bound of Q."""
+    """Distribution of Q = c₀ + Σ λ_j (g_j + δ_j)²: positive `weights` λ (k,), `shifts` δ (k,), and lower bound `least`
+    c₀."""
 
     weights: Array
     shifts: Array
@@ -66,12 +68,12 @@ class QuadraticDistribution:
         mean: ArrayLike,
         covariance: ArrayLike,
     ) -> QuadraticDistribution:
-        """Return the distribution of xᵀ form x + 2 linearᵀ x + constant, a mean square and so never negative, for
-        Gaussian x.
+        """Return the distribution of xᵀ form x + 2 linearᵀ x + constant for Gaussian x; the expression must never be
+        negative.
 
-        `form` and `covariance` (p, p), `linear` and `mean` (p,). Single variables may have no uncertainty. Raise
-        DataError for an invalid covariance (not finite, not symmetric, a negative variance in some direction) or one
-        that is zero.
+        `form` and `covariance` (p, p), `linear` and `mean` (p,). Some variables may have zero variance. Raise DataError
+        for an invalid covariance (not finite, not symmetric, a negative variance in some direction) or one that is
+        zero.
         """
         return cls.about(form, linear, constant, (mean,), covariance_factor(covariance))[0]
 
@@ -128,13 +130,13 @@ class QuadraticDistribution:
         return 1.0 - self._tail(above, upper=False)
 
     def at_most(self, value: float) -> float:
-        """Return the probability that Q ≤ value, exact in the lower tail, where 1 - `exceeds` would be lost in
+        """Return the probability that Q ≤ value, accurate also in the lower tail, where 1 - `exceeds` would be lost in
         rounding."""
         return self._at_most(value - self.least)
 
     def quantile(self, probability: float) -> float:
-        """Return the value that Q does not exceed with this probability. Raise DataError unless it lies between 0 and
-        1."""
+        """Return the value that Q does not exceed with this probability. Raise DataError unless `probability` is
+        between 0 and 1."""
         if not 0.0 < probability < 1.0:
             raise DataError(f"the probability must lie between 0 and 1, not {probability}")
         upper = self._mean_above
@@ -230,7 +232,7 @@ class QuadraticDistribution:
 def covariance_factor(covariance: ArrayLike) -> Array:
     """Return L (p, p) with L Lᵀ = covariance; variables may have zero variance.
 
-    Raise DataError for an invalid or zero covariance, naming the row if there is one to blame.
+    Raise DataError for an invalid or zero covariance, naming the row if the fault lies in a single row.
     """
     matrix = np.asarray(covariance, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():

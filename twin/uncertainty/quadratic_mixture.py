@@ -12,7 +12,7 @@ from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 
 @dataclass(frozen=True, eq=False)
 class QuadraticMixture:
-    """Mixture of `parts` with equal weights."""
+    """Distribution of Q as a mixture of `parts` with equal weights."""
 
     parts: tuple[QuadraticDistribution, ...]
 
@@ -33,8 +33,8 @@ class QuadraticMixture:
         return float(np.mean([part.at_most(value) for part in self.parts]))
 
     def quantile(self, probability: float) -> float:
-        """Return the value that Q does not exceed with this probability. Raise DataError unless it lies between 0 and
-        1."""
+        """Return the value that Q does not exceed with this probability. Raise DataError unless `probability` is
+        between 0 and 1."""
         ends = [part.quantile(probability) for part in self.parts]
         lower, upper = (
             min(ends) * (1.0 - 1e-9),

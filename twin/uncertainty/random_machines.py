@@ -21,7 +21,8 @@ from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 TRUE_ORDER = 7
 AS_MODELLED = "as modelled"
-"""Form of machines drawn from the family itself, with all conditions as stated: a check of the parameter regions."""
+"""Form of machines drawn from the family itself and measured under the stated conditions, used to check parameter
+regions."""
 
 _AMPLITUDE = (0.7, 1.3)  # factor on all parameters of a machine, relative to its family
 _BEAM_AMPLITUDE = (0.5, 1.5)  # factor on the deflection of the machine file
@@ -43,7 +44,7 @@ DEFLECTION_FORMS = ("none", "beams", *_DRAW_FUNCTIONS)
 
 @dataclass(frozen=True, eq=False)
 class RandomMachine:
-    """A random machine and the truth assumptions of its measurement; `noise` is the ratio of true to stated touch
+    """Random machine and the truth assumptions for its measurement; `noise` is the ratio of true to stated touch
     noise."""
 
     form: str
@@ -61,7 +62,8 @@ class RandomMachine:
 def draw_random_machine(
     description: MachineDescription, tool_offset: Array, form: str, rng: np.random.Generator
 ) -> RandomMachine:
-    """Draw a machine with a deflection of one of `DEFLECTION_FORMS`, or one that the model represents exactly."""
+    """Draw a machine. `form` is one of `DEFLECTION_FORMS`, or `AS_MODELLED` for a machine that the model represents
+    exactly."""
     if form == AS_MODELLED:
         assumptions = TruthAssumptions.as_modelled(description)
         parameters = description.family.prior_standard_deviation * rng.standard_normal(description.model.size)

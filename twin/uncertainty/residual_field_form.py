@@ -1,8 +1,8 @@
-"""Residual field after compensation, true field less compensation model, as one quadratic form.
+"""Residual field after compensation (true field minus compensation model) as one quadratic form.
 
-True machines may have other Legendre orders and cross-effect terms than the identified model. Both are embedded in the
-joint model with the parameters of either, so the residual is linear in one parameter vector and the grid is evaluated
-once for a model, its truth assumptions and a tool.
+True machines may have other Legendre orders and cross-effect terms than the identified model. The joint model has the
+parameters of both, so the residual field is linear in one parameter vector. The grid needs to be evaluated only once
+for a model, truth assumptions and a tool.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 class FieldForm:
     """Quadratic form of the residual field.
 
-    `form`: form of the joint model (u parameters), with the deflection as its fixed field; `model_indices` (p,) and
-    `true_indices` (t,): indices of the identified model's and of the true family's parameters in the joint model.
+    `form`: quadratic form of the joint model with u parameters and with the deflection as fixed field; `model_indices`
+    (p,) and `true_indices` (t,): indices of the identified model's and of the true family's parameters in the joint
+    model.
     """
 
     model: ErrorModel
@@ -46,8 +47,8 @@ class FieldForm:
     def build(
         cls, model: ErrorModel, assumptions: TruthAssumptions, grid: ArrayLike, tool_offset: ArrayLike
     ) -> FieldForm:
-        """Build the form for grid positions (n, 3) and tool offset (3,) in mm. Raise ModelError if the two models do
-        not match."""
+        """Build the form for grid positions (n, 3) and tool offset (3,) in mm. Raise ModelError if `model` cannot be
+        combined with the model of the true family."""
         truth = assumptions.family.model
         joint = joint_model(model, truth)
         form = QuadraticForm.build(joint, grid, tool_offset)
@@ -70,14 +71,15 @@ class FieldForm:
         return float(np.vdot(self.form.raw, moments)), float(np.vdot(self.form.aligned, moments))
 
     def fixed_square(self, parameters: Array) -> tuple[float, float]:
-        """Return the mean square (raw, aligned) in mm² of the deflection plus the field of fixed parameters (u,)."""
+        """Return the mean square (raw, aligned) in mm² of the deflection plus the field of the given parameters
+        (u,)."""
         one = self.form.value(parameters)
         return one.raw_mm**2, one.aligned_mm**2
 
     def columns_at(self, axis_positions: ArrayLike, aligned: bool = False) -> tuple[Array, Array]:
         """Return the basis (n, 3, u) and the deflection (n, 3) in mm at axis positions (n, 3).
 
-        If `aligned`, the rigid motion that each column contains over the grid of the form is removed.
+        If `aligned`, the best-fitting rigid motion over the grid of the form is removed from each column.
         """
         points, form = as_points(axis_positions, "axis positions"), self.form
         basis = deviation_basis(form.model, points, form.tool_offset)
@@ -91,7 +93,8 @@ class FieldForm:
 
     @cached_property
     def _rigid_shares(self) -> Array:
-        """Rigid motion (6, u + 1) in each basis column and in the deflection, by least squares over the grid."""
+        """Rigid motion (6, u + 1) contained in each basis column and in the deflection, fitted by least squares over
+        the grid."""
         form = self.form
         normal, shared = np.zeros((6, 6)), np.zeros((6, self.size + 1))
         for start in range(0, len(form.axis_positions), _CHUNK):
@@ -103,7 +106,7 @@ class FieldForm:
         return np.asarray(np.linalg.lstsq(normal, shared, rcond=1e-12)[0])
 
     def _motions_at(self, points: Array) -> Array:
-        """Return the rigid motions (n, 3, 6) about the middle of the grid."""
+        """Return the six rigid motions (n, 3, 6) about the middle of the grid at points (n, 3)."""
         grid = self.form.axis_positions
         size_mm = max(float(np.ptp(grid, axis=0).max()), 1.0)
         return rigid_fields(points, grid.mean(axis=0), size_mm)
@@ -125,7 +128,8 @@ class FieldForm:
 
 
 def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
-    """Return the smallest model with all parameters of both. Raise ModelError if their chains or ranges differ."""
+    """Return the smallest model with all parameters of both models. Raise ModelError if their chains or ranges
+    differ."""
     if one.chain != other.chain or one.ranges_mm != other.ranges_mm:
         raise ModelError(
             "the true machines and the model differ in kinematic chain or axis ranges",
@@ -137,8 +141,8 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
 
 
 def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:
-    """Return the deflection (n, 3) in mm; outside the grid it is that of the nearest border point, as for a true
-    machine."""
+    """Return the deflection (n, 3) in mm; outside the grid the value of the nearest border point applies, as for a
+    `TrueMachine`."""
     lower, upper = (np.array([nodes[end] for nodes in deflection.nodes]) for end in (0, -1))
     return deflection.at(np.clip(axis_positions, lower, upper))
 

@@ -16,8 +16,8 @@ from twin.uncertainty.quadratic_distribution import covariance_factor
 class MixtureComponent:
     """One Gaussian of the mixture.
 
-    `mean` (m,) and `covariance` (m, m) of the parameters (mm or rad) and of the misfit coefficients; `unresolved_mm2`:
-    variance per direction of the misfit that is too short in wavelength for its modes.
+    `mean` (m,) and `covariance` (m, m) of the parameters (mm or rad), followed by the misfit coefficients;
+    `unresolved_mm2`: variance per direction of the part of the misfit whose wavelength is too short for the modes.
     """
 
     mean: Array

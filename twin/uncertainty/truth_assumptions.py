@@ -1,7 +1,8 @@
-"""Assumptions about the true machine, artefact and conditions, richer than the model that is identified.
+"""Assumptions about the true machine, artefact and conditions, which include errors that the identified model does not
+have.
 
-The simulation draws machines from them and the closed form takes second moments from them, so both refer to the same
-assumptions.
+The simulation draws machines according to these assumptions, and the closed form computes second moments from them, so
+the results of both can be compared.
 """
 
 from __future__ import annotations
@@ -16,15 +17,16 @@ from twin.machine.machine_population import Family
 
 @dataclass(frozen=True, eq=False)
 class TruthAssumptions:
-    """True errors that a procedure has to deal with.
+    """True errors of machine, artefact and conditions that affect a procedure.
 
     `family`: family of the true machines, whose Legendre order may exceed that of the identified model. `deflection`:
-    common to all of them. `touch_noise`, `certificate`, `cte`: if true, the error varies within its stated uncertainty
-    (covariance of a centre, covariance of the artefact, standard uncertainty of its CTE); if false, it is zero.
+    deflection common to all true machines. `touch_noise`, `certificate`, `cte`: if true, the error varies within its
+    stated uncertainty (covariance of a centre, covariance of the artefact, standard uncertainty of its CTE); if false,
+    it is zero.
 
     `artefact_temperature_c`: true temperature of the artefact during the measurement; `thermometer_uncertainty_k`:
-    standard uncertainty of its thermometer, one error for the whole run; `drift_mm`: standard deviation per direction
-    of the machine's drift from the first to the last ball of a position, linear in between.
+    standard uncertainty of its thermometer, whose error is constant during a run; `drift_mm`: standard deviation per
+    direction of the machine's drift from the first to the last ball of a position, linear in between.
     """
 
     family: Family
@@ -43,11 +45,11 @@ class TruthAssumptions:
 
     @classmethod
     def as_modelled(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Return the assumptions for machines that the model can represent, with errors of touches and certificate
-        only."""
+        """Return the assumptions for machines that the model can represent, without deflection, thermometer error and
+        drift."""
         return cls(machine.family)
 
     @classmethod
     def of_case(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Return the assumptions for machines of the family with the deflection of the machine file."""
+        """Return the assumptions for machines of the machine file's family that have the deflection of that file."""
         return cls(machine.family, machine.deflection)

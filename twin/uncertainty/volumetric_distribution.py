@@ -19,7 +19,7 @@ from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistribution:
-    """Distribution of the mean square over the workspace in mm², raw and after the best rigid motion."""
+    """Distribution of the mean square deviation over the workspace in mm², raw and after the best rigid motion."""
 
     raw: QuadraticDistribution | QuadraticMixture
     aligned: QuadraticDistribution | QuadraticMixture
@@ -34,7 +34,7 @@ class VolumetricDistribution:
         return self.quantile(0.5)
 
     def quantile(self, probability: float) -> VolumetricRms:
-        """Return the value that the volumetric error does not exceed with this probability."""
+        """Return the volumetric error (an rms) that is not exceeded with this probability."""
         raw, aligned = (math.sqrt(max(form.quantile(probability), 0.0)) for form in (self.raw, self.aligned))
         return VolumetricRms(raw, aligned)
 
@@ -46,7 +46,7 @@ class VolumetricDistribution:
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistributions:
-    """Distributions of the machine's VE (`ve`) and of the VCE (`vce`), machine less compensation model."""
+    """Distributions of the volumetric error of the machine (`ve`) and of machine minus compensation model (`vce`)."""
 
     ve: VolumetricDistribution
     vce: VolumetricDistribution
@@ -55,7 +55,7 @@ class VolumetricDistributions:
 def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
     """Return the distributions of VE and VCE over axis positions (n, 3) for the machine that `estimate` describes.
 
-    Parameters and misfit vary under all scales that the measurements allow. Raise DataError for an invalid or zero
+    The distributions are averaged over all scales that the measurements allow. Raise DataError for an invalid or zero
     covariance.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
