@@ -30,9 +30,9 @@ _MIN_INFORMATION = 1e-13  # of the largest information of a position: below it t
 class CandidatePositions:
     """N candidate positions in the order of station, azimuth, elevation, tool.
 
-    `balls` (N,): number of measurable balls; `factors` (N, r, P): factors W with WᵀW the information about the shared
-    unknowns z after projecting out the pose (padded with zero rows to equal rank); `precision` (P, P): prior precision
-    of z; `form`: the design criterion.
+    `balls` (N,): number of measurable balls; `factors` (N, r, P): factor W of each candidate, padded with zero rows to
+    r rows, where WᵀW is the information about the shared unknowns z after projecting out the pose; `precision` (P, P):
+    prior precision of z; `form`: the design criterion.
     """
 
     positions: tuple[Position, ...]
@@ -52,16 +52,18 @@ class CandidatePositions:
         return np.asarray(0.5 * (inverse + inverse.T))
 
     def vce(self, chosen: Sequence[int] | Indices) -> VolumetricRms:
-        """Return the expected VCE after measuring the `chosen` candidates; if none are chosen, that of the prior."""
+        """Return the expected VCE after measuring the `chosen` candidates; without any, the expected value under the
+        prior."""
         return self.form.expected(self.covariance(chosen))
 
 
 def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
-    """Return azimuths and elevations in degrees on a full grid, from nadir to zenith. Raise DataError if the step does
-    not divide 90°.
+    """Return all (azimuth, elevation) pairs in degrees on a full grid; elevations run from -90° to 90°. Raise DataError
+    if the step does not divide 90°.
 
-    No two orientations are equivalent, because the ball holders make the artefact asymmetric: rotated by half a turn
-    and mirrored in elevation, the bar lies along the same line but its balls are on the other side of the mount.
+    No two orientations are equivalent, because the ball holders make the artefact asymmetric: if the bar is turned by
+    180° in azimuth and mirrored in elevation, it lies along the same line, but its balls are on the other side of the
+    mount.
     """
     steps = 90.0 / step_deg if step_deg > 0.0 else 0.0
     if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
@@ -84,8 +86,8 @@ def build_candidates(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> CandidatePositions:
-    """Return the candidates among `positions`; duplicates and positions with fewer than three measurable balls are left
-    out.
+    """Return the candidates among `positions`; duplicates and positions with fewer than three measurable balls are
+    omitted.
 
     `grid` (n, 3) in mm and `tool_offset` (3,) define the error field to be minimised. The formulation and scales of
     `options` have no effect: ball centres are used, with noise, prior and misfit as stated. Raise DataError if no
@@ -111,7 +113,8 @@ def _balls(planned: PlannedMeasurement) -> Indices:
 
 
 def _factors(problem: IdentificationProblem) -> Array:
-    """Return the factors (N, r, P): equations of each position, rotated so that those used up by its pose vanish."""
+    """Return the factors (N, r, P): equations of each position, rotated so that the equations used up by its pose
+    become zero and are omitted."""
     size = problem.blocks.size
     rows = CentreEquations.build(problem, unit_weights=False).projected(size)
     rows = problem.layout.pad(rows).reshape(problem.layout.positions, -1, size)

@@ -1,4 +1,4 @@
-"""Design criterion: expected mean square of the residual error field as a quadratic form of all shared unknowns."""
+"""Design criterion: expected mean square of the residual error field, as a quadratic form of all shared unknowns z."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _CROSS_DEGREE = 3
 class Criterion:
     """Quadratic forms `raw` and `aligned` (P, P) in mm² of the design criterion.
 
-    trace(form · C) is the mean square over a grid, expected if the unknowns z (P,) have covariance C; `aligned` is
-    taken after the best rigid motion. Certificate and strain do not contribute to the field. `unresolved_mm2`: mean
-    square of the misfit too short in wavelength for its modes, the same for every set.
+    If the P unknowns z have covariance C, trace(form · C) is the expected mean square over a grid; `aligned` holds
+    after the best rigid motion. Certificate and strain do not contribute to the field. `unresolved_mm2`: mean square of
+    the part of the misfit whose wavelength is too short for the modes; it is the same for every position set.
     """
 
     raw: Array
@@ -57,7 +57,7 @@ class Criterion:
         )
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Return the roots of the expected mean squares for a covariance (P, P)."""
+        """Return the roots of the expected mean squares if z has `covariance` (P, P)."""
         raw, aligned = (float(np.vdot(form, covariance)) + self.unresolved_mm2 for form in (self.raw, self.aligned))
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 
@@ -81,8 +81,7 @@ class _Fields:
 
     @property
     def degrees(self) -> tuple[int, int, int]:
-        """Upper bounds of the polynomial degrees in x, y, z: of the series with their levers, the cross-effect and the
-        modes."""
+        """Upper bounds of the polynomial degrees in x, y, z of series with levers, cross-effect and misfit modes."""
         unknowns = self.unknowns
         highest = np.maximum(np.array(unknowns.model.highest_order) + 1, _CROSS_DEGREE)
         if unknowns.modes is not None:
@@ -92,7 +91,7 @@ class _Fields:
 
     @property
     def unresolved_mm2(self) -> float:
-        """Unresolved misfit in mm², sum over three directions, with scales as stated."""
+        """Variance of the unresolved misfit in mm², summed over three directions, with all scales 1."""
         modes = self.unknowns.modes
         return 0.0 if modes is None else 3.0 * self.unknowns.misfit_mm**2 * float(modes.left_out.sum())
 
@@ -107,7 +106,7 @@ class _Fields:
         return np.concatenate((fields, unknowns.misfit_mm * unknowns.modes.at(points, at_hand)), axis=2)
 
     def embed(self, form: Array) -> Array:
-        """Embed a form (size, size) into one of all unknowns (P, P)."""
+        """Embed a form (size, size) in a form (P, P) of all unknowns."""
         full = np.zeros((self.unknowns.blocks.size,) * 2)
         full[np.ix_(self.indices, self.indices)] = form
         return full

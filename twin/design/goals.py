@@ -18,7 +18,7 @@ MIN_POSITIONS = 2
 
 @dataclass(frozen=True)
 class PositionCountGoal:
-    """Select `count` positions regardless of time. Raise DataError if `count` is 1."""
+    """Select `count` positions regardless of time. Raise DataError if `count` is less than two."""
 
     count: int
 
@@ -48,8 +48,8 @@ class TimeSlotGoal:
     minutes: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the chosen candidates. Raise DataError, stating the minimum, if two positions do not
-        fit."""
+        """Return the indices of the chosen candidates. Raise DataError, stating the shortest possible time, if two
+        positions do not fit into the slot."""
         shortest = search.costs.cheapest_pairs()
         if self.minutes < shortest.min():
             raise DataError(
@@ -74,8 +74,8 @@ class TargetErrorGoal:
     vce_mm: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the chosen candidates. Raise DataError, stating the best VCE, if all candidates cannot
-        reach it."""
+        """Return the indices of the chosen candidates. Raise DataError, stating the best possible VCE, if even all
+        candidates together do not reach the target."""
         candidates = search.candidates
         wanted = self.vce_mm**2 - candidates.form.unresolved_mm2
         floor = candidates.vce(range(candidates.count)).aligned_mm
@@ -96,19 +96,20 @@ def _count_limit(count: int, candidates: int) -> FeasibleMask:
 
 
 def _last_selection(search: ExchangeSearch, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Selection:
-    """Return the last selection grown, or the given one if nothing can be added."""
+    """Return the selection after adding as many candidates as `room` allows, or the given one if none can be added."""
     return deque(chain([selection], search.grow(selection, room, per_minute=per_minute)), maxlen=1).pop()
 
 
 def _best_selection(search: ExchangeSearch, room: FeasibleMask) -> Selection:
-    """Return the better of two greedy selections, by gain per minute and by gain, each exchanged and filled up."""
+    """Return the better of two selections, grown greedily by gain per minute and by gain, and then improved by exchange
+    and filling."""
     start = Selection.of(search.candidates)
     grown = [_last_selection(search, start, room, per_minute=per_minute) for per_minute in (True, False)]
     return min((_exchange_and_fill(search, selection, room) for selection in grown), key=lambda one: one.value)
 
 
 def _exchange_and_fill(search: ExchangeSearch, selection: Selection, room: FeasibleMask) -> Selection:
-    """Alternate exchanging and filling up the freed time until neither changes the selection."""
+    """Alternate between exchanging positions and adding positions in the freed time, until no more can be added."""
     while True:
         exchanged = search.exchange(selection, room)
         filled = _last_selection(search, exchanged, room, per_minute=False)
@@ -118,7 +119,8 @@ def _exchange_and_fill(search: ExchangeSearch, selection: Selection, room: Feasi
 
 
 def _thin_out(search: ExchangeSearch, selection: Selection, wanted: float) -> Selection:
-    """Alternate exchanging and removing positions that the target does not need, until none can be removed."""
+    """Alternate between exchanging positions and removing positions that the target does not need, until none can be
+    removed."""
     while True:
         minutes = search.costs.total(selection.chosen)
 

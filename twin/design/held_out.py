@@ -1,9 +1,10 @@
-"""Selection of held-out positions for the verification: those that would add most to what the set determines.
+"""Selection of held-out positions for the verification: those whose measurement would improve the estimate most.
 
-The verification should be able to fail. If a set leaves the field uncertain in a way that matters for the volumetric
-error, the position that would lower the expected VCE² most is also the one where a wrong estimate shows most clearly.
-The criterion is therefore that of the set itself, continued after it: the gain of each group of positions given
-everything chosen before, including groups already held out, so that two groups do not test the same error.
+The verification should be able to fail. If a position set leaves part of the error field uncertain and this matters for
+the volumetric error, a wrong estimate shows most clearly at the position that would lower the expected VCE² most.
+Held-out positions are therefore chosen by the same criterion as the set itself. The gain of each group of positions is
+computed as if everything chosen before, including groups already held out, had been measured, so that two groups do not
+test the same error.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def most_informative_groups(
     """Return the `count` most informative of `groups`, chosen one after another.
 
     A group holds indices measured together, such as one orientation at all stations. Groups that share a position with
-    `chosen` are skipped. Raise DataError if too few remain.
+    `chosen` are skipped. Raise DataError if fewer than `count` groups remain.
     """
     taken = set(chosen)
     left = [list(group) for group in groups if not taken & set(group)]
@@ -44,7 +45,8 @@ def most_informative_groups(
 
 
 def _gain(factors: Array, form: Array, covariance: Array) -> float:
-    """Return trace(Q C Wᵀ (1 + W C Wᵀ)⁻¹ W C) for the factors (g, r, P) of a group measured together."""
+    """Return trace(Q C Wᵀ (1 + W C Wᵀ)⁻¹ W C) for the factors W (g, r, P) of a group measured together, with the form Q
+    and the covariance C."""
     rows = factors.reshape(-1, factors.shape[2])
     carried = rows @ covariance
     taken = np.linalg.solve(np.eye(len(rows)) + carried @ rows.T, carried)

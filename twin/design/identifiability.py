@@ -1,15 +1,16 @@
 """Identifiability of a machine by a planned set-up, and the part of the error field that stays hidden from it.
 
 Take the parameters z in units of their prior, z ~ N(0, 1), and let C (p, p) be their posterior covariance, marginal
-over certificate, thermal strain and misfit. For a machine z the mean of the estimate over all noise is (1 - C) z: C z
-is the part of the machine that the estimate does not follow, either because the measurements do not depend on it or
-because noise hides it. The projection of C z on the null space N of the measurements stays however often they are
+over certificate, thermal strain and misfit. For a machine z, the mean of the estimate over all noise is (1 - C) z. The
+estimate does not follow the remaining part C z, either because the measurements do not depend on it or because noise
+hides it. The projection of C z on the null space of the measurements (basis N) remains, no matter how often they are
 repeated. Over the prior this gives
 
     unseen field   covariance C C,     tends to the blind field as the noise tends to zero
     blind field    covariance N Nᵀ
 
-and the mean square over the workspace is a quadratic form of them, for the measuring tools and for any other one.
+and the mean square of each field over the workspace is a quadratic form of the parameters, for the measuring tools and
+for any other tool.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from twin.machine.volumetric import QuadraticForm
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedTool:
-    """Tool for which the field over a grid is evaluated. `measured`: the set is measured with this tool."""
+    """Tool for which the field over a grid is evaluated. `measured`: True if the set is measured with this tool."""
 
     name: str
     form: QuadraticForm
@@ -37,10 +38,11 @@ class EvaluatedTool:
 
 @dataclass(frozen=True, eq=False)
 class UnseenField:
-    """Rms over the workspace in mm, after the best rigid motion, of the field at one tool offset (3,) in mm.
+    """Rms values of the error field over the workspace for one tool, in mm, after the best rigid motion.
 
-    `prior_mm`: field of the family without compensation; `unseen_mm`: part that the estimate will not follow;
-    `blind_mm`: part of that which no repetition can reveal.
+    `tool_offset` (3,) in mm; `measured`: True if the set is measured with this tool. `prior_mm`: field of the family
+    without compensation; `unseen_mm`: part of the field that the estimate will not follow; `blind_mm`: the part of the
+    unseen field that no repetition of the measurements can reveal.
     """
 
     tool: str
@@ -53,10 +55,11 @@ class UnseenField:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Identifiability of the parameters by a set-up.
+    """Identifiability of the p parameters by a set-up.
 
-    Rank, null directions and conditioning of the measurements alone; standard deviations (p,) of the parameters before
-    and after in mm or rad; the unseen field for each evaluated tool.
+    `rank`, `null_directions` and `conditioning` describe the measurements alone. `prior_sigma`, `posterior_sigma` (p,):
+    standard deviations of the parameters before and after the measurement in mm or rad; `fields`: unseen field of each
+    evaluated tool.
     """
 
     model: ErrorModel
@@ -74,12 +77,12 @@ class Identifiability:
 
     @property
     def unseen_mm(self) -> float:
-        """Rms of the unseen field over the workspace and the evaluated tools."""
+        """Rms of the unseen field over the workspace and the evaluated tools, in mm."""
         return float(np.sqrt(np.mean([at.unseen_mm**2 for at in self.fields])))
 
     @property
     def blind_mm(self) -> float:
-        """Rms of the blind field over the workspace and the evaluated tools."""
+        """Rms of the blind field over the workspace and the evaluated tools, in mm."""
         return float(np.sqrt(np.mean([at.blind_mm**2 for at in self.fields])))
 
 
@@ -87,8 +90,8 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
     """Return the identifiability given by the measurements behind `estimate`; only the ball positions matter, not the
     values.
 
-    This holds for full weights with the family as prior, since then the covariance of the estimate is the posterior
-    one.
+    The result is valid for full weights with the family as prior, because the covariance of the estimate is then the
+    posterior covariance.
     """
     return Identifiability(
         model=estimate.model,
@@ -104,8 +107,8 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
 def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
     """Return the covariance (p, p) of the part of a random machine that the estimate does not follow.
 
-    `covariance` (p, p) is the posterior one. In units of `prior_scale` (p,) the result is C C; a parameter that the
-    family excludes does not contribute.
+    `covariance` C (p, p) is the posterior covariance. In units of `prior_scale` (p,) the result is C C; a parameter
+    that the family holds at zero does not contribute.
     """
     used = prior_scale > 0.0
     weights = np.zeros_like(prior_scale)
@@ -114,8 +117,8 @@ def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
 
 
 def blind_covariance(information: Array, prior_scale: Array) -> Array:
-    """Return the covariance (p, p) of the part of a random machine in the null space of `information` (p, p), in prior
-    units."""
+    """Return the covariance (p, p) of the part of a random machine that lies in the null space of `information` (p, p).
+    The information matrix is in units of `prior_scale`, the result in mm and rad."""
     hidden = prior_scale[:, None] * null_space(information)
     return np.asarray(hidden @ hidden.T)
 

@@ -1,13 +1,13 @@
-"""Information state after measuring some positions, and the gain of each further one.
+"""Information after measuring some positions, and the gain of each further position.
 
-With the covariance C of the unknowns, the criterion's form Q and a position's factor W, measuring it lowers trace(Q C)
-by
+Let C be the covariance of the unknowns, Q the quadratic form of the design criterion, and W the information factor of a
+position. Measuring this position lowers trace(Q C) by
 
     trace((1 + W C Wᵀ)⁻¹ W C Q C Wᵀ)
 
-(Woodbury), so a search needs only two small matrices per candidate. Measuring a position changes C by a matrix U Uᵀ of
-the position's rank, and the small matrices of all candidates are updated from one product of their factors with U and C
-Q U, without recomputing them.
+(Woodbury), so a search needs only two small matrices per candidate. Measuring a position subtracts from C a matrix U
+Uᵀ, whose rank is that of W, and the small matrices of all candidates are updated from one product of their factors with
+U and C Q U, without recomputing them.
 """
 
 from __future__ import annotations
@@ -23,10 +23,13 @@ from twin.design.candidates import Indices
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """Information state of a selection.
+    """Covariance of the unknowns after measuring a selection, and quantities from which the gain of each candidate
+    follows.
 
-    `factors` (n, r, P) of the candidates considered; `form` Q and `covariance` C (P, P); `spread` W C Wᵀ and `weight` W
-    C Q C Wᵀ (n, r, r); `value` trace(Q C) in mm².
+    `factors` (n, r, P): information factor W of each candidate considered; `form` (P, P): quadratic form Q of the
+    design criterion in mm²; `covariance` (P, P): covariance C of the unknowns; `spread` (n, r, r): W C Wᵀ of each
+    candidate; `weight` (n, r, r): W C Q C Wᵀ of each candidate; `value`: trace(Q C), the expected mean square error in
+    mm².
     """
 
     factors: Array
@@ -55,11 +58,11 @@ class InformationState:
         )
 
     def gains(self) -> Array:
-        """Return the decrease (n,) of the value in mm² if each candidate is measured (again)."""
+        """Return, for each candidate, the decrease (n,) of the value in mm² if it is measured (or measured again)."""
         return _ratios(np.eye(self.spread.shape[1]) + self.spread, self.weight)
 
     def losses(self, measured: Indices) -> Array:
-        """Return the increase (m,) of the value in mm² if each of the `measured` positions is removed."""
+        """Return, for each of the m `measured` positions, the increase (m,) of the value in mm² if it is removed."""
         return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
 
     def after_adding(self, factor: Array) -> InformationState:
@@ -71,7 +74,7 @@ class InformationState:
         return self._changed(factor, 1.0)
 
     def _changed(self, factor: Array, sign: float) -> InformationState:
-        """Return the state with C + sign U Uᵀ, where U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ."""
+        """Return the state with covariance C + sign U Uᵀ, where U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ."""
         carried = factor @ self.covariance
         root, _ = dpotrf(np.eye(len(factor)) - sign * (carried @ factor.T), lower=1)
         u = dtrtrs(root, carried, lower=1)[0].T

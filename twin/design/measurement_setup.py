@@ -18,7 +18,7 @@ from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_population import Family
 
 AS_STATED = Options(estimate_scales=False, outliers="none")
-"""Options for planning: nothing has been measured, so noise, prior and misfit are used as stated."""
+"""Options for planning: nothing has been measured yet, so noise, prior and misfit have their stated scales."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,21 +37,22 @@ class SetUp:
 
     @property
     def tool_axis(self) -> int:
-        """Axis along which the first tool is longest; for a tool without length, the axis that carries it."""
+        """Index of the axis along which the first tool is longest; if its offset is zero, of the axis that carries
+        it."""
         offset = np.abs(self.procedure.layout().tool_offset_mm)
         if offset.any():
             return int(offset.argmax())
         return AXES.index(self.model.chain.axes[0])
 
     def plan(self) -> PlannedMeasurement:
-        """Return the balls that will be measured. Raise DataError if none can be reached."""
+        """Return the measurement as planned. Raise DataError if no position can be measured."""
         return self.procedure.plan(self.positions)
 
     def estimate(self) -> Estimate:
         """Return the estimate expected from the planned ball positions; its covariance is that of the coming
         measurement.
 
-        Raise DataError if no ball can be reached, and SingularSet for a set that determines nothing.
+        Raise DataError if no position can be measured, and SingularSet if the set determines nothing.
         """
         return identify(self.model, self.plan().observations, self.procedure.artefact, self.family, self.options)
 
@@ -64,18 +65,19 @@ class SetUp:
         return replace(self, positions=(*self.positions, *positions))
 
     def with_tool(self, name: str, tool_offset: Array) -> SetUp:
-        """Return the set-up with the positions of the first tool measured again with another tool, replanned for its
-        offset."""
+        """Return the set-up in which the positions of the first tool are also measured with another tool, planned for
+        its offset."""
         layouts = {**self.procedure.layouts, name: layout_for(self.procedure.layout(), tool_offset, self.tool_axis)}
         procedure = replace(self.procedure, layouts=layouts)
         return replace(self, procedure=procedure).with_positions(replace(p, tool=name) for p in self.first_positions())
 
 
 def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:
-    """Return the layout for another tool offset (3,) in mm; the probe length changes by the difference along the tool
-    axis.
+    """Return the layout for another tool offset (3,) in mm; the length of the probe changes by the difference of the
+    offsets along the tool axis.
 
-    Obstacles are assessed for a straight probe that is at least as long as stem and body of the layout's probe.
+    Collisions are checked for a straight probe that is at least as long as stem and body of the layout's probe
+    together.
     """
     longer = float((np.abs(tool_offset) - np.abs(layout.tool_offset_mm))[tool_axis])
     reach_mm = max(layout.probe.reach_mm + longer, shortest_reach_mm(layout.probe))

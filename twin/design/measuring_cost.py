@@ -1,4 +1,4 @@
-"""Cost of measuring in machine minutes: for each position, and for moving the mount between stations."""
+"""Cost of measuring in machine minutes: time for each position and for moving the mount between stations."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from twin.errors import DataError
 class MeasuringCosts:
     """Measuring time of N candidates.
 
-    `minutes` (N,): time of each candidate with the mount already at its station; `stations` (N,): its station;
-    `carry_minutes`: time to move the mount to another station; `standing_at`: initial station of the mount, None if it
-    is at no station.
+    `minutes` (N,): time to measure each candidate if the mount is already at its station; `stations` (N,): station of
+    each candidate; `carry_minutes`: time to move the mount to another station; `standing_at`: initial station of the
+    mount, None if it is at no station.
 
-    A set is measured station by station, so each station other than the initial one costs one move.
+    A position set is measured station by station, so each of its stations other than the initial one costs one move.
     """
 
     minutes: Array
@@ -35,17 +35,18 @@ class MeasuringCosts:
             raise DataError("measuring times must be positive, and the time to move the mount must not be negative")
 
     def total(self, chosen: Sequence[int]) -> float:
-        """Return the minutes of a whole set."""
+        """Return the minutes needed to measure the whole set `chosen`."""
         carries = {int(self.stations[index]) for index in chosen} - {self.standing_at}
         return float(self.minutes[list(chosen)].sum()) + self.carry_minutes * len(carries)
 
     def marginal(self, chosen: Sequence[int]) -> Array:
-        """Return the minutes (N,) that each candidate adds to the chosen ones."""
+        """Return the minutes (N,) that each candidate adds to the set `chosen`."""
         here = [*{int(self.stations[index]) for index in chosen}, self.standing_at or 0]
         return np.asarray(self.minutes + self.carry_minutes * ~np.isin(self.stations, here))
 
     def cheapest_pairs(self) -> Array:
-        """Return the minutes (N,) of each candidate together with its cheapest partner."""
+        """Return, for each candidate, the minutes (N,) needed to measure it together with the second candidate that
+        adds least."""
         cheapest = np.empty(len(self.minutes))
         for index in range(len(cheapest)):
             beside = self.marginal([index])

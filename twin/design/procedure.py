@@ -1,4 +1,4 @@
-"""Planned measuring procedure: the balls that a set of positions would measure, and their covariance."""
+"""Planned measuring procedure: the balls measured in a set of positions, and the covariance of their centres."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ MIN_BALLS = 3
 class PlannedMeasurement:
     """Measurement planned for a set of positions.
 
-    `observations`: ball centres that an error-free machine would find; `observations.position` indexes `positions`.
-    `left_out`: positions with fewer than three measurable balls; `unreachable_balls`: number of unreachable balls over
-    all positions.
+    `observations`: ball centres that an error-free machine would measure; `observations.position` contains indices of
+    `positions`. `left_out`: positions with fewer than three measurable balls; `unreachable_balls`: number of
+    unreachable balls over all positions.
     """
 
     observations: Observations
@@ -41,7 +41,7 @@ class PlannedMeasurement:
 class Procedure:
     """Tools and layouts of a measurement.
 
-    `layouts`: tool name → layout, starting with the tool of a run; `covariance_mm2` (3, 3): covariance of one ball
+    `layouts`: layout by tool name; the first tool is that of a run; `covariance_mm2` (3, 3): covariance of one ball
     centre.
     """
 
@@ -62,7 +62,7 @@ class Procedure:
         return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
 
     def layout(self, tool: str | None = None) -> MeasuringLayout:
-        """Return the layout of a tool, by default of the first one. Raise DataError for an unknown tool."""
+        """Return the layout of `tool`, or that of the first tool if it is None. Raise DataError for an unknown tool."""
         if tool is None:
             return next(iter(self.layouts.values()))
         if tool not in self.layouts:

@@ -1,4 +1,5 @@
-"""Greedy search for a position set: add the best position repeatedly, then exchange positions while that helps.
+"""Greedy search for a position set: repeatedly add the best position, then exchange positions as long as this lowers
+the expected error.
 
 Every gain is computed exactly at every step. Lazy evaluation is not used: it assumes that gains can only fall, but
 under the trace criterion one position may increase the gain of another, and with `InformationState` it would save
@@ -41,7 +42,8 @@ class Selection:
 
     @property
     def value(self) -> float:
-        """Expected mean square of the aligned residual field in mm², without the part common to all sets."""
+        """Expected mean square of the aligned residual field in mm², without the unresolved misfit, which is the same
+        for all sets."""
         return self.information.value
 
     @property
@@ -59,7 +61,8 @@ class Selection:
         return Selection(kept, self.information.after_removing(self.information.factors[index]))
 
     def by_rising_loss(self) -> tuple[list[int], Array]:
-        """Return the chosen indices by rising loss, and the increase of the value if each is removed."""
+        """Return the chosen indices in the order of rising loss, and the losses: the increase of the value in mm² if
+        one is removed."""
         losses = self.information.losses(np.array(self.chosen, dtype=np.intp))
         order = np.argsort(losses, kind="stable")
         return [self.chosen[rank] for rank in order], losses[order]
@@ -69,8 +72,8 @@ class Selection:
 class ExchangeSearch:
     """Greedy search with exchange over `candidates`.
 
-    `is_measurable` checks if a candidate can really be measured; it is expensive and therefore called late. The search
-    ends after a round of exchanges that lowers the value by less than the fraction `min_improvement`.
+    `is_measurable` returns True if a candidate can really be measured; it is slow and therefore called only for the
+    best candidates. The exchange ends after a round that lowers the value by less than the fraction `min_improvement`.
     """
 
     candidates: CandidatePositions
@@ -79,8 +82,8 @@ class ExchangeSearch:
     min_improvement: float = 5e-3
 
     def grow(self, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Iterator[Selection]:
-        """Yield selections that each add the best position, by gain or by gain per minute, until no feasible one
-        improves."""
+        """Yield selections, each with one more position: the feasible one with the largest gain or gain per minute.
+        Stop if no feasible position has a gain."""
         while True:
             worth = selection.information.gains()
             if per_minute:
@@ -92,7 +95,7 @@ class ExchangeSearch:
             yield selection
 
     def exchange(self, selection: Selection, room: FeasibleMask) -> Selection:
-        """Replace each chosen position by the best feasible one if that lowers the value (Fedorov's exchange).
+        """Replace each chosen position by the best feasible candidate if this lowers the value (Fedorov's exchange).
 
         Positions are tried in the order of rising loss; each round considers only the most promising candidates.
         """
@@ -113,13 +116,14 @@ class ExchangeSearch:
         return tuple(int(kept[index]) for index in near.chosen)
 
     def _promising(self, selection: Selection) -> Indices:
-        """Return, in candidate order, the chosen positions and the half of the others with the largest gains."""
+        """Return, in candidate order, the chosen positions and the other candidates with the largest gains: half of all
+        candidates, but at least `_ALL_CANDIDATES` if there are as many."""
         gains = np.where(selection.free, selection.information.gains(), np.inf)
         count = max(len(gains) // 2, min(len(gains), _ALL_CANDIDATES)) + len(selection.chosen)
         return np.sort(np.argsort(-gains, kind="stable")[:count])
 
     def _exchange_one(self, selection: Selection, index: int, room: FeasibleMask, kept: Indices) -> Selection:
-        """Exchange one position; `kept` (n,) maps the selection's indices to candidates."""
+        """Exchange one position if this lowers the value; `kept` (n,) maps the selection's indices to candidates."""
         rest = selection.with_removed(index)
         needed = rest.value - selection.value * (1.0 - _MIN_DECREASE)
         allowed = room([int(kept[other]) for other in rest.chosen])[kept] & selection.free
@@ -127,7 +131,8 @@ class ExchangeSearch:
         return selection if best is None else rest.with_added(best)
 
     def _best(self, worth: Array, allowed: Mask, above: float, kept: Indices | None = None) -> int | None:
-        """Return the allowed and measurable candidate of the largest worth above `above`, or None."""
+        """Return the allowed and measurable candidate with the largest worth, or None if no such candidate exceeds
+        `above`."""
         left = np.where(allowed, worth, -np.inf)
         while left[best := int(np.argmax(left))] > above:
             if self.is_measurable(best if kept is None else int(kept[best])):

@@ -23,10 +23,10 @@ def describe_trial(trial: SetUpTrial) -> str:
 
 
 def describe_gain(gain: TrialGain) -> str:
-    """Return the benefit: `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24 positions
-    more`.
+    """Return the benefit, such as `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24
+    positions more`.
 
-    The figures are rms over all evaluated tools.
+    Values in µm are rms over the workspace and all evaluated tools.
     """
     before, after = gain.before, gain.after
     parts = [_parameters(gain), f"unseen {_change(before.unseen_mm, after.unseen_mm)}"]

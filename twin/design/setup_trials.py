@@ -1,4 +1,4 @@
-"""Trial changes of a set-up that could reveal more: probe length, lateral stylus, more positions, repetition."""
+"""Trial changes of a set-up that could reveal more errors: probe length, lateral stylus, more positions, repetition."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class TrialTool:
 
 @dataclass(frozen=True, eq=False)
 class SetUpTrial:
-    """Set-up with one addition: the first tool's positions repeated with `tool`, the positions of the set named
-    `added`, or, if neither is given, the same positions repeated."""
+    """Set-up with additional measurements. If `tool` is given, the positions of the first tool are measured again with
+    this tool. If `added` names a position set, its positions are added. Otherwise all positions are measured again."""
 
     set_up: SetUp
     tool: TrialTool | None = None
@@ -49,7 +49,7 @@ class SetUpTrial:
 
     @property
     def kind(self) -> str:
-        """Group key of equivalent trials, of which one is enough."""
+        """Key of a group of similar trials, of which only one needs to be proposed."""
         if self.tool is None:
             return self.added or "again"
         return f"lateral {AXES[self.tool.axis]}" if self.tool.lateral else "length"
@@ -78,13 +78,13 @@ class TrialGain:
 
     @property
     def unseen_removed_mm(self) -> float:
-        """Decrease of the unseen rms over the workspace and the evaluated tools."""
+        """Decrease in mm of the unseen rms over the workspace and the evaluated tools."""
         return self.before.unseen_mm - self.after.unseen_mm
 
 
 def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
-    """Return probe lengths and lateral styli worth trying, without existing tools and probes shorter than stem and
-    body."""
+    """Return tools with other probe lengths and lateral styli worth trying. Tools that exist already and probes shorter
+    than stem and body are omitted."""
     axis = set_up.tool_axis
     lengths = [_trial_tool(set_up, axis, by_mm, lateral=False) for by_mm in LENGTHS_MM]
     across = [k for k in range(3) if k != axis]
@@ -100,8 +100,8 @@ def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
 
 
 def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
-    """Return the tools to evaluate: those of the set-up, the longest other one, and a lateral stylus for each
-    direction."""
+    """Return the tools to evaluate: those of the set-up, the first trial tool of another length, and one lateral stylus
+    for each direction across it."""
     used = {position.tool or set_up.first_tool for position in set_up.positions}
     own = [(name, layout.tool_offset_mm, name in used) for name, layout in set_up.procedure.layouts.items()]
     others: dict[int, TrialTool] = {}
@@ -124,10 +124,10 @@ def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
 
 
 def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[EvaluatedTool]) -> tuple[TrialGain, ...]:
-    """Return the gain of each trial, largest decrease of the unseen field first; trials without new positions are left
-    out.
+    """Return the gain of each trial, largest decrease of the unseen field first; trials that add no measurable position
+    are omitted.
 
-    `before`: identifiability of the set-up itself for the tools `views`.
+    `before`: identifiability of the set-up itself, evaluated for the tools `views`.
     """
     measured = len(set_up.plan().positions)
     found = []
@@ -152,7 +152,7 @@ def _trial_tool(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> TrialT
 
 
 def _new_positions(set_up: SetUp, name: str) -> tuple[Position, ...]:
-    """Return positions of a named set, at the set-up's stations, that the first tool does not measure yet."""
+    """Return the positions of the set `name`, at the set-up's stations, that the first tool does not measure yet."""
     there = {(p.station, p.azimuth_deg, p.elevation_deg) for p in set_up.first_positions()}
     stations = sorted({station for station, _, _ in there})
     wanted = [(station, *orientation) for station in stations for orientation in POSITION_SETS[name]]

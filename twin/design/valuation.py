@@ -21,7 +21,8 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Valuation:
-    """Expected volumetric error of the family (`before`, including unmodelled errors) and VCE (`after`)."""
+    """Expected volumetric error of the family before compensation, including misfit (`before`), and expected VCE
+    (`after`)."""
 
     before: VolumetricRms
     after: VolumetricRms
@@ -30,7 +31,8 @@ class Valuation:
     def percent(self) -> float:
         """Expected reduction of the volumetric error in percent, rigidly aligned.
 
-        0 for a set without information, 100 if no error remains, negative for an estimator that makes machines worse.
+        The result is 0 for a set without information, 100 if no error remains, and negative if compensation makes
+        machines worse.
         """
         return 100.0 * (1.0 - self.after.aligned_mm / self.before.aligned_mm)
 
@@ -43,7 +45,7 @@ def valuation(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> Valuation:
-    """Return the valuation of planned ball centres, identified with prior, full weights and scales as stated."""
+    """Return the valuation of planned ball centres for an identification with prior, full weights and all scales 1."""
     problem = build_problem(family, observations, artefact, options)
     form = Criterion.build(problem.unknowns, grid, tool_offset)
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))

@@ -73,7 +73,7 @@ def _penalty(count: int) -> float:
 
 
 def _successive(y: Array) -> float:
-    """Return the standard deviation, estimated from the median of the successive differences after removing the slope."""
+    """Return the standard deviation, estimated from the median of successive differences after removing the slope."""
     differences = np.diff(y)
     return float(np.median(np.abs(differences - np.median(differences)))) / MEDIAN_RANGE
 
