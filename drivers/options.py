@@ -9,11 +9,14 @@ from pydantic import BaseModel, ConfigDict
 
 
 class DriverOptions(BaseModel):
-    """Base class of a driver's options and of their sections: frozen values; unknown keys are errors."""
+    """Base class of a driver's options and their sections. Instances are immutable; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     former_keys: ClassVar[Mapping[str, str]] = {}
-    """Renamed keys: old to new. A settings file with an old key is refused, and the message names the new one."""
+    """Current names of renamed keys, by former name.
+
+    A settings file with a former key is refused, and the message gives the current one.
+    """
 
 
 def rename_former_keys(options: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
@@ -46,7 +49,7 @@ def _former_keys(kind: type[BaseModel]) -> Mapping[str, str]:
 
 
 def _section(kind: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the model of the section `name`, also if the section is optional; None if it is not a section."""
+    """Return the model of the key `name` if it is a section, optional or not; otherwise None."""
     field = kind.model_fields.get(name)
     if field is None:
         return None

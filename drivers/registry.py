@@ -1,7 +1,7 @@
 """Driver plugins, found by entry point: a name, a settings model and a factory.
 
-A third party ships a package with an entry point in the group ``volcal.drivers`` that refers to a
-`DriverPlugin`; no code here changes.
+A third party adds a driver by a package with an entry point in the group ``volcal.drivers`` that refers to a
+`DriverPlugin`; volcal's own code need not change.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class DeviceContext:
 class DriverPlugin:
     """Driver plugin. `create(settings, context)` returns a device that is not yet open.
 
-    The device plays every role whose Protocol in `drivers.roles` it implements. `claims(settings)` maps resources
-    that no other device of the same machine may use (readable text) to the option that claims them. `several_mounts`
-    is True if the device serves a mount at each station (`drivers.roles.MultiStationMount`).
+    The device has every role whose Protocol in `drivers.roles` it implements. `claims(settings)` returns the resources
+    that no other device of the same machine may use: readable texts, each mapped to the option that claims it.
+    `several_mounts` is True if the device serves a mount at each station (`drivers.roles.MultiStationMount`).
     """
 
     name: str
@@ -71,9 +71,9 @@ def check_options(driver: str, options: Mapping[str, object], name: str) -> Mapp
 
 
 def current_options(driver: str, options: Mapping[str, object]) -> dict[str, object]:
-    """Return options that an earlier version has stored, with former keys replaced by the current ones.
+    """Return `options`, which may come from an earlier version, with former keys replaced by the current ones.
 
-    Options of a driver that cannot be loaded are returned unchanged; creating the device raises the error.
+    If the driver cannot be loaded, the options are returned unchanged; the error is raised when the device is created.
     """
     try:
         plugin = _plugin(driver, driver)

@@ -1,8 +1,8 @@
-"""Device roles. A driver implements one or more of them; its callers depend on the roles only.
+"""Device roles. A device implements one or more of them, and its callers depend only on the roles.
 
 Units: mm, mm/s, s, °C; mount angles in degrees. Axis positions are the displayed ones, in the order X, Y, Z.
 Every method may raise `DeviceError`. Every wait has a deadline inside the driver and sleeps on the clock passed to
-the driver. If an exception of any kind ends a wait, the driver stops the motion it had started before it propagates
+the driver. If an exception of any kind ends a wait, the driver first stops the motion that it started, then propagates
 the exception.
 """
 
@@ -31,7 +31,7 @@ class AxisLimits:
 
 
 class Permission(Enum):
-    """Conditions for moving the machine (operating conditions of ISO 16090-1), worded as on the controller."""
+    """Conditions for moving the machine (operating conditions of ISO 16090-1); values are the words for messages."""
 
     AUTOMATIC = "controller in automatic mode"
     DOORS_CLOSED = "doors closed"
@@ -226,7 +226,7 @@ class CompensationStore(Protocol):
         """Return the whole table after checking its CRC-32; None if the bank is empty."""
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Write to an inactive bank and commit it with its CRC-32. Raises StoreError for the active bank."""
+        """Write a table to an inactive bank and commit it with its CRC-32. Raises StoreError for the active bank."""
 
     def activate(self, bank: int) -> None:
         """Activate in two steps, arm and confirm; return once the controller reports `bank` as active."""
@@ -247,7 +247,10 @@ class OperatorTask(Enum):
 
 @dataclass(frozen=True)
 class OperatorRequest:
-    """Yes/no question to the operator (done counts as yes). `station`, counted from 1, is set if the task has one."""
+    """Yes/no question to the operator; "done" counts as yes.
+
+    `station` is the station that the task concerns, counted from 1; None if it concerns none.
+    """
 
     task: OperatorTask
     text: str
@@ -281,4 +284,4 @@ class Device(Protocol):
     def stop(self) -> None: ...
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Check that the device answers, read its state, measure latency; moves nothing and writes nothing."""
+        """Check that the device answers, read its state and measure latency. Moves nothing and writes nothing."""

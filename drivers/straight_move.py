@@ -1,4 +1,7 @@
-"""Duration of a straight move, so that a wait can sleep until just before its end, and distances from its path."""
+"""Duration of a straight move, distance from its path, and limits along its direction.
+
+With the duration, a wait can sleep until just before the end of the move.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading back a bank through the read window."""
+"""Reading a table back from a bank, block by block through the read window of the register map."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ class BankReader:
         return decode_table(descriptor, data), descriptor
 
     def _read_block(self, bank: int, number: int) -> bytes:
-        """Return 240 bytes of the read window, once it shows `bank` and `number`.
+        """Select block `number` of `bank`, wait until the read window shows it, and return its 240 bytes.
 
-        Until the controller's program evaluates the selector, the window still shows the previous selection, so it
-        may briefly report that there is no such block.
+        Until the controller's program evaluates the selector, the window shows the previous selection. A report that
+        there is no such block therefore counts only after `acknowledge_timeout_s`.
         """
         blocks, clock = self._session.settings.blocks, self._session.clock
         selector = bank.to_bytes(2, "big") + number.to_bytes(2, "big")

@@ -1,4 +1,7 @@
-"""Codec between register blocks and values: one `struct` call per block for any number type and word order."""
+"""Conversion between register blocks and values.
+
+One `struct` call converts a block for any number type and word order.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,11 @@ _REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """Transmission format of the map's f64: float64, or int32 × `scale` in the first two of their four registers.
+    """Transmission format of values with type f64 in the register map.
 
-    `word_order` is the order of the registers of a value, `byte_order` that of the two bytes in each of them. Both
-    apply to values of more than one register; u16 are always transmitted as the protocol specifies.
+    Such a value has four registers. They hold a float64 or, in the first two, an int32 that gives the value if
+    multiplied by `scale`. `word_order` is the order of the registers of a value, `byte_order` the order of the two
+    bytes in each of them. Both apply to all values of more than one register; u16 are always big-endian.
     """
 
     kind: Literal["float64", "int32"] = "float64"
@@ -52,7 +56,7 @@ class RegisterLayout:
 
     @property
     def size(self) -> int:
-        """Number of registers."""
+        """Number of registers in the block."""
         return self._struct.size // 2
 
     def offset(self, name: str) -> int:
@@ -65,7 +69,7 @@ class RegisterLayout:
         raise KeyError(name)
 
     def unpack(self, data: bytes) -> Iterator[Any]:
-        """Yield one int, float or tuple of them per field, in order."""
+        """Yield the value of each field in order: an int, a float, or a tuple if the field has several values."""
         flat: Sequence[Any] = self._struct.unpack(self.reordered(data))
         if self._scaled:
             values = list(flat)
@@ -78,7 +82,7 @@ class RegisterLayout:
             at += register.count
 
     def pack(self, values: Sequence[Any]) -> bytes:
-        """Pack values into bytes, the inverse of `unpack`. Raises ValueError if a value does not fit an int32."""
+        """Pack one value per field into bytes, the inverse of `unpack`. Raises ValueError if one does not fit."""
         flat: list[Any] = []
         for register, value in zip(self._registers, values, strict=True):
             flat.extend((value,) if register.count == 1 else value)
@@ -90,7 +94,7 @@ class RegisterLayout:
             raise ValueError(str(error)) from error
 
     def reordered(self, data: bytes) -> bytes:
-        """Convert big-endian bytes of the whole layout to wire order, or back: the swap is its own inverse."""
+        """Convert the bytes of the whole block from big-endian to wire order or back; both are the same swap."""
         return data if self._order is None else bytes([data[index] for index in self._order])
 
     def _kinds(self) -> Iterator[RegisterType]:

@@ -37,12 +37,12 @@ MIN_DYNAMICS = 0.1
 MIN_RESOLUTION_MM = 1e-9
 """Smallest plausible resolution in mm.
 
-These bounds detect a float64 in the wrong word or byte order: it then is below 1e-300 or huge.
+This bound and `MIN_DYNAMICS` reveal a wrong word or byte order, which makes a float64 huge or smaller than 1e-300.
 """
 
 
 class ModbusCnc:
-    """Motion, probing and table store of one controller over a shared session; they exist while the device is open."""
+    """Controller with Modbus registers. Motion, probing and store share a session; they exist while it is open."""
 
     def __init__(self, settings: ModbusCncSettings, clock: Clock, name: str) -> None:
         self._session = ModbusSession(create_link(settings, clock, name), clock, settings)

@@ -13,15 +13,17 @@ from drivers.roles import DiagnosticFinding
 
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.1
-"""Limit of the median round trip in s, a quarter of the poll interval: a slower link leaves too little time for the
-heartbeat. On a serial line the transmission time is added."""
+"""Largest acceptable median round trip in s, a quarter of the poll interval.
+
+A slower link leaves too little time for the heartbeat. On a serial line the transmission time is added.
+"""
 
 HEARTBEAT_PAUSE_S = 0.3
 """Pause in s between two readings of the heartbeat; the register map requires a new heartbeat every 0.25 s."""
 
 
 def diagnose(session: ModbusSession) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order; an error becomes the last finding."""
+    """Return the findings in troubleshooting order; an error ends them and becomes the last one."""
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:

@@ -9,9 +9,9 @@ from drivers.errors import LinkLost
 
 
 class PeerHeartbeat:
-    """Monitor that raises LinkLost if the controller's heartbeat does not change for `lost_after_s`.
+    """Monitor that raises LinkLost if observations over more than `lost_after_s` show the same heartbeat.
 
-    A longer pause between two observations proves nothing, so monitoring restarts after it.
+    If two observations are further apart than that, an equal heartbeat proves nothing, so monitoring restarts.
     """
 
     def __init__(self, clock: Clock, lost_after_s: float, where: Mapping[str, str]) -> None:

@@ -39,7 +39,10 @@ def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[Diagnost
 def search_baud_rate(
     settings: ModbusCncSettings, clock: Clock, device: str, error: DeviceError
 ) -> Iterator[DiagnosticFinding]:
-    """Try the other usual baud rates and parities after no answer or a garbled one, reading one register at each."""
+    """Search the baud rate and parity at which the controller answers, if `error` is a time-out or a damaged frame.
+
+    Each usual combination is tried by reading one register. Yields one finding.
+    """
     if settings.serial is None or not isinstance(error, LinkTimeout | DamagedFrame):
         return
     for line in _other_lines(settings.serial):

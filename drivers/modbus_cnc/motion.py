@@ -29,10 +29,13 @@ from drivers.straight_move import move_duration_s
 
 COARSEST_FINE_POLL_S = 0.1
 END_MARGIN_S = 0.001
-"""Time in s after the predicted end at which to poll: a poll exactly at the end would be too early half the time."""
+"""Time in s between the predicted end and the poll for it; a poll exactly at that end would often be too early."""
 
 DURATION_FACTOR = 1.5
-"""Allowed multiple of the predicted duration of a motion (feed override, look-ahead); the margin is added."""
+"""Factor on the predicted duration in the time limit of a motion, which allows for feed override and look-ahead.
+
+`motion_margin_s` is added.
+"""
 
 
 class ModbusMotionResult(NamedTuple):
@@ -43,7 +46,7 @@ class ModbusMotionResult(NamedTuple):
 
 
 class ModbusMotion:
-    """Starts motions, keeps up the heartbeat until they end, and returns or raises their outcome.
+    """Starts motions, sends the heartbeat until they end, and returns their result or raises an error.
 
     If an exception ends a wait, STOP is sent before the exception propagates.
     """
@@ -56,7 +59,10 @@ class ModbusMotion:
         """Tag of the step to which the motions belong; sent in the CRC field, which motions do not use."""
 
     def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> ModbusMotionResult:
-        """Carry out a motion and return if it ends in position, tripped or missed; raise for any other outcome."""
+        """Carry out a motion and return its result.
+
+        A touch may end with a trip or a miss, any other motion only in position. Other outcomes raise an error.
+        """
         session = self._session
         target = self._validated_target(code, target_mm, feed_mm_per_s)
         try:
@@ -74,7 +80,7 @@ class ModbusMotion:
         return ModbusMotionResult(accepted.position, status)
 
     def stop(self) -> None:
-        """Send STOP. Does not wait for standstill, because callers may be unable to sleep."""
+        """Send STOP without waiting for standstill, because the caller may be inside an interrupted sleep."""
         self._braking = True
         self._session.send_urgent(CommandCode.STOP)
 
@@ -129,7 +135,7 @@ class ModbusMotion:
         return status
 
     def _slice_s(self, interval_s: float) -> float:
-        """Return the pause between two polls in s; on a slow line the poll itself uses part of the interval."""
+        """Return the pause in s between polls: the interval minus a poll's transmission time, with a lower bound."""
         return max(interval_s - self._session.poll_wire_time_s, self._session.settings.fine_poll_interval_s)
 
     def _predicted_s(self, start: Triple, target: Triple, feed_mm_per_s: float | None) -> float:
@@ -179,7 +185,7 @@ class ModbusMotion:
         return self._protocol_error(f"{code.label} ended with outcome {status.outcome.name}")
 
     def _guard_tripped(self, status: StatusImage) -> GuardTripped:
-        """Return the error for a tripped guard, and clear its fault so that the probe can be withdrawn."""
+        """Return the error for a trip in a guarded move; clear the fault so that the probe can be withdrawn."""
         x, y, z = status.position
         error = GuardTripped(
             f"the probe tripped in a move that was not a touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
@@ -202,5 +208,5 @@ def _is_under_way(status: StatusImage) -> bool:
 
 
 def _equal_slice_s(remaining_s: float, slice_s: float) -> float:
-    """Divide the remaining time into equal parts of at most `slice_s`, so that the last part ends with the motion."""
+    """Return the length in s of equal parts of the remaining time, each at most `slice_s`."""
     return remaining_s / math.ceil(remaining_s / slice_s) if remaining_s > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""Entry point `modbus-cnc`."""
+"""Driver plugin `modbus-cnc`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def create(settings: ModbusCncSettings, context: DeviceContext) -> ModbusCnc:
 
 
 def claims(settings: ModbusCncSettings) -> dict[str, str]:
-    """Claim the serial port, if there is one: a serial line has one master."""
+    """Return the claimed resource: the serial port, since a serial line has one master; none over TCP."""
     return {f"serial port {settings.serial.port}": "serial.port"} if settings.serial is not None else {}
 
 

@@ -22,7 +22,10 @@ _LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 
 
 class ModbusProbing:
-    """Touches. A latched position is accepted only if it carries the number of the touch and lies on its path."""
+    """Touches with the controller's probe.
+
+    A latched position is accepted only if it is marked with the touch's sequence number and lies on the touch's path.
+    """
 
     def __init__(self, session: ModbusSession, motion: ModbusMotion) -> None:
         self._session = session

@@ -49,7 +49,7 @@ class StatusImage(NamedTuple):
 
     @property
     def is_consistent(self) -> bool:
-        """False if the image was read while the controller was writing it."""
+        """True if both copies of the heartbeat agree; if not, the controller was writing the image during the read."""
         return self.heartbeat == self.heartbeat_copy
 
     @property
@@ -96,7 +96,7 @@ class CommandBlock(NamedTuple):
 
 
 class TableDescriptor(NamedTuple):
-    """Descriptor that gives the grid and the resolution of a table's counts; mm."""
+    """Descriptor of a table: bank, grid in mm, resolution of its counts in mm, and CRC-32."""
 
     bank: int
     nodes: tuple[int, int, int]

@@ -34,7 +34,7 @@ URGENT_WITHIN_S = 1.0
 
 
 class ModbusSession:
-    """Session with one controller. All traffic passes here, so sequence numbers and heartbeat have one owner."""
+    """Session with one controller. All traffic passes through it, so it alone sets sequence numbers and heartbeat."""
 
     def __init__(self, link: ModbusLink, clock: Clock, settings: ModbusCncSettings) -> None:
         self.link = link
@@ -51,7 +51,10 @@ class ModbusSession:
         self._unacknowledged = 0
 
     def open(self) -> StatusImage:
-        """Connect, verify protocol and version, and continue from the controller's current sequence number."""
+        """Connect, verify protocol and version, and continue from the controller's current sequence number.
+
+        Clears the controller's fault if it is only that the heartbeat of an earlier session was lost.
+        """
         self.link.open()
         status = self.read_status_unchecked()
         self._sequence, self._unacknowledged = status.acknowledge, 0
@@ -68,12 +71,12 @@ class ModbusSession:
         return self._check_status(self.read_status_unchecked())
 
     def read_status_unchecked(self) -> StatusImage:
-        """Read one status image without checking heartbeat and acknowledgement, for a mere observer."""
+        """Read one status image without checking heartbeat and acknowledgement, which another client may control."""
         return self._consistent_status(self._read_status())
 
     @property
     def poll_wire_time_s(self) -> float:
-        """Time in s that the wire takes for a poll."""
+        """Transmission time of a poll in s; 0 if unknown."""
         return self.link.exchange_wire_time_s(1, self.layouts.status.size)
 
     def poll(self) -> StatusImage:
@@ -92,7 +95,7 @@ class ModbusSession:
         return self.start(command, within_s=within_s)[1]
 
     def start(self, command: CommandBlock, *, within_s: float | None = None) -> tuple[int, StatusImage]:
-        """Send as `command` does, and also return the sequence number, which identifies the outcome."""
+        """Send a command as `command` does; return its sequence number (which identifies the outcome) and status."""
         sequence = self._next_sequence()
         status = self._send(command, sequence)
         allowed_s = within_s or self.settings.acknowledge_timeout_s
@@ -110,7 +113,7 @@ class ModbusSession:
         """Send HOLD, RESUME or STOP and wait for the acknowledgement without sleeping on the clock.
 
         These commands are sent from inside a sleep of the clock (a hold, an abort), where another sleep would
-        recurse. A command still waiting for its acknowledgement is completed first; STOP may overwrite it.
+        recurse. HOLD and RESUME first wait for the acknowledgement of a command sent before; STOP may overwrite it.
         """
         if code is not CommandCode.STOP and self._unacknowledged:
             self._await_without_sleeping(self._unacknowledged, code)

@@ -21,8 +21,11 @@ READ_SELECTOR_REGISTERS = 2
 
 TCP_TIMEOUT_S = 0.5
 SERIAL_TIMEOUT_S = 0.25
-"""Time limit in s, on top of the transmission time: after a lost answer the next heartbeat must still reach the
-controller within its watchdog time of one second."""
+"""Time limit in s for an answer on a serial line; the transmission time is added.
+
+It is short because after a lost answer the next heartbeat must still reach the controller within its watchdog time of
+one second.
+"""
 
 BROADCAST_UNIT = 0
 LAST_SERIAL_UNIT = 247
@@ -55,7 +58,7 @@ class BlockAddresses(DriverOptions):
         return {name: range(first, first + sizes[name]) for name, first in self}
 
     def writable(self) -> tuple[range, ...]:
-        """Return the allow-list of registers; no others are ever written."""
+        """Return the registers that the driver may write; no others are ever written."""
         ranges = self.ranges()
         return tuple(ranges[name] for name in ("command", "descriptor", "data_window", "read_selector"))
 

@@ -32,7 +32,7 @@ COARSEST_POLL_S = 0.1
 
 
 class ModbusStore:
-    """Compensation store of the session's controller."""
+    """Compensation store in the controller of the session."""
 
     def __init__(self, session: ModbusSession, limits: ControllerLimits) -> None:
         self._session = session
@@ -90,9 +90,9 @@ class ModbusStore:
         self._verify_read_back(bank, descriptor, data)
 
     def activate(self, bank: int) -> None:
-        """Arm with the CRC-32 of the table just read, confirm with the nonce, and wait until the bank is active.
+        """Read the table, arm the bank with its CRC-32, confirm with the controller's nonce, and wait for the bank.
 
-        If activation is not immediate, the bank is pending when this returns.
+        On return the bank is active, or pending if the controller does not activate it immediately.
         """
         crc = 0
         if bank != 0:

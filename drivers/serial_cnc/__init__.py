@@ -1,1 +1,1 @@
-"""CNC behind a serial line: GRBL 1.1 and grblHAL; parameters and tables in tape format (`tape`)."""
+"""CNC with GRBL 1.1 or grblHAL on a serial line, and transfer of parameters and tables in tape format (`tape`)."""

@@ -1,4 +1,7 @@
-"""Table files: one for each bank, and one that names the active bank. A power cut leaves each of them old or new."""
+"""Table files: one for each bank, and one that names the active bank.
+
+After a power cut each of them has its complete old or new contents.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,17 @@ _ACTIVE = re.compile(r"volcal-active-bank 1\nbank (\d)\ncounts_crc32 ([0-9A-F]{8
 
 
 class BankFiles:
-    """Directory of the table files. Raises StoreError, and ChecksumMismatch for a file that was changed."""
+    """Directory of the table files.
+
+    Methods raise StoreError if a file is invalid or inaccessible, ChecksumMismatch if a table was changed.
+    """
 
     def __init__(self, directory: Path, where: Mapping[str, str]) -> None:
         self.directory = directory
         self._where = where
 
     def read(self, bank: int) -> TableImage | None:
-        """Return the table of `bank`; None if none was ever written."""
+        """Return the table of `bank`; None if the bank has no file."""
         path = self.directory / f"bank{bank}.table"
         text = read_if_exists(path)
         return None if text is None else parse_table(text, file=str(path), bank=bank, **self._where)
@@ -32,7 +38,7 @@ class BankFiles:
         write_atomically(self.directory / f"bank{bank}.table", format_table(table))
 
     def active(self) -> tuple[int, int]:
-        """Return the active bank and the CRC-32 of its counts; (0, 0) if none was ever activated."""
+        """Return the active bank and the CRC-32 of its table's counts; (0, 0) if no bank was ever activated."""
         text = read_if_exists(self._active_path)
         if text is None:
             return 0, 0

@@ -1,7 +1,7 @@
 """Texts for the numbers after ``error:`` and ``ALARM:``.
 
 Sources: gnea/grbl doc/csv/error_codes_en_US.csv and alarm_codes_en_US.csv (GRBL 1.1); grblHAL/core errors.h and
-alarms.h for the numbers beyond them. The words are ours.
+alarms.h for the numbers that GRBL does not have. The wording is ours.
 """
 
 from __future__ import annotations
@@ -84,9 +84,9 @@ ALARMS = {
 }
 
 POSITION_KEPT = frozenset({ALARM_SOFT_LIMIT, ALARM_PROBE_STATE, ALARM_NO_CONTACT, 13})
-"""Alarms that do not lose the position: the machine may be unlocked without homing."""
+"""Alarms in which the position remains known, so the machine may be unlocked without homing."""
 NEEDS_RESET = frozenset({ALARM_HARD_LIMIT, ALARM_SOFT_LIMIT, 10, 17})
-"""Alarms after which the controller responds only to a soft reset."""
+"""Alarms after which the controller responds to nothing but a soft reset."""
 
 
 def error_text(code: int) -> str:

@@ -1,4 +1,4 @@
-"""Hold, resume, stop and reset, including the second phase of a stop after the axes have come to rest."""
+"""Hold, resume, stop and reset. A stop has a second phase after the axes have come to rest."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
 CLOSE_WITHIN_S = 1.0
 CLOSE_POLL_S = 0.05
 DOOR_CLOSED_AGAIN = "Door:0"
-"""State with the door closed again, in which the controller waits for a resume."""
+"""State word while the door is closed again and the controller waits for a resume."""
 
 
 class MotionControl:
     """Hold, resume, stop and reset of the controller.
 
-    A stop is a feed hold, which keeps the position, followed by a soft reset once the axes are at rest, which discards
-    the rest of the motion. The hold is sent at once, the reset at a later status query: during braking it would lose
-    the position (alarm 3).
+    A stop has two phases. The feed hold is sent at once and does not lose the position. Once the axes are at rest, a
+    later status query sends a soft reset, which discards the rest of the motion; during braking it would lose the
+    position (alarm 3).
     """
 
     def __init__(self, conversation: Conversation, tracker: StatusTracker, clock: Clock) -> None:
@@ -31,7 +31,7 @@ class MotionControl:
 
     @property
     def stopping(self) -> bool:
-        """True if a stop was requested and the axes are not yet at rest."""
+        """True if a stop was requested and its second phase is still pending."""
         return self._stopping
 
     def hold(self) -> None:
@@ -41,13 +41,13 @@ class MotionControl:
         self._conversation.realtime(RESUME)
 
     def stop(self) -> None:
-        """Send the feed hold. Does not wait for standstill, because callers may be unable to sleep."""
+        """Send the feed hold without waiting for standstill, because the caller may be inside an interrupted sleep."""
         self._stopping = True
         self._conversation.realtime(CANCEL_JOG + HOLD)
         self.read_status()
 
     def read_status(self) -> TrackedStatus:
-        """Query the status; complete a pending stop if the axes have come to rest."""
+        """Query the status and return it; if the axes have come to rest, first complete a pending stop."""
         status = self._tracker.read_status()
         if self._stopping and status.state is not MotionState.MOVING:
             if status.state is not MotionState.FAULT:
@@ -56,14 +56,17 @@ class MotionControl:
         return status
 
     def finish(self) -> None:
-        """Complete a pending stop before the line is closed, waiting in wall time for the axes to come to rest."""
+        """Complete a pending stop before the line is closed; wait in wall time until the axes have come to rest."""
         deadline_s = wall_seconds() + CLOSE_WITHIN_S
         while self._stopping and wall_seconds() < deadline_s:
             self.read_status()
             self._conversation.drain_for(CLOSE_POLL_S)
 
     def require_ready(self, within_s: float) -> TrackedStatus:
-        """Return a status in which a motion can start; raise PermissionMissing or CommandRejected if it cannot."""
+        """Wait up to `within_s` for the end of a pending stop, and return a status in which a motion can start.
+
+        Raises DeadlineExpired, or PermissionMissing or CommandRejected if the machine is not ready.
+        """
         deadline = Deadline.after(self._clock, within_s)
         status = self.read_status()
         while self._stopping:
@@ -87,9 +90,9 @@ class MotionControl:
         return status
 
     def reset(self) -> None:
-        """Unlock after an alarm that did not lose the position, or after the door was closed again.
+        """Unlock after an alarm in which the position remained known, or discard the motion after the door was closed.
 
-        Raises CommandRejected if homing is needed.
+        Does nothing if there is no fault. Raises CommandRejected if homing is needed.
         """
         status = self.read_status()
         if status.word == DOOR_CLOSED_AGAIN:
@@ -106,7 +109,7 @@ class MotionControl:
         self.unlock()
 
     def _discard_motion(self) -> TrackedStatus:
-        """Discard the planned motion by a soft reset with the axes at rest, which keeps the position."""
+        """Discard the planned motion by a soft reset, which keeps the position because the axes are at rest."""
         self._conversation.reset()
         self._tracker.expect_restart()
         return self._tracker.read_status()

@@ -1,6 +1,6 @@
-"""The `$` settings of the controller, with checks for those that would falsify probing.
+"""The `$` settings of the controller, with checks for values that would make probing wrong.
 
-Sources: gnea/grbl, doc/markdown/settings.md; for the bits beyond GRBL's, grblHAL/core settings.h (`reportmask_t`).
+Sources: gnea/grbl, doc/markdown/settings.md; grblHAL/core settings.h (`reportmask_t`) for bits that GRBL does not have.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ NEEDED = (REPORT_MASK, REPORT_INCHES, SOFT_LIMITS, HOMING, *(b + a for b in (100
 
 ALWAYS_ON_MS = 255
 COARSEST_STEP_MM = 0.0011
-"""Coarsest acceptable step in mm: a latched position is a whole number of steps, reported with three decimals."""
+"""Largest acceptable motor step in mm.
+
+A latched position is a whole number of steps, and it is reported with three decimals.
+"""
 HAL_FIELDS = {1: "machine position", 16: "input pins", 32: "work offset", 128: "probe result"}
 HAL_ORIGIN_AT_HOME = 8
 """Bit of ``$22`` in grblHAL: machine zero is at the home position (in GRBL a build option, ``Z`` in ``[OPT:``)."""
@@ -29,7 +32,10 @@ AXES = "XYZ"
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """Settings from the answers to ``$$`` and ``$I``. `hal` is True for grblHAL, whose masks have more bits."""
+    """Settings from the answers to ``$$`` and ``$I``.
+
+    `hal` is True for grblHAL, whose bit masks have more bits than those of GRBL.
+    """
 
     values: Mapping[int, float]
     version: str
@@ -38,7 +44,7 @@ class ControllerSettings:
 
     @classmethod
     def of(cls, lines: Iterable[MessageLine | SettingLine]) -> ControllerSettings:
-        """Return the settings contained in `lines`; those that are not numbers (names, passwords) are omitted."""
+        """Return the settings contained in `lines`; settings that are not numbers (names, passwords) are omitted."""
         values: dict[int, float] = {}
         version = options = ""
         hal = False
@@ -66,7 +72,7 @@ class ControllerSettings:
 
     @property
     def position_in_machine(self) -> bool:
-        """True if reports give MPos instead of WPos."""
+        """True if status reports give machine positions (MPos) instead of work positions (WPos)."""
         return bool(int(self.values[REPORT_MASK]) & 1)
 
     @property
@@ -77,7 +83,7 @@ class ControllerSettings:
         return 1.0 / self.values[STEPS + axis]
 
     def limits(self, axis_zero_mm: tuple[float, float, float]) -> AxisLimits:
-        """Return travel and dynamics in axis positions.
+        """Return travel and dynamics in displayed axis positions.
 
         The machine's zero is at the upper end of travel unless it is set at the home position.
         """
@@ -93,7 +99,7 @@ class ControllerSettings:
         return AxisLimits(_triple(lower), _triple(upper), _triple(rates), _triple(accelerations))
 
     def fatal(self) -> str:
-        """Return the reason why probing is impossible (misread positions, unknown limits); an empty string if none."""
+        """Return why probing is impossible (positions misread, limits unknown); an empty string if it is possible."""
         if self.missing:
             return f"the controller does not report ${', $'.join(map(str, self.missing))}"
         if self.inches:
@@ -105,7 +111,7 @@ class ControllerSettings:
         return ""
 
     def findings(self, *, manual_referencing: bool) -> Iterator[DiagnosticFinding]:
-        """Yield one finding for each group of settings; a bad one says which value to set."""
+        """Yield one finding for each group of settings; for a bad setting it gives the value to set."""
         fatal = self.fatal()
         if fatal:
             yield DiagnosticFinding("settings", ok=False, text=fatal)

@@ -1,8 +1,8 @@
-"""All traffic with a GRBL controller: lines awaiting their answers, and data received from the controller.
+"""All traffic with a GRBL controller: lines sent, their answers, and other lines received.
 
-There is no thread. The controller answers a status query at any time and in order, so the caller that receives the
-answer has also read everything sent before it. Longer waits are up to the caller, on the clock; every wait in this
-module is for an immediate answer and bounded in wall time.
+There is no receiving thread. The controller answers a status query at any time, and its lines arrive in order, so after
+the answer everything that it sent before has been read. Every wait in this module is for an immediate answer and
+bounded in wall time; callers make longer waits on the clock.
 """
 
 from __future__ import annotations
@@ -29,18 +29,23 @@ from drivers.serial_cnc.lines import (
 from drivers.serial_cnc.settings import SerialCncSettings
 
 QUERY, HOLD, RESUME, SOFT_RESET, CANCEL_JOG = b"?", b"!", b"~", b"\x18", b"\x85"
-"""Real-time characters: outside the line stream, without line end and without an answer of their own."""
+"""Real-time characters, which the controller executes at once, outside the stream of lines.
+
+They have no line end, and none is acknowledged by ``ok``.
+"""
 
 SYNCHRONISE = "="
-"""Invalid line: the controller refuses it and does nothing. It also invalidates a line that a previous user left
-half-sent."""
+"""Invalid line, which the controller refuses without doing anything.
+
+If a previous user has sent part of a line, this completes that part to an invalid line.
+"""
 BOOT_QUERY_EVERY_S = 0.25
 LATE_WITHIN_S = 0.02
 
 
 @dataclass
 class SentLine:
-    """Line that was sent, with its answer once that has arrived."""
+    """Line that was sent, and its answer, which is None until it arrives."""
 
     line: str
     answer: AnswerLine | None = None
@@ -51,9 +56,9 @@ class SentLine:
 
 
 class Conversation:
-    """Conversation with one controller over its line.
+    """Conversation with one controller over its serial line.
 
-    Raises LinkLost, LinkTimeout and ProtocolError, each naming device and link.
+    Methods raise LinkLost, LinkTimeout and ProtocolError, each naming device and link.
     """
 
     def __init__(self, line: SerialPort, settings: SerialCncSettings) -> None:
@@ -107,9 +112,9 @@ class Conversation:
         )
 
     def synchronise(self) -> None:
-        """Synchronise lines and answers with a controller that is idle or locked.
+        """Discard late answers to lines of a previous user. The controller must be idle or locked.
 
-        Late answers to lines of a previous user are discarded: the refusal of our own invalid line is the last answer.
+        An invalid line of our own is sent; answers up to its refusal, which is the last one, are discarded.
         """
         self.line.write(SYNCHRONISE.encode() + b"\n")
         deadline_s = wall_seconds() + self.settings.response_timeout_s
@@ -127,7 +132,10 @@ class Conversation:
         )
 
     def _next_line_or_raw(self, within_s: float) -> Line | bytes | None:
-        """Return the next line, parsed; its bytes if it is garbled, such as the tail of an earlier line."""
+        """Return the next line, parsed, or its bytes if it is garbled, such as the end of an earlier line.
+
+        Returns None if no line arrives within `within_s` of wall time.
+        """
         raw = self.line.read_line(within_s)
         if raw is None:
             return None
@@ -139,7 +147,7 @@ class Conversation:
     # ------------------------------------------------------------------ requests
 
     def report(self) -> StatusReport:
-        """Query the status. A status query is idempotent, so it is repeated after a lost or garbled answer."""
+        """Query the status and return it. The query is idempotent, so it is repeated after a lost or garbled answer."""
         last: ProtocolError | None = None
         for _ in range(self.settings.retries + 1):
             before = self._reports
@@ -206,7 +214,7 @@ class Conversation:
         self.line.write(character)
 
     def reset(self) -> None:
-        """Send a soft reset and wait for the welcome line. Lines still awaiting an answer will get none."""
+        """Send a soft reset and wait for the welcome line. Lines not yet answered are forgotten: they get no answer."""
         restarts = self.restarts
         self.alarm = None
         self.line.write(SOFT_RESET)
@@ -218,7 +226,7 @@ class Conversation:
                 )
 
     def clear_alarm(self) -> None:
-        """Clear the stored alarm, after a report has shown that there is none any more."""
+        """Clear the stored alarm; called after a status report without an alarm state."""
         self.alarm = None
 
     def drain_for(self, wall_s: float) -> None:
@@ -236,7 +244,7 @@ class Conversation:
             continue
 
     def _read_one(self, deadline_s: float) -> bool:
-        """Receive and process one line; return False if none arrives in time."""
+        """Receive and process one line; return False if none arrives before `deadline_s` (wall clock)."""
         raw = self.line.read_line(deadline_s - wall_seconds())
         if raw is None:
             return False

@@ -1,6 +1,7 @@
-"""Correction from a table at one point, and its inverse.
+"""Application of a table's correction to a point, and its inverse.
 
-The rule is that of a controller with tables: trilinear between nodes, the value at the border outside the grid.
+Interpolation is the same as in a controller with tables: trilinear between nodes; outside the grid, the correction at
+the nearest point of its border.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ import numpy as np
 from drivers.roles import TableImage, Vector
 
 ITERATIONS = 8
-"""Fixed-point steps of the inverse. The table's slope is far below 1 (gates allow 0.5 µm/mm), so each step gains three
-digits or more."""
+"""Number of fixed-point iterations of the inverse.
+
+The slope of a table is far below 1 (the gates allow 0.5 µm/mm), so each iteration gains three digits or more.
+"""
 
 
 class Correction:
-    """Correction by a table; without a table it is zero. Displayed axis positions, mm."""
+    """Correction by a table, or zero without a table. Table and positions refer to displayed axis positions in mm."""
 
     def __init__(self, table: TableImage | None) -> None:
         self._table = table

@@ -40,7 +40,7 @@ from drivers.serial_cnc.store import BankStore
 
 
 class SerialCnc:
-    """GRBL controller. The parts that need the controller's settings exist while the device is open."""
+    """Device for a GRBL controller. Parts that need the controller's settings exist only while the device is open."""
 
     def __init__(self, settings: SerialCncSettings, context: DeviceContext) -> None:
         address = SerialAddress(settings.port, settings.baud)
@@ -118,7 +118,7 @@ class SerialCnc:
         self._parts.control.stop()
 
     def probe_status(self) -> ProbeStatus:
-        """Return the probe status. The controller reports only the deflection, so loaded and healthy are assumed."""
+        """Return the probe status. The controller reports only deflection; the probe is assumed loaded and healthy."""
         return ProbeStatus(loaded=True, healthy=True, deflected=self._open.control.read_status().deflected)
 
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:

@@ -17,13 +17,13 @@ from drivers.serial_cnc.store import BankStore
 
 LATENCY_READS = 20
 SLOW_ROUND_TRIP_S = 0.1
-"""Limit of the median round trip in s: a quarter of the poll interval."""
+"""Largest acceptable median round trip in s: a quarter of the poll interval."""
 
 
 def diagnose(
     conversation: Conversation, settings: SerialCncSettings, store: BankStore, directory: Path
 ) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order; a device error becomes a finding of its own."""
+    """Return the findings in troubleshooting order. A device error becomes a finding; that on tables still follows."""
     findings: list[DiagnosticFinding] = []
     opened_here = not conversation.line.connected
     try:
@@ -87,7 +87,7 @@ def _latency(status: Callable[[], object]) -> DiagnosticFinding:
 
 
 def _tables(store: BankStore, directory: Path, *, status: bool) -> DiagnosticFinding:
-    """Report the tables in files, making clear that the controller itself has none."""
+    """Report the tables in files; the text says that the controller itself has none."""
     try:
         if status and directory.exists():
             store.open()

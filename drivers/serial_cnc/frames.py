@@ -18,7 +18,7 @@ LIMIT_TOLERANCE_MM = 1e-6
 
 
 class CoordinateFrames:
-    """Coordinate conversion. `axis_zero_mm` are the machine coordinates at which the displayed positions are 0."""
+    """Coordinate conversion. `axis_zero_mm` holds the machine coordinates of the point with displayed position 0."""
 
     def __init__(
         self, limits: AxisLimits, axis_zero_mm: tuple[float, float, float], store: BankStore, where: Mapping[str, str]
@@ -30,7 +30,7 @@ class CoordinateFrames:
         self._where = where
 
     def to_machine(self, displayed_mm: Vector) -> Vector:
-        """Convert to machine coordinates, limited to the travel: at its end an outward correction is omitted."""
+        """Convert to machine coordinates, shape (3,), mm. A correction is cut where it would leave the travel."""
         sent = np.clip(self._store.correction.apply(displayed_mm), self._lower, self._upper)
         result: Vector = sent + self._zero
         return result

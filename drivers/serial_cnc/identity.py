@@ -26,7 +26,7 @@ class ControllerIdentity:
 
 
 def await_rest(conversation: Conversation, clock: Clock, within_s: float) -> None:
-    """Wait, on the clock, for a motion that a previous user has left running; return after `within_s` in any case."""
+    """Wait until a motion left running by a previous user has ended, but at most `within_s` on the clock."""
     deadline = Deadline.after(clock, within_s)
     while conversation.report().state == MOVING and not deadline.expired:
         clock.sleep(POLL_S)

@@ -1,4 +1,4 @@
-"""Parsing of the lines that a GRBL controller sends. The class of a line follows from the line alone.
+"""Parsing of the lines that a GRBL controller sends. The class of a line depends only on its text.
 
 Source: gnea/grbl, doc/markdown/interface.md ("Message Summary").
 """
@@ -91,7 +91,7 @@ class WelcomeLine:
 
 @dataclass(frozen=True)
 class StartupLine:
-    """Startup block that the controller has executed by itself; it contains its own answer."""
+    """Startup block that the controller executed after a restart. The line contains the block and its answer."""
 
     text: str
 
@@ -166,7 +166,7 @@ def _bracketed(text: str) -> ProbeResult | MessageLine:
 
 
 def _triple(text: str) -> Triple:
-    """Return the first three of three or more numbers; further axes are ignored."""
+    """Return the first three of the numbers in `text`, separated by commas; further axes are ignored."""
     values = _numbers(text)
     if len(values) < 3:
         raise GarbledLineError(f"not coordinates: {text!r}")

@@ -1,4 +1,4 @@
-"""Motions, from the line sent to the end of the motion.
+"""Motions, from the sending of the line to the end of the motion.
 
 The ``ok`` to a motion line means that the motion is planned. Its end is the ``ok`` to ``G4 P0``, which the controller
 sends once all planned motions are complete; a probe cycle is answered at its own end.
@@ -29,11 +29,14 @@ from drivers.serial_cnc.polling import DurationPrediction, PollSchedule
 from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
 
 PREAMBLE = "G21G90G94"
-"""Millimetres, absolute, mm/min: stated in every line, since another user may have left other modes."""
+"""Codes for millimetres, absolute targets and mm/min.
+
+They are part of every line, since another user may have left other modes active.
+"""
 BARRIER = "G4P0"
 PROBE_PROTECTED_ALARM = 13
 ANSWER_LOST_AFTER = 4
-"""Number of status reports with idle axes after which a missing answer counts as lost."""
+"""Number of status reports with axes at rest after which a missing answer counts as lost."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,7 @@ class SerialMotion:
             )
 
     def _await_planned(self, sent: SentLine) -> None:
-        """Wait for the immediate ``ok``. If an alarm comes instead, the next status report gives its cause."""
+        """Wait for the ``ok`` that means planned. If an alarm comes instead, query the status and raise its error."""
         try:
             self._conversation.await_answer(sent)
         except (LinkTimeout, ProtocolError):
@@ -164,7 +167,7 @@ class SerialMotion:
         )
 
     def _require_sound(self, status: TrackedStatus, what: str) -> None:
-        """Raise the matching error if an alarm has ended the motion."""
+        """Raise the error that corresponds to the alarm if an alarm has ended the motion."""
         if status.state is not MotionState.FAULT:
             return
         if status.alarm == ALARM_PROBE_STATE:
@@ -202,7 +205,7 @@ class SerialMotion:
 
 
 def axis_words(position_mm: Vector) -> str:
-    """Return the axis words, with four decimals so that only the controller rounds, to its steps."""
+    """Return the axis words in mm, with four decimals: finer than the steps to which the controller rounds."""
     return "".join(f"{axis}{value:.4f}" for axis, value in zip("XYZ", position_mm.tolist(), strict=True))
 
 

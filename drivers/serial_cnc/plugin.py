@@ -1,4 +1,4 @@
-"""Entry point `serial-cnc`."""
+"""Driver plugin `serial-cnc`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def create(settings: SerialCncSettings, context: DeviceContext) -> SerialCnc:
 
 
 def claims(settings: SerialCncSettings) -> dict[str, str]:
-    """Claim the serial port, which can have only one owner."""
+    """Return the claimed resource: the serial port, which can have only one owner."""
     return {f"serial port {settings.port}": "port"}
 
 

@@ -10,10 +10,13 @@ from drivers.serial_cnc.settings import SerialCncSettings
 from drivers.straight_move import move_duration_s
 
 DURATION_FACTOR = 1.5
-"""Allowed multiple of the predicted duration of a motion (look-ahead, junctions); the margin is added."""
+"""Factor on the predicted duration in the time limit of a motion, which allows for look-ahead and junctions.
+
+`motion_margin_s` is added.
+"""
 COARSEST_FINE_S = 0.1
 END_MARGIN_S = 0.001
-"""Time in s after the predicted end at which to query: a query exactly at the end would be too early half the time."""
+"""Time in s between the predicted end and the query for it; a query exactly at that end would often be too early."""
 
 
 class DurationPrediction:
@@ -21,7 +24,7 @@ class DurationPrediction:
         self._limits = limits
 
     def of(self, start_mm: Vector, goal_mm: Vector, feed_mm_per_s: float | None, slowest_share: float) -> float:
-        """Return the duration in s; `slowest_share` is the speed factor that the overrides leave."""
+        """Return the predicted duration in s of a straight motion at the speed factor `slowest_share`."""
         at_full_speed_s = move_duration_s(
             start_mm.tolist(),
             goal_mm.tolist(),
@@ -33,7 +36,7 @@ class DurationPrediction:
 
 
 class PollSchedule:
-    """Schedule of status queries: coarse until the predicted end, then fine with growing intervals."""
+    """Schedule of status queries: long pauses until the predicted end, then short pauses that grow."""
 
     def __init__(self, clock: Clock, settings: SerialCncSettings, predicted_s: float, slice_s: float) -> None:
         self._clock = clock

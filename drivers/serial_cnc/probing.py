@@ -21,7 +21,7 @@ from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 
 UNTIL_CONTACT, UNTIL_FREE = "G38.3", "G38.5"
 SHORTEST_MM = 5e-4
-"""Shortest probe cycle in mm; the controller rejects a probe cycle of zero length (error 33)."""
+"""Length in mm below which no probe cycle is sent; the controller rejects one of zero length (error 33)."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class ProbeCycleResult:
 
 
 class SerialProbing:
-    """Probe cycles. A latched position is accepted only if it is the only one and lies on the path of its touch."""
+    """Probe cycles. A latched position is accepted only if the cycle reported one position and it lies on its path."""
 
     def __init__(
         self, conversation: Conversation, tracker: StatusTracker, motion: SerialMotion, frames: CoordinateFrames
@@ -59,7 +59,7 @@ class SerialProbing:
         return Touch(position) if ended.result.tripped else Miss(position)
 
     def move_guarded(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """Move, and stop if the probe trips. A deflected probe is backed off first and never pressed further."""
+        """Move; raise GuardTripped if the probe trips. A deflected probe is backed off first, never pressed further."""
         status = self._motion.require_ready()
         goal = self._frames.to_machine(target_mm)
         if status.deflected:
@@ -77,7 +77,11 @@ class SerialProbing:
             )
 
     def _back_off(self, status: TrackedStatus, goal: Vector, feed_mm_per_s: float | None) -> TrackedStatus:
-        """Move towards the goal until the probe comes free; MotionFault if it does not within `release_distance_mm`."""
+        """Move towards the goal until the probe comes free; return the status after the move.
+
+        Raises CommandRejected if the move would press the probe further, MotionFault if the probe is still deflected
+        after `release_distance_mm`. A shorter move that ends at the goal raises nothing.
+        """
         start, path = status.position_mm, goal - status.position_mm
         length = float(np.linalg.norm(path))
         if length < SHORTEST_MM:
@@ -127,7 +131,7 @@ class SerialProbing:
             raise self._error(f"latched position is {off_mm:.3f} mm off the commanded path (allowed {allowed_mm:g} mm)")
 
     def _feed(self, start: Vector, goal: Vector, feed_mm_per_s: float | None) -> float:
-        """Return the feed of a probe cycle, which must have one: for a rapid, the axes' limit along the path."""
+        """Return the feed in mm/s of a probe cycle, which needs one: for a rapid, the speed limit along the path."""
         if feed_mm_per_s is not None:
             return feed_mm_per_s
         shares = (np.abs(goal - start) / _distance(goal, start)).tolist()

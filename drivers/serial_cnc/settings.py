@@ -15,7 +15,10 @@ Triple = tuple[float, float, float]
 
 
 class BankSettings(DriverOptions):
-    """Files of the compensation tables, since the controller has none. `directory` is relative to the settings file."""
+    """Files for compensation tables, since the controller stores none.
+
+    A relative `directory` is relative to the settings file.
+    """
 
     directory: Path = Path("banks")
     resolution_mm: float = Field(default=1e-4, ge=1e-6, le=1e-2)

@@ -1,4 +1,4 @@
-"""Combined state of the controller: fields that only some status reports contain are stored until the next update."""
+"""State of the controller. Fields that only some status reports contain are stored until the next such report."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.lines import GarbledLineError, MessageLine, StatusReport, Triple
 
 REPORTS_UNTIL_OFFSET = 40
-"""Number of reports within which the work offset must come. GRBL sends it in every tenth or thirtieth report, and in
-the first one after a reset."""
+"""Number of status reports of which at least one must contain the work offset.
+
+GRBL sends it in every tenth or thirtieth report, and in the first one after a reset.
+"""
 COORDINATE_SYSTEMS = frozenset(f"G{number}" for number in range(54, 60))
 NO_PART_PROGRAM = frozenset({"Idle", "Alarm", "Check", "Sleep", "Door"})
 NOT_AUTOMATIC = frozenset({"Check", "Sleep", "Jog", "Home", "Tool"})
@@ -24,7 +26,7 @@ NOT_AUTOMATIC = frozenset({"Check", "Sleep", "Jog", "Home", "Tool"})
 
 @dataclass(frozen=True)
 class TrackedStatus:
-    """Status report completed with stored fields. `position_mm` is in machine coordinates, shape (3,)."""
+    """Status report completed with fields of earlier reports. `position_mm` is in machine coordinates, shape (3,)."""
 
     word: str
     state: MotionState
@@ -41,7 +43,7 @@ class TrackedStatus:
 
     @property
     def slowest_share(self) -> float:
-        """Smallest speed factor, at most 1, that the overrides apply to a motion."""
+        """Smaller of the feed and the rapid override as a speed factor, between 0.01 and 1."""
         return max(min(100, *self.overrides), 1) / 100.0
 
     @property
@@ -72,7 +74,7 @@ class StatusTracker:
     def set_work_offset(self, lines: list[MessageLine], modes: str) -> None:
         """Set the work offset from the answers to ``$#`` and ``$G``.
 
-        If they have another form, the offset is taken from a later status report.
+        If these answers cannot be interpreted, the offset is taken from a later status report.
         """
         offsets = {message.kind: message for message in lines}
         system = next((word for word in modes.split() if word in COORDINATE_SYSTEMS), None)
@@ -86,7 +88,7 @@ class StatusTracker:
     def read_status(self) -> TrackedStatus:
         """Query the status and return it.
 
-        After a critical alarm the controller answers nothing until it is reset; the reset is done here and moves
+        After a critical alarm the controller answers nothing until it is reset; this method then resets it, which moves
         nothing.
         """
         conversation = self._conversation
@@ -106,7 +108,7 @@ class StatusTracker:
         return self._interpret(report)
 
     def expect_restart(self) -> None:
-        """Discard the state that our own reset has cleared; the position is retained. Call it after the reset."""
+        """Discard the state that a reset by this driver has cleared, but not the position. Call it after the reset."""
         self._note_restart(expected=True)
 
     def work_offset(self) -> Vector:

@@ -19,11 +19,17 @@ from drivers.tables.text import counts_crc32
 
 BANKS = (1, 2)
 MAX_SLOPE = 0.1
-"""Largest slope of a table in mm/mm, so that the inversion of a correction converges by at least a digit per step."""
+"""Largest slope of a table in mm/mm.
+
+It ensures that the inversion of a correction gains at least one digit per iteration.
+"""
 
 
 class BankStore:
-    """Compensation store in files. `require_rest` raises while an axis moves, as the displayed position would jump."""
+    """Compensation store in files.
+
+    `require_rest` must raise an error while an axis moves: activation would make the displayed position jump.
+    """
 
     def __init__(
         self, settings: BankSettings, files: BankFiles, where: Mapping[str, str], require_rest: Callable[[], None]
@@ -44,7 +50,7 @@ class BankStore:
         self.correction = Correction(None)
 
     def open(self) -> None:
-        """Load the bank that was last active. Raises StoreError if its table is not the one that was activated."""
+        """Load the table of the active bank. Raises StoreError if it is missing or not the table that was activated."""
         bank, crc = self._files.active()
         self._active, self.correction = bank, Correction(self._verified_table(bank, crc) if bank else None)
 

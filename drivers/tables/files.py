@@ -1,4 +1,4 @@
-"""Atomic, durable file writes: after a power cut a file is either complete or absent."""
+"""Atomic, durable file writes: after a power cut a file has its complete old or its complete new contents."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.errors import StoreError
 def write_atomically(path: Path, text: str) -> None:
     """Write `text` to a temporary file, sync it, and rename it to `path`.
 
-    Raises StoreError if the disk refuses; the old file is unchanged then.
+    Raises StoreError if writing or syncing fails; `path` then still holds its complete old or complete new contents.
     """
     part = path.with_name(path.name + ".part")
     try:
@@ -28,7 +28,10 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def read_if_exists(path: Path) -> str | None:
-    """Return the text of the file, with non-ASCII bytes as surrogate escapes; None if there is no file."""
+    """Return the text of the file, with non-ASCII bytes as surrogate escapes; None if there is no file.
+
+    Raises StoreError if the file cannot be read.
+    """
     try:
         return path.read_bytes().decode("ascii", "surrogateescape")
     except FileNotFoundError:

@@ -11,7 +11,7 @@ r"""Text format of a compensation table, with checksums that reveal truncation, 
     DX DY DZ                   one line per node, x slowest, z fastest
     file_crc32 HHHHHHHH        over every byte before this line
 
-Numbers are written to full float64 precision. The CRC-32 of the counts identifies the table everywhere else.
+Numbers are written to full float64 precision. Outside the file, the CRC-32 of the counts identifies the table.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def format_table(table: TableImage) -> str:
 
 
 def parse_table(text: str, **where: str | int) -> TableImage:
-    """Parse the text of a table file. `where` is attached to the errors.
+    """Parse the text of a table file. Errors contain the locations in `where`.
 
     Raises StoreError for text that is not a table, ChecksumMismatch for a table that was changed.
     """

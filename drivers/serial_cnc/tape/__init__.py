@@ -1,1 +1,1 @@
-"""Parameters and tables in tape format over RS-232: received, sent, and compared after a write."""
+"""Transfer of parameters and tables in tape format over RS-232, with a comparison after writing."""

@@ -1,4 +1,4 @@
-r"""Tape format: ``%``, blocks of words, each ended by LF, ``%``.
+r"""Tape format: a mark ``%``, blocks of words, each ended by LF, and a second mark ``%``.
 
 ::
 
@@ -90,7 +90,7 @@ def _block(line: str, number: int) -> Block:
 
 @dataclass(frozen=True)
 class TapeDifference:
-    """Parameter that reads back with another value; `found` is None if it is missing."""
+    """Parameter whose value read back differs from the one written; `found` is None if it is missing."""
 
     number: int
     axis: str

@@ -1,6 +1,7 @@
 """Tape characters: ISO code of seven bits with even parity in the eighth, and the four device controls.
 
-With parity, DC3 is 0x93, which an ordinary serial driver's handshake (0x13) does not recognise; it is handled here.
+With its parity bit DC3 is 0x93. The XON/XOFF handshake of a serial driver recognises only 0x13, so this package handles
+flow control.
 
 Source: FANUC B-63503EN/02 (Series 0i connection manual, hardware), 5.3 "RS-232-C interface": one parity bit among
 eight, DC1 to DC4, two stop bits; ISO 646 for the characters.

@@ -20,7 +20,7 @@ from drivers.serial_cnc.tape.characters import Character, DeviceControl, ParityF
 from drivers.serial_cnc.tape.settings import TapeSettings
 
 CHARACTERS_PER_WRITE = 8
-"""Characters sent between two checks for DC3, which must stop the sender within ten."""
+"""Number of characters sent between two checks for DC3, which must stop the sender within ten characters."""
 BITS_OF_CHARACTER = 11
 POLL_S = 0.02
 MAX_SHOWN_DIFFERENCES = 5
@@ -29,9 +29,10 @@ Announce = Callable[[str], None]
 
 
 class PunchRead:
-    """Context manager that owns the line. `announce` asks the operator to press a key.
+    """Tape transfer over a serial line that is open inside the `with` block.
 
-    Raises LinkLost, LinkTimeout, ProtocolError, and DeadlineExpired if no key was pressed in time.
+    `announce` asks the operator to press a key.
+    Methods raise LinkLost, LinkTimeout, ProtocolError, and DeadlineExpired if no key was pressed in time.
     """
 
     def __init__(self, settings: TapeSettings, clock: Clock, announce: Announce, *, device: str = "") -> None:
@@ -64,9 +65,9 @@ class PunchRead:
             self._refuse(str(error))
 
     def send(self, tape: Tape) -> None:
-        """Send a tape after READ was pressed.
+        """Ask the operator to press READ, then send a tape.
 
-        After an error part of the tape is in the controller; a note on the error says how much.
+        If an error ends the transfer, part of the tape is in the controller; a note on the error says how much.
         """
         data = encode(tape.text())
         self._announce("press READ at the controller")
@@ -88,7 +89,7 @@ class PunchRead:
             raise
 
     def write(self, tape: Tape) -> None:
-        """Send a tape, receive it back and compare. Raises ReadBackMismatch naming the parameters that differ."""
+        """Send a tape, receive it back and compare. Raises ReadBackMismatch, which names the parameters that differ."""
         self.send(tape)
         self.compare(tape, self.receive())
 
@@ -120,7 +121,10 @@ class PunchRead:
             self._require_pressed(deadline, "PUNCH")
 
     def _next_text(self, held: list[Character], text: str) -> str:
-        """Return the text received, starting with the characters in `held`; wait if there is none."""
+        """Return the text in `held` and clear it; if `held` is empty, wait for characters first.
+
+        `text` is the text received before, by which errors name the block.
+        """
         deadline = Deadline.after(self._clock, self._settings.character_timeout_s)
         while not held:
             held.extend(self._received())
@@ -154,7 +158,10 @@ class PunchRead:
             self._require_pressed(deadline, "READ")
 
     def _obey_flow_control(self, sent: int, *, ended: bool = False) -> None:
-        """Return at once unless the controller has sent DC3; then wait for DC1, except at the end of the tape."""
+        """If the controller has sent DC3, wait for DC1; do not wait after the end of the tape.
+
+        Raises LinkTimeout if DC1 does not come within `max_pause_s`.
+        """
         stopped = self._last_flow_control(self._received()) is DeviceControl.READER_STOP
         deadline = Deadline.after(self._clock, self._settings.max_pause_s)
         while stopped and not ended:
