@@ -2,9 +2,9 @@
 
 Read a machine, an artefact and ball centres; `identify`; `predict` the error with its covariance; `design` positions;
 `simulate` a measurement; build a `compensation_table` and export it for a controller; draw an `error_map`. Lengths are
-in mm unless a name says otherwise; points are axis positions, arrays of shape (n, 3). All values are frozen.
+in mm unless a name says otherwise; points are axis positions, given as arrays of shape (n, 3). All objects are frozen.
 
-Everything is loaded on first use, so `import volcal` costs next to nothing.
+Modules are loaded on first use, so `import volcal` itself is fast.
 """
 
 from __future__ import annotations
@@ -98,7 +98,8 @@ __all__ = list(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name of the library on first use. Raises AttributeError for any other."""
+    """Load and return the library's object `name` on first use. Raises AttributeError if the library has no such
+    name."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'volcal' has no attribute '{name}'")
     value = getattr(import_module(_MODULE_OF[name]), name)

@@ -32,10 +32,11 @@ def compensation_table(
 ) -> CompensationTable:
     """Build the table that compensates the estimated error: corrections in mm, added to the commanded axis position.
 
-    `balls`: the measured balls, or axis positions (n, 3) mm, around which nodes count as measured. `step_mm`: largest
-    distance of the nodes. `anchor_mm`: axis position at which the correction is zero; a value outside the workspace is
-    moved to its border. `tool_offset_mm` (3,): the one tool for which the table holds; None is the tool that was
-    measured with. Raises ModelError or DataError for values that cannot be.
+    `balls`: the measured balls, or axis positions (n, 3) in mm; nodes within the region around them count as measured.
+    `step_mm`: largest distance between neighbouring nodes along X, Y and Z. `anchor_mm`: axis position at which the
+    correction is zero; a value outside the workspace is moved to its border. `tool_offset_mm` (3,): offset of the one
+    tool for which the table is valid; None means the tool used in the measurement. Raises ModelError or DataError for
+    invalid values.
 
     >>> table = volcal.compensation_table(estimate, balls)
     >>> table.corrections.shape
@@ -66,11 +67,11 @@ def export_table(
 ) -> ControllerExport:
     """Write a table into `folder` in the format of a controller and return the export.
 
-    `format_name`: one of `CONTROLLER_FORMATS`. The result states what the format cannot represent (`losses`) and what
-    has to be set by hand (`facts`). `estimate`: the estimate of the table; some formats need it. `opposite_sign`: write
-    every value with the other sign than documented. `options`: those of the format, by the names of the options of
-    `volcal table export` with underscores. Raises DataError for an unknown format or option and for a table that the
-    format cannot represent; then nothing is written.
+    `format_name`: one of `CONTROLLER_FORMATS`. The returned export lists what the format cannot represent (`losses`)
+    and what has to be set by hand (`facts`). `estimate`: the estimate from which the table was built; some formats need
+    it. `opposite_sign`: write every value with the opposite of the documented sign. `options`: options of the format,
+    named like those of the command `volcal table export`, but with underscores instead of hyphens. Raises DataError,
+    and writes nothing, if the format or an option is unknown or if the format cannot represent the table.
 
     >>> table = volcal.compensation_table(estimate, balls)
     >>> export = volcal.export_table(table, "linuxcnc-comp", folder)

@@ -25,11 +25,11 @@ Order = int | Literal["evidence", "file"]
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Error of the bare machine at axis positions, as estimated.
+    """Estimated error of the uncompensated machine at axis positions.
 
-    `points_mm` (n, 3): axis positions. `error_mm` (n, 3): deviation of the tool centre point. `covariance_mm2`
-    (3n, 3n): expected outer product of true less estimated error, point by point x, y, z; it includes what the model
-    cannot represent.
+    `points_mm` (n, 3): axis positions. `error_mm` (n, 3): deviation of the tool centre point. `covariance_mm2` (3n,
+    3n): expected outer product of true minus estimated error; rows and columns run point by point, in the order x, y,
+    z. It includes errors that the model cannot represent.
     """
 
     points_mm: Array
@@ -44,8 +44,8 @@ class Prediction:
 
 @dataclass(frozen=True)
 class VolumetricErrors:
-    """Volumetric error over the workspace: `before` of the bare machine as estimated, `after` as expected of the
-    machine compensated by the estimate."""
+    """Volumetric error over the workspace. `before`: estimated error of the uncompensated machine; `after`: expected
+    error after compensation by the estimate."""
 
     before: VolumetricRms
     after: VolumetricRms
@@ -61,9 +61,9 @@ def identify(
 ) -> Estimate:
     """Identify the geometric errors of `machine` from ball centres measured on `artefact`.
 
-    `order`: Legendre order of the 18 error motions: a number, "file" for that of the machine file, or "evidence" for
-    the order that the measurements support. `options`: formulation, prior, weights, outliers. Raises SingularSet if the
-    positions cannot determine anything, DataError for balls that the artefact does not have.
+    `order`: Legendre order of the 18 error motions, given as a number; "file" uses the orders of the machine file, and
+    "evidence" the order that the measurements support best. `options`: formulation, prior, weights, outliers. Raises
+    SingularSet if the positions cannot determine anything, and DataError if the artefact does not have a measured ball.
 
     >>> estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
     >>> estimate.rank, estimate.model.size
@@ -79,10 +79,10 @@ def identify(
 
 
 def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike | None = None) -> Prediction:
-    """Predict the error of the bare machine, with its covariance, at axis positions (n, 3) mm.
+    """Predict the error of the uncompensated machine and its covariance at axis positions (n, 3) in mm.
 
-    `tool_offset_mm` (3,): of the tool whose centre point is meant; None is the tool that was measured with. Raises
-    DataError if that is not one tool.
+    `tool_offset_mm` (3,): offset of the tool for whose centre point the error is predicted; None means the tool used in
+    the measurement. Raises DataError if it is None and several tools were used.
 
     >>> prediction = volcal.predict(estimate, [[0.0, 0.0, 0.0], [4000.0, 1300.0, 1500.0]])
     >>> prediction.error_mm.shape, prediction.covariance_mm2.shape
@@ -100,8 +100,8 @@ def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike 
 def volumetric_errors(estimate: Estimate, tool_offset_mm: ArrayLike | None = None) -> VolumetricErrors:
     """Return the volumetric error over the workspace before and after compensation.
 
-    Each is the root mean square of the deviation on a grid of 60 x 20 x 20 points, as it is (`raw_um`) and after the
-    best rigid motion of the workspace (`aligned_um`).
+    Each value is the root mean square of the deviation on a grid of 60 x 20 x 20 points, both raw (`raw_um`) and after
+    the best rigid motion of the workspace has been removed (`aligned_um`).
 
     >>> errors = volcal.volumetric_errors(estimate)
     >>> errors.after.aligned_um < 0.5 * errors.before.aligned_um
@@ -114,7 +114,8 @@ def volumetric_errors(estimate: Estimate, tool_offset_mm: ArrayLike | None = Non
 
 
 def tool_offset(estimate: AnyEstimate, tool_offset_mm: ArrayLike | None) -> Array:
-    """Return the given tool offset (3,) mm, or that of the one tool the estimate was measured with."""
+    """Return the given tool offset (3,) in mm or, if it is None, that of the tool used in the measurement. Raises
+    DataError if several tools were used."""
     if tool_offset_mm is not None:
         return as_vector(tool_offset_mm, 3, "tool offset")
     if len(estimate.tool_offsets) != 1:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SHAPE = (61, 31)
 WIDTH_IN = 10.0
-ROOM_IN = 1.6  # of a figure's height for titles and labels
+ROOM_IN = 1.6  # part of a figure's height for titles and labels
 
 
 def error_map(
@@ -30,8 +30,9 @@ def error_map(
 ) -> Figure:
     """Draw the estimated error and its uncertainty over XY planes of the workspace, and return the matplotlib figure.
 
-    Upper row: length of the deviation in µm after the best rigid motion of the workspace. Lower row: predicted length
-    of what stays after compensation. `heights_mm`: axis positions of Z; None is bottom, middle and top.
+    The upper row shows the length of the estimated deviation in µm after the best rigid motion of the workspace has
+    been removed. The lower row shows the predicted length of the deviation that remains after compensation.
+    `heights_mm`: Z axis position of each plane; None means bottom, middle and top of the workspace.
 
     >>> figure = volcal.error_map(estimate)
     >>> [axes.get_title(loc="left") for axes in figure.axes[:3]]
@@ -67,14 +68,14 @@ def error_map(
 
 
 def _planes(model: ErrorModel, heights: Array) -> Array:
-    """Axis positions (n, 3) of one XY grid for each height, plane by plane."""
+    """Return the axis positions (n, 3) of one XY grid per height, plane by plane."""
     (x_low, x_high), (y_low, y_high), _ = model.ranges_mm
     x, y = np.linspace(x_low, x_high, SHAPE[0]), np.linspace(y_low, y_high, SHAPE[1])
     return np.concatenate([np.stack(np.meshgrid(x, y, [z], indexing="ij"), axis=-1).reshape(-1, 3) for z in heights])
 
 
 def _height_in(model: ErrorModel, count: int) -> float:
-    """Height of two rows of `count` panels at equal scales of X and Y."""
+    """Return the height in inches of a figure with two rows of `count` panels, with equal scales of X and Y."""
     spans = np.ptp(np.array(model.ranges_mm[:2]), axis=1)
     return float(2.0 * (WIDTH_IN - 1.5) / count * spans[1] / spans[0]) + ROOM_IN
 

@@ -24,9 +24,9 @@ PathName = str | PathLike[str]
 
 
 def shipped_file(name: str) -> Path:
-    """Return the path of a file of the shipped configuration, such as `machines/case-study.toml`.
+    """Return the path of a file from the configuration that is shipped with volcal, such as `machines/case-study.toml`.
 
-    Raises FormatError naming the files of that folder if there is no such file.
+    Raises FormatError, listing the files in the same folder, if there is no such file.
 
     >>> volcal.shipped_file("machines/case-study.toml").name
     'case-study.toml'
@@ -41,7 +41,8 @@ def shipped_file(name: str) -> Path:
 
 
 def read_machine(path: PathName) -> MachineDescription:
-    """Return the machine of a machine file (TOML): chain, travel, tools, error model, prior population, deflection.
+    """Return the machine described by a machine file (TOML): chain, travel, tools, error model, prior population,
+    deflection.
 
     The deflection grid that the file names is read as well; its path is relative to the machine file. Raises
     FormatError with file and key.
@@ -56,9 +57,10 @@ def read_machine(path: PathName) -> MachineDescription:
 
 
 def read_artefact(path: PathName) -> Artefact:
-    """Return the ball artefact of an artefact file (TOML): calibrated centres with covariance, diameter, expansion.
+    """Return the ball artefact described by an artefact file (TOML): calibrated centres with covariance, diameter,
+    expansion.
 
-    Raises FormatError with file and key, DataError for values that cannot be.
+    Raises FormatError with file and key, and DataError for impossible values.
 
     >>> artefact = volcal.read_artefact(volcal.shipped_file("artefacts/ball-bar-1500.toml"))
     >>> artefact.count
@@ -70,7 +72,7 @@ def read_artefact(path: PathName) -> Artefact:
 def read_balls(path: PathName, machine: MachineDescription) -> BallFile:
     """Return the measured ball centres of a ball file (CSV).
 
-    The tools that the file names are those of `machine`. Raises FormatError with file, row and column.
+    The tool names in the file must be tools of `machine`. Raises FormatError with file, row and column.
 
     >>> balls = volcal.read_balls(volcal.shipped_file("examples/case-study-balls.csv"), setup.machine)
     >>> balls.observations.size, len(balls.positions)
@@ -91,7 +93,8 @@ def read_positions(path: PathName) -> tuple[Position, ...]:
 
 
 def read_estimate(path: PathName) -> StoredEstimate:
-    """Return a stored estimate (JSON), as `volcal identify`, a run or `write_estimate` wrote it.
+    """Return a stored estimate (JSON), which was written by the command `volcal identify`, by a run or by
+    `write_estimate`.
 
     Raises FormatError with file and key.
     """
@@ -99,16 +102,17 @@ def read_estimate(path: PathName) -> StoredEstimate:
 
 
 def read_table(path: PathName) -> CompensationTable:
-    """Return a compensation table (CSV) with its side file of the same name (JSON).
+    """Return a compensation table from its CSV file and the JSON side file of the same name.
 
-    Raises FormatError with file and row, column or key, and if the checksum in the side file is not that of the table.
+    Raises FormatError with file and row, column or key, also if the checksum in the side file does not match the table.
     """
     side = Path(path).with_suffix(".json")
     return parse_table(_text(path), _text(side), str(path), str(side))
 
 
 def write_balls(balls: BallFile, machine: MachineDescription, path: PathName) -> Path:
-    """Write ball centres as a ball file and return its path. A full covariance becomes one standard uncertainty."""
+    """Write ball centres as a ball file and return its path. The covariance of each ball is reduced to one standard
+    uncertainty."""
     return _write(path, format_balls(balls.observations, balls.positions, list(machine.tools)))
 
 
@@ -118,18 +122,20 @@ def write_positions(positions: tuple[Position, ...], path: PathName) -> Path:
 
 
 def write_estimate(estimate: Estimate, path: PathName, provenance: Mapping[str, str] | None = None) -> Path:
-    """Write an estimate (JSON) and return its path. `provenance`: names and dates to store with it."""
+    """Write an estimate (JSON) and return its path. `provenance`: names and texts to store with the estimate, such as
+    software version and dates."""
     return _write(path, format_estimate(estimate, provenance or {}))
 
 
 def write_table(table: CompensationTable, path: PathName) -> Path:
-    """Write a compensation table (CSV) and beside it its side file of the same name (JSON); return the table's path."""
+    """Write a compensation table (CSV) and a JSON side file of the same name next to it; return the path of the
+    table."""
     _write(Path(path).with_suffix(".json"), format_side_file(table))
     return _write(path, format_table(table))
 
 
 def _text(path: PathName) -> str:
-    """Return the text of a UTF-8 file. Raises FormatError naming it if it cannot be read."""
+    """Return the text of a UTF-8 file. Raises FormatError with the path if the file cannot be read."""
     try:
         return Path(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError:

@@ -33,10 +33,10 @@ CASE_STUDY_STATIONS_MM = (
 class MeasuringSetup:
     """A machine and an artefact on its mount at stations, each ball touched five times.
 
-    `stations_mm` (S, 3): foot of the mount in the workpiece frame, station 1 first. `tool`: tool of the machine that
-    measures; None is its first. `touch_sigma_um`: standard deviation of one touch. `clearance_mm`: distance to the ends
-    of travel that touching a ball needs beside ball and tip radius. Raises DataError or ModelError for values that
-    cannot be.
+    `stations_mm` (S, 3): foot of the mount in the workpiece frame, station 1 first. `tool`: name of the tool used for
+    measuring; None means the first tool of the machine. `touch_sigma_um`: standard deviation of one touch.
+    `clearance_mm`: distance to the ends of travel that is needed for touching a ball, in addition to the radii of ball
+    and tip. Raises DataError or ModelError for invalid values.
 
     >>> setup = volcal.case_study()
     >>> setup.machine.name, setup.artefact.count, len(setup.stations_mm)
@@ -63,16 +63,16 @@ class MeasuringSetup:
 
     @property
     def tool_name(self) -> str:
-        """Name of the tool that measures."""
+        """Name of the tool used for measuring."""
         return self.tool or next(iter(self.machine.tools))
 
     @property
     def tool_offset_mm(self) -> Array:
-        """Offset (3,) in mm of the tool that measures."""
+        """Offset (3,) in mm of the tool used for measuring."""
         return np.asarray(self.machine.tool(self.tool_name), dtype=np.float64)
 
     def position_set(self, name: str) -> tuple[Position, ...]:
-        """Return the positions of `S1`, `S2`, `S3` or of a union such as `S1+S3` at all stations.
+        """Return the positions of the set `S1`, `S2` or `S3`, or of a union such as `S1+S3`, at all stations.
 
         Raises TwinError for an unknown name.
         """
@@ -80,7 +80,8 @@ class MeasuringSetup:
 
     @cached_property
     def procedure(self) -> Procedure:
-        """The set-up as the mathematics of the twin takes it: layout of the tool, covariance of one ball centre."""
+        """Planned procedure of the set-up for use with `twin.design`: layout of the tool, and covariance of one ball
+        centre."""
         room_mm = self.artefact.ball_radius_mm + self.probe.tip_radius_mm + self.clearance_mm
         travel = np.array(self.machine.limits)
         layout = MeasuringLayout(
@@ -98,7 +99,7 @@ class MeasuringSetup:
         return Procedure({self.tool_name: layout}, covariance_mm2)
 
     def at(self, stations_mm: ArrayLike) -> MeasuringSetup:
-        """Return the same set-up with the mount at other stations (S, 3) mm."""
+        """Return the same set-up with the mount at other stations (S, 3) in mm."""
         return replace(self, stations_mm=as_points(stations_mm, "stations"))
 
 

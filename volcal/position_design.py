@@ -21,7 +21,8 @@ from volcal.measuring_setup import MeasuringSetup
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Positions in the order station, azimuth, elevation, and the volumetric error expected before and after."""
+    """Positions, and the volumetric error expected before and after compensation (`valuation`). `design` orders the
+    positions by station, azimuth and elevation; `evaluate` keeps the given order."""
 
     positions: tuple[Position, ...]
     valuation: Valuation
@@ -38,9 +39,9 @@ def design(
     """Choose positions for the smallest expected volumetric compensated error (rigidly aligned).
 
     Give either `count`, the number of positions, or `target_vce_um`, the error to reach with as few positions as
-    possible. Candidates are all stations, or those of `stations`, with azimuth and elevation on a grid of `grid_deg`.
-    Every position costs the same here; `volcal design` on the command line counts machine minutes and proves the paths
-    free of collisions. Raises DataError for a goal that cannot be reached.
+    possible. Candidates are all orientations on a grid of `grid_deg` in azimuth and elevation, at all stations or only
+    at `stations`. All positions have the same cost here; the command `volcal design` also takes account of machine time
+    and checks the paths for collisions. Raises DataError for a goal that cannot be reached.
 
     >>> design = volcal.design(setup, 6, grid_deg=45.0)
     >>> len(design.positions)
@@ -63,7 +64,7 @@ def design(
 
 
 def evaluate(setup: MeasuringSetup, positions: Sequence[Position] | str) -> Design:
-    """Return the volumetric error that measuring `positions` is expected to leave, before anything is measured.
+    """Return the volumetric error expected after measuring `positions` and compensating; no measurement is needed.
 
     >>> volcal.evaluate(setup, "S3").valuation.percent > 50.0
     True

@@ -1,4 +1,4 @@
-"""The API reference, made from the docstrings: `python -m volcal.reference > docs/reference/python-api.md`."""
+"""Generator of the API reference from the docstrings: `python -m volcal.reference > docs/reference/python-api.md`."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _is_error(name: str) -> bool:
 
 
 def _error_text(name: str) -> str:
-    """Return the meaning of an error as the tree in the docstring of `twin.errors` gives it."""
+    """Return the description of an error from the tree in the docstring of `twin.errors`."""
     if name == "TwinError":
         return "root of the tree"
     tree = inspect.getdoc(sys.modules["twin.errors"]) or ""
@@ -93,7 +93,7 @@ def _class_entry(name: str, kind: type) -> str:
 
 
 def _members(kind: type) -> Iterator[str]:
-    """Public methods and properties that have a docstring, in the order written."""
+    """Yield an entry for each public method and property that has a docstring, in source order."""
     for name, member in vars(kind).items():
         if name.startswith("_"):
             continue
@@ -105,7 +105,7 @@ def _members(kind: type) -> Iterator[str]:
 
 
 def _signature(name: str, function: object) -> str:
-    """Return name and parameters without the annotations, which the text of the docstring explains."""
+    """Return name and parameters without annotations, since the docstring describes the types."""
     if not callable(function):
         return name
     signature = inspect.signature(function)
@@ -118,7 +118,7 @@ def _signature(name: str, function: object) -> str:
 
 
 def _body(value: object) -> str:
-    """Return the docstring as Markdown: prose as it is, examples as code."""
+    """Return the docstring as Markdown: prose unchanged, examples as code blocks."""
     text = inspect.getdoc(value) or ""
     if text.startswith(f"{getattr(value, '__name__', '')}("):
         return ""  # the signature that a dataclass without a docstring makes

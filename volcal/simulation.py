@@ -1,4 +1,4 @@
-"""Simulated measurements: a machine drawn at random, and the ball centres that it would measure."""
+"""Simulated measurements: a random machine and the ball centres that would be measured on it."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ DEFLECTIONS = (AS_MODELLED, *DEFLECTION_FORMS)
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Ball centres of a simulated measurement, and the machine that only the simulation knows."""
+    """Ball centres of a simulated measurement, and the true machine, which is not known in a real measurement."""
 
     balls: BallFile
     true_machine: TrueMachine
 
     def true_error(self, points_mm: ArrayLike) -> Array:
-        """Return the true deviation (n, 3) mm of the tool centre point at axis positions (n, 3) mm."""
+        """Return the true deviation (n, 3) in mm of the tool centre point at axis positions (n, 3) in mm."""
         return self.true_machine.deviation(as_points(points_mm, "points"))
 
 
 def simulate(
     setup: MeasuringSetup, positions: Sequence[Position] | str = "S3", *, seed: int = 1, deflection: str = "beams"
 ) -> Simulation:
-    """Draw a machine of the prior population and simulate the measurement of `positions` on it.
+    """Draw a random machine from the prior population and simulate the measurement of `positions` on it.
 
-    The machine is richer than the model that is identified: Legendre order 7 and a deflection, which is one of
-    `none`, `beams` (that of the machine file), `rails`, `smooth`, `portal`, `thermal`. Artefact, thermometer, drift and
-    touches differ from what is stated, within their uncertainties. `deflection="as modelled"` draws a machine that the
-    model can represent exactly, measured as stated. The same seed gives the same numbers. Raises DataError for an
-    unknown deflection and if no position is within reach.
+    The machine has errors that the identified model cannot represent: Legendre order 7, and a deflection of the form
+    `none`, `beams` (the deflection of the machine file with a random amplitude), `rails`, `smooth`, `portal` or
+    `thermal`. Artefact, thermometer, drift and touch noise differ from their stated values at random. With
+    `deflection="as modelled"` the model can represent the machine exactly, and it is measured under the stated
+    conditions. The same seed gives the same numbers. Raises DataError if the deflection is unknown or if no position
+    can be measured.
 
     >>> simulation = volcal.simulate(setup, "S1", seed=3)
     >>> simulation.balls.observations.size, simulation.true_error([[0.0, 0.0, 0.0]]).shape

@@ -1,1 +1,2 @@
-"""Neutral file formats: text to values and back. The caller reads and writes the files themselves."""
+"""File formats that do not depend on a controller: conversion of text to values and back. The caller reads and writes
+the files."""

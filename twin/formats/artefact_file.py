@@ -1,6 +1,7 @@
 """Artefact file (TOML): the calibration certificate of a ball artefact.
 
-Ball centres are listed (`balls = [[x, y, z], …]`) or, for a bar without a certificate, described by `[bar]`.
+Ball centres are listed (`balls = [[x, y, z], …]`, in mm) or, for a bar without a certificate, described by a section
+`[bar]`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from twin.formats.toml_reading import StrictModel, read_toml
 from twin.units import REFERENCE_TEMPERATURE_C
 
 ReadText = Callable[[str], str]
-"""Function that returns the text of a file named in another file; the caller resolves relative paths."""
+"""Function that takes a file name as written in another file, resolves it relative to that file, and returns the
+text."""
 
 Coordinates = tuple[float, float, float]
 
@@ -63,7 +65,8 @@ class ArtefactDocument(StrictModel):
 def parse_artefact(text: str, source: str, read_text: ReadText | None = None) -> Artefact:
     """Return the artefact described by TOML text.
 
-    Raise FormatError, naming `source` and key, for invalid text, and DataError for impossible values.
+    Raise FormatError, naming `source` and key, for invalid text, and DataError for impossible values. `read_text` reads
+    the covariance file.
     """
     document = read_toml(text, source, ArtefactDocument)
     balls, holder = _balls(document)
@@ -104,7 +107,8 @@ def _covariance(document: ArtefactDocument, count: int, source: str, read_text: 
 
 
 def _parse_covariance(text: str, source: str, size: int) -> Array:
-    """Return the matrix (size, size) in µm² from CSV without header: one row per coordinate, ball by ball, x y z."""
+    """Return the matrix (size, size) in µm² from CSV text without header: one row per coordinate, ball by ball in the
+    order x, y, z."""
     rows = [row for row in csv.reader(io.StringIO(text)) if row]
     if len(rows) != size:
         raise FormatError(f"{len(rows)} rows, expected {size} (3 per ball)", file=source)

@@ -1,4 +1,5 @@
-"""Ball file (CSV): one ball centre per line; x, y, z are axis positions without tool offset."""
+"""Ball file (CSV): one measured ball centre per line; x, y, z are axis positions, to which the tool offset is not
+added."""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ DEFAULT_TEMPERATURE_C = 20.0
 class BallFile:
     """Contents of a ball file.
 
-    `observations` in file order, their positions renumbered 0 ... K-1 by increasing position number in the file;
-    `positions` (K): station and orientation of each.
+    `observations`: rows in file order, with positions renumbered 0 ... K-1 in the order of their numbers in the file;
+    `positions` (K): station and orientation of each position.
     """
 
     observations: Observations
@@ -51,8 +52,7 @@ def parse_balls(
     default_sigma_um: float = DEFAULT_SIGMA_UM,
     default_temperature_c: float = DEFAULT_TEMPERATURE_C,
 ) -> BallFile:
-    """Return the contents of a ball file given as CSV text; `tools` are the tool offsets (3,) in mm of the machine
-    file.
+    """Return the contents of a ball file given as CSV text. `tools`: offsets (3,) in mm of the machine's tools by name.
 
     The defaults replace empty cells. Raise FormatError naming `source`, row and column.
     """
@@ -82,9 +82,11 @@ def parse_balls(
 
 
 def format_balls(observations: Observations, positions: Sequence[Position], tool_names: Sequence[str]) -> str:
-    """Return CSV text; `positions` (K) and `tool_names` (T) are indexed by the observations' position and tool numbers.
+    """Return the ball file as CSV text. The observations' position and tool numbers are indices of `positions` (K) and
+    `tool_names` (T).
 
-    A full covariance becomes one standard deviation, the root of its mean variance.
+    The covariance of a ball is written as one standard deviation: the root of the mean variance of the three
+    coordinates.
     """
     lines = [",".join(COLUMNS)]
     sigma_um = 1e3 * np.sqrt(np.einsum("nii->n", observations.covariance) / 3.0)
@@ -122,7 +124,8 @@ def _check_duplicates(rows: list[CsvRow], numbers: list[int], tool: list[int], b
 
 
 def _positions(rows: list[CsvRow], numbers: list[int]) -> dict[int, Position]:
-    """Return the positions by their number in the file. All rows of a position must agree."""
+    """Return the positions by their number in the file. Raise FormatError if rows of a position give it different
+    stations or angles."""
     found: dict[int, tuple[CsvRow, Position]] = {}
     for row, number in zip(rows, numbers, strict=True):
         position = _position(row)

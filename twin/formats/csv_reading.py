@@ -1,4 +1,4 @@
-"""CSV text to rows of named cells; errors name file, row (the header is row 1) and column."""
+"""Conversion of CSV text to rows of named cells; errors name file, row (the header is row 1) and column."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.errors import FormatError
 
 @dataclass(frozen=True)
 class CsvRow:
-    """One line of a CSV file: `number` of the line, `cells` by column name."""
+    """One line of a CSV file. `number`: line number; `cells`: text of each cell by column name."""
 
     source: str
     number: int
@@ -22,7 +22,7 @@ class CsvRow:
         return FormatError(message, hint=hint, file=self.source, row=self.number, column=column)
 
     def parse_float(self, column: str, empty: float | None = None) -> float:
-        """Return a finite number; `empty`, if given, is the value of an empty cell."""
+        """Return the finite number in a cell, or `empty` if the cell is empty and `empty` is given."""
         text = self.cells[column]
         if not text and empty is not None:
             return empty

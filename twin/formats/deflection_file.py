@@ -18,7 +18,8 @@ _SAME_NODE_DIGITS = 6  # coordinates equal to a nanometre are the same node: exp
 
 
 def parse_deflection(text: str, source: str) -> DeflectionGrid:
-    """Return the grid given as CSV text. Raise FormatError naming `source`, row (the header is row 1) and column."""
+    """Return the deflection grid given as CSV text. Raise FormatError naming `source`, row (the header is row 1) and
+    column."""
     table, rows = _numbers(text, source)
     nodes, node_indices = [], []
     for axis in range(3):
@@ -36,7 +37,7 @@ def parse_deflection(text: str, source: str) -> DeflectionGrid:
 
 
 def format_deflection(grid: DeflectionGrid) -> str:
-    """Return a grid as CSV text: x slowest, z fastest, displacements rounded to 0.1 nm."""
+    """Return a grid as CSV text. Over the lines z varies fastest and x slowest; displacements are rounded to 0.1 nm."""
     x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
     lines = [",".join(COLUMNS)]
     for point, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):
@@ -46,7 +47,7 @@ def format_deflection(grid: DeflectionGrid) -> str:
 
 
 def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
-    """Return the values (n, 6) in the order of COLUMNS and the file row of each."""
+    """Return the values (n, 6) in the order of `COLUMNS`, and the file row (n) of each line of values."""
     lines = csv.reader(text.removeprefix("\ufeff").splitlines())
     header = [name.strip() for name in next(lines, [])]
     _check_header(header, source)

@@ -1,6 +1,6 @@
 """Estimate file (JSON): parameters by ISO name with covariance, observability, and provenance.
 
-It also contains everything that the next estimate needs to use this one as its prior.
+The file also contains everything that is needed to use the estimate as the prior of the next one.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ class EstimateFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class StoredEstimate:
-    """Estimate as stored in a file: sufficient for compensation, for comparison and as the prior of the next
-    estimate."""
+    """Estimate as stored in a file: sufficient for building a compensation table, for comparison, and as the prior of
+    the next estimate."""
 
     model: ErrorModel
     parameters: Array
@@ -116,7 +116,7 @@ class StoredEstimate:
     document: EstimateFile
 
     def carried_over(self) -> CarriedOverPrior:
-        """Return the prior for a later estimate, as `Estimate.carried_over`. Raise DataError if the covariance is
+        """Return this estimate as the prior of a later one, without process noise. Raise DataError if the covariance is
         singular."""
         return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, Scales(**self.document.scales.model_dump()))
 
@@ -124,7 +124,7 @@ class StoredEstimate:
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
     """Return the estimate as JSON text.
 
-    `provenance`: software version, time, names and checksums of the input files, as known to the caller.
+    `provenance`: software version, time, names and checksums of the input files; stored unchanged.
     """
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -161,7 +161,8 @@ def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _text(value: object) -> str:
-    """Return JSON with each entry of an object, and of a list of lists or objects, on its own line."""
+    """Return JSON text. Each entry of an object has its own line, and so has each entry of a list of lists or
+    objects."""
     if isinstance(value, dict):
         lines = ",\n".join(f"{json.dumps(key)}: {_text(entry)}" for key, entry in value.items())
         return f"{{\n{lines}\n}}"

@@ -1,4 +1,4 @@
-"""Machine file (TOML) to a MachineDescription."""
+"""Machine file (TOML): conversion of its text to a `MachineDescription`."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ CrossTerm = Literal["b0", "b1", "b2", "c0", "c1"]
 
 
 class AxisSection(StrictModel):
-    """One linear axis. `range_mm`: range in which the error model is valid; `travel_mm`: soft limits, by default the
-    same."""
+    """One linear axis. `range_mm`: range in which the error model is valid; `travel_mm`: soft limits, equal to
+    `range_mm` if not given."""
 
     range_mm: tuple[float, float]
     travel_mm: tuple[float, float] | None = None
@@ -48,8 +48,8 @@ class ToolSection(StrictModel):
 
 
 class FamilySection(StrictModel):
-    """Half-widths of each kind of error; a list gives them per Legendre order, starting with the lowest order of that
-    kind.
+    """Half-widths of the uniform distributions of the family, by kind of error. A list gives one half-width per
+    Legendre order, starting with the lowest order of that kind.
 
     The defaults are the amplitudes of the case study.
     """
@@ -64,7 +64,8 @@ class FamilySection(StrictModel):
 
 
 class ModelSection(StrictModel):
-    """Error model. `order`: one for all error motions, or a table per error motion (default 5)."""
+    """Error model. `order`: one Legendre order for all error motions, or a table of orders by error motion (5 for
+    motions not listed)."""
 
     order: Order | dict[str, Order] = DEFAULT_ORDER
     cross_effect: bool | tuple[CrossTerm, ...] = True
@@ -89,10 +90,10 @@ class MachineSection(StrictModel):
 
 
 def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> MachineDescription:
-    """Return the machine given as TOML text; `source` names the file in errors.
+    """Return the machine described by TOML text; `source` names the file in errors.
 
-    `read_text` returns the text of a file whose path, relative to the machine file, occurs in it. Raise FormatError
-    with file, key and hint.
+    `read_text` takes a path relative to the machine file and returns the text of that file; it is used for the
+    deflection grid. Raise FormatError with file, key and hint.
     """
     section = read_toml(text, source, MachineSection)
     axes = (section.axes.X, section.axes.Y, section.axes.Z)

@@ -1,6 +1,6 @@
 """Position set file (CSV or TOML): `station`, `azimuth_deg`, `elevation_deg`, in measuring order.
 
-A column `tool` is needed if several tools are used; an empty cell stands for the tool of the run.
+A column `tool` is needed if several tools are used; an empty cell means the tool of the run.
 """
 
 from __future__ import annotations

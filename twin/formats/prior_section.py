@@ -1,6 +1,7 @@
-"""Section of an estimate file that makes it the prior of the next estimate: all unknowns jointly, with their meaning.
+"""Section of an estimate file for using the estimate as a prior: joint mean and covariance of all unknowns, and their
+meaning.
 
-The misfit modes are stored explicitly, since another computer may compute them with opposite signs.
+The misfit modes are stored explicitly, since another computer may compute the same modes with opposite signs.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ KEY = "carried_over"
 
 
 class ArtefactSection(StrictModel):
-    """Identity of the artefact, and the factor of its certificate's covariance (3N rows, mm)."""
+    """Identity of an artefact with N balls, and the factor of its certificate's covariance (3N rows, in mm)."""
 
     balls_mm: tuple[Triple, ...]
     cte_per_k: float
@@ -47,8 +48,8 @@ class MisfitSection(StrictModel):
 
 
 class CarriedOverSection(StrictModel):
-    """Posterior of all unknowns: `mean` in units of the prior, and the lower triangle of the `covariance`, row by
-    row."""
+    """Posterior of all unknowns: `mean`, in units of the prior standard deviations, and `covariance`, of which the
+    lower triangle is stored row by row. `scale`: unit of each parameter in mm or rad."""
 
     scale: Row
     artefact: ArtefactSection
@@ -58,7 +59,7 @@ class CarriedOverSection(StrictModel):
 
 
 def carried_over_document(unknowns: Unknowns, mean: Array, covariance: Array) -> dict[str, Any]:
-    """Return the section as written to the file."""
+    """Return the section as a JSON object, as it is written to the file."""
     errors = unknowns.artefact
     return {
         "scale": unknowns.scale.tolist(),
@@ -89,7 +90,7 @@ def _misfit_document(modes: MisfitModes, rms_mm: float) -> dict[str, Any]:
 
 
 def read_unknowns(section: CarriedOverSection, model: ErrorModel, source: str) -> Unknowns:
-    """Return the unknowns of a section. Raise FormatError naming `source` and key if sizes do not match."""
+    """Return the unknowns that a section describes. Raise FormatError naming `source` and key if sizes do not match."""
     artefact, misfit = section.artefact, section.misfit
     balls = len(artefact.balls_mm)
     width = len(artefact.certificate_mm[0]) if artefact.certificate_mm else 0
@@ -129,7 +130,8 @@ def _sizes(sizes: tuple[int, ...], count: int, source: str) -> tuple[int, ...]:
 
 
 def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[Array, Array]:
-    """Return mean (P,) and covariance (P, P). Raise FormatError if their sizes do not match."""
+    """Return mean (P,) and covariance (P, P) of a section for P = `size` unknowns. Raise FormatError if the stored
+    sizes differ."""
     mean = _array(section.mean, (size,), source, "mean")
     if [len(row) for row in section.covariance] != list(range(1, size + 1)):
         message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"

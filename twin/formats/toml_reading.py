@@ -1,4 +1,4 @@
-"""TOML text to a validated pydantic value; errors name file and key path."""
+"""Conversion of TOML text to a validated pydantic model; errors name file and key path."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from twin.errors import FormatError
 
 
 class StrictModel(BaseModel):
-    """Base class of everything read from a file: frozen values; unknown keys, NaN and infinity are errors."""
+    """Base class of all models read from a file. Instances are frozen; unknown keys, NaN and infinity are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     former_keys: ClassVar[Mapping[str, str]] = {}
-    """Renamed keys: old to new. A file that uses an old key is refused, and the message names the new one."""
+    """New name of each renamed key, by its old name. A file with an old key is refused with a message that gives the
+    new name."""
 
 
 _UNION_LABEL = re.compile(r"(float|int|bool|str|constrained-\w+)$|.*\[")
@@ -28,7 +29,7 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def forbid_unknown_keys(kind: type) -> BeforeValidator:
-    """Return a validator that refuses unknown keys of a dataclass field; pydantic itself ignores them."""
+    """Return a validator that refuses unknown keys for the dataclass `kind`; pydantic itself ignores such keys."""
     known = {field.name for field in dataclasses.fields(kind)}
 
     def check(value: object) -> object:
@@ -61,7 +62,8 @@ def validate_document(document: dict[str, Any], source: str, kind: type[Section]
 def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
     """Return `document` with the former keys of `kind` and of its sections replaced by the current ones.
 
-    For documents that an earlier version of this program has stored; a file written by a person is refused instead.
+    This is meant for documents stored by an earlier version of this program; files written by users are refused
+    instead.
     """
     former = kind.former_keys if issubclass(kind, StrictModel) else {}
     current = {former.get(key, key): value for key, value in document.items()}
@@ -149,5 +151,5 @@ def _location(location: Sequence[str | int]) -> str:
 
 
 def _without_union_labels(location: Sequence[str | int]) -> list[str | int]:
-    """Return the location without pydantic's labels of union branches (`list[float]`), leaving the keys of the file."""
+    """Return the location without the labels that pydantic adds for branches of a union (such as `list[float]`)."""
     return [part for part in location if isinstance(part, int) or not _UNION_LABEL.match(part)]
