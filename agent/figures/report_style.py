@@ -1,8 +1,8 @@
-"""Style of report figures: one set of colours, following the page's light or dark theme.
+"""Style of report figures, with one set of colours that follows the page's light or dark theme.
 
 Figures are drawn with placeholder colours that are replaced by CSS variables of the page in the finished SVG, so one
 drawing serves a light screen, a dark one and paper. The series colours are those of Okabe and Ito, distinguishable with
-the common colour deficiencies; the map colours (viridis) increase evenly in lightness.
+the common forms of colour blindness; the map colours (viridis) increase evenly in lightness.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 INK = "#010101"
-"""Text, axes and zero lines; `currentColor` of the page."""
+"""Placeholder colour of text, axes and zero lines, replaced by `currentColor` of the page."""
 GRID = "#020202"
 BLUE = "#030303"
 ORANGE = "#040404"
@@ -70,7 +70,8 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins around the panels in inches. Computing them from the drawing would double the time of a report."""
+    """Margins around the panels in inches. They are fixed, because computing them from each drawing would double the
+    time of a report."""
 
     left: float = 0.66
     right: float = 0.15
@@ -110,7 +111,7 @@ class Drawing:
             self._context.__exit__(None, None, None)
 
     def svg(self) -> str:
-        """Return the `<svg>` element, ready to embed in a page."""
+        """Return the `<svg>` element to embed in a page, after the `with` block has ended."""
         return self._svg
 
 

@@ -1,7 +1,7 @@
 """Style of study figures: light background, one set of colours, labels with units.
 
-The colours are those of Okabe and Ito, distinguishable with the common colour deficiencies; the map colours (viridis)
-increase evenly in lightness. Each drawing is rendered as PNG and as SVG.
+The colours are those of Okabe and Ito, distinguishable with the common forms of colour blindness; the map colours
+(viridis) increase evenly in lightness. Each drawing is rendered as PNG and as SVG.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ AMBER = "#e69f00"
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, INK)
 """Colours of series, in order of use."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""Markers of series, so that they can be told apart without colour."""
+"""Markers of series, so that series can be distinguished without colour."""
 
 DOTS_PER_INCH = 150
 
@@ -78,7 +78,7 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One drawing in both formats."""
+    """One drawing as PNG and as SVG."""
 
     png: bytes
     svg: str
@@ -94,7 +94,7 @@ def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
 
 
 def from_zero(axes: Axes, label: str) -> None:
-    """Label the ordinate and start it at zero."""
+    """Set the label of the ordinate and start its scale at zero."""
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
 

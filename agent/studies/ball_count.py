@@ -1,5 +1,5 @@
-"""Number of balls needed on a bar of given length: residual volumetric error and share of the gain for 3 to 15
-balls."""
+"""Number of balls needed on a bar of given length: volumetric error after compensation, and share of the largest gain,
+for 3 to 15 balls."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ AXIS_LABEL = "balls over the same length"
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Results of one identification variant: verdict and share of the gain for each of `COUNTS`.
+    """Results of one identification variant: verdict, and share of the largest gain, for each of `COUNTS`.
 
-    A share is None if the bar was not identified, or if no ball count gains anything.
+    A share is None if the machine is not identified with that number of balls, or if no number reduces the error.
     """
 
     variant: IdentificationVariant
@@ -40,7 +40,7 @@ class Curve:
 
     @property
     def fewest(self) -> int | None:
-        """Smallest number of balls that reaches the share `SUFFICIENT_SHARE` of the gain, or None."""
+        """Smallest number of balls whose share of the gain is at least `SUFFICIENT_SHARE`; None if there is none."""
         return next(
             (n for n, share in zip(COUNTS, self.shares, strict=True) if share and share >= SUFFICIENT_SHARE), None
         )
@@ -73,9 +73,9 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def gain_shares(verdicts: Sequence[Verdict], before: VolumetricRms) -> tuple[float | None, ...]:
-    """Return (VE - VCE) relative to that of the best ball count, rigidly aligned.
+    """Return the gain VE - VCE (rigidly aligned) of each verdict as a share of the largest gain.
 
-    A share is None if the machine was not identified or no ball count gains anything.
+    A share is None if the machine is not identified, or if no number of balls reduces the error.
     """
     left = [aligned_um(verdict) for verdict in verdicts]
     best = min((value for value in left if value is not None), default=before.aligned_um)
@@ -126,7 +126,7 @@ def _draw(figure: Figure, curves: Sequence[Curve], before: VolumetricRms) -> Non
 
 
 def _draw_shares(axes: Axes, curves: Sequence[Curve]) -> None:
-    """Draw the variants that gain anything, and the published number of balls."""
+    """Draw the shares of all variants that reduce the error, and mark the published number of balls."""
     axes.axhline(100.0 * SUFFICIENT_SHARE, color=QUIET, linestyle=":")
     axes.axvline(PUBLISHED_BALLS, color=INK, linestyle="--", linewidth=1.0)
     for series, curve in enumerate(curves):

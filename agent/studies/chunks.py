@@ -1,4 +1,4 @@
-"""Chunks of items handed to a worker together, and errors that name the failed item.
+"""Chunks of items that a worker processes together, and errors that name the failed item.
 
 This module contains only what a worker process executes.
 """
@@ -35,8 +35,8 @@ class Chunk(Generic[Item]):
     items: Sequence[Item]
 
     def run(self, task: Callable[[Item], Result]) -> list[Result]:
-        """Return the result of each item, computed independently; any failure becomes a VolcalError that names the
-        item."""
+        """Return the result of `task` for each item. Raises VolcalError with the item's name if `task` raises any
+        error."""
         results: list[Result] = []
         for number, item in enumerate(self.items, start=self.first):
             try:
@@ -47,15 +47,15 @@ class Chunk(Generic[Item]):
 
 
 def split_into_chunks(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
-    """Split the items into chunks of equal size, except for the last one, for the given number of workers."""
+    """Split the items for `workers` workers into chunks of equal size; the last one may be shorter."""
     size = max(1, min(_MAX_ITEMS, -(-len(items) // (_CHUNKS_PER_WORKER * workers))))
     return [Chunk(start, items[start : start + size]) for start in range(0, len(items), size)]
 
 
 def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
-    """Return the results of a chunk for a pickled task, and limit linear algebra to one thread from then on.
+    """Return the results of a chunk for a pickled task; limit linear algebra in this process to one thread.
 
-    Sums split among threads depend on the number of threads.
+    Sums computed by several threads depend on the number of threads.
     """
     function = _unpickled(task)
     threadpool_limits(limits=1)  # after unpickling, since it affects only libraries that are already loaded
@@ -63,8 +63,8 @@ def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
 
 
 def run_chunk_on_cluster(task: bytes, chunk: Chunk[Any], software: Mapping[str, str]) -> list[Any]:
-    """Run a chunk on another computer. Raise ConfigurationError if its software versions differ from the
-    submitter's."""
+    """Return the results of a chunk computed on another computer. Raises ConfigurationError if its software versions
+    differ from those of the submitting computer, `software`."""
     here = local_software()
     for name, wanted in software.items():
         if here[name] != wanted:

@@ -1,7 +1,7 @@
 """Study workers on a Dask cluster. `distributed` is an optional dependency: `pip install volcal[cluster]`.
 
-Every wait is bounded: for the connection, for the first worker, and for a response of the scheduler while no result
-arrives. The computing time of a chunk is not bounded.
+The waits for the connection, for the first worker, and for a response of the scheduler while no result arrives are
+limited. The computing time of a chunk is not limited.
 """
 
 from __future__ import annotations
@@ -41,10 +41,11 @@ _MAX_GREETING_BYTES = 1 << 20
 
 
 class DaskWorkers:
-    """Workers of the scheduler at `address`, connected inside the `with` block.
+    """Workers of the Dask scheduler at `address`, connected inside the `with` block.
 
-    Raise ConfigurationError for an invalid address or different software versions, LinkLost or LinkTimeout if scheduler
-    or workers cannot be reached (any more), RunError if a worker died, and the named error of a failed item.
+    Raises ConfigurationError for an invalid address or different software versions, LinkLost or LinkTimeout if
+    scheduler or workers cannot be reached or the connection is lost, RunError if workers died repeatedly, and
+    VolcalError with the item's name if an item failed.
     """
 
     def __init__(self, address: str) -> None:
@@ -95,7 +96,7 @@ class DaskWorkers:
         return max(1, sum(self._workers(client).values()))
 
     def _collect(self, client: Client, futures: Sequence[Work], done: OnItemsDone) -> list[list[Any]]:
-        """Collect the results as they arrive and return them in the order of the futures."""
+        """Wait for all results and return them in the order of the futures; call `done` as they arrive."""
         number = {future.key: index for index, future in enumerate(futures)}
         found: list[list[Any]] = [[] for _ in futures]
         pending, finished = set(futures), 0
@@ -122,8 +123,8 @@ class DaskWorkers:
     def _result(self, client: Client, future: Work) -> list[Any]:
         """Return the result of a finished future.
 
-        If its worker has died since, the chunk is computed again; this waits as long as the scheduler responds and has
-        workers.
+        If its worker has died meanwhile, the scheduler has the chunk computed again; this method waits for it as long
+        as the scheduler responds and has workers.
         """
         loop = client.loop.asyncio_loop  # type: ignore[union-attr]
         fetching = client.gather(future, asynchronous=True)  # type: ignore[no-untyped-call]
@@ -152,7 +153,7 @@ class DaskWorkers:
             raise ConfigurationError(message, hint=hint, link=self._address) from error
 
     def _workers(self, client: Client) -> dict[str, int]:
-        """Ask the scheduler for the threads of each worker; the response also shows that the scheduler is alive."""
+        """Return the number of threads of each worker. Raises LinkLost if the scheduler does not respond."""
         scheduler = client.scheduler
         if scheduler is None or client.status != "running":
             raise self._connection_lost()
@@ -168,14 +169,14 @@ class DaskWorkers:
 
 
 class _WorkerTimeout:
-    """Time that the scheduler has had no workers, updated every POLL_S."""
+    """Time for which the scheduler has had no workers; `update` must be called every POLL_S seconds."""
 
     def __init__(self, address: str) -> None:
         self._address = address
         self._seconds = 0.0
 
     def update(self, has_workers: bool) -> None:
-        """Raise LinkTimeout after FIRST_WORKER_S without workers."""
+        """Update the time. Raises LinkTimeout after FIRST_WORKER_S seconds without workers."""
         self._seconds = 0.0 if has_workers else self._seconds + POLL_S
         if self._seconds > FIRST_WORKER_S:
             hint = "check that the workers have the same volcal[cluster] and enough memory"
@@ -183,8 +184,8 @@ class _WorkerTimeout:
 
 
 def _check_greeting(address: str) -> None:
-    """Check that a Dask scheduler greets; the client would wait forever for a greeting from whatever accepts its
-    connection."""
+    """Raise ConnectionError unless a Dask scheduler sends its greeting at `address`. Without this check the client
+    would wait forever if another program accepts the connection."""
     parts = urlsplit(address)
     if parts.scheme != "tcp":
         return

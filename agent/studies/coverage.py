@@ -1,7 +1,8 @@
-"""Coverage of the 95 % regions of an estimate, for machines that are richer than the model.
+"""Coverage of the 95 % regions of an estimate, for machines with more errors than the model describes.
 
-Each machine is drawn with one of several forms of deflection, measured in the case's set and in the held-out positions,
-and identified twice: with the Legendre order of the machine file, and with the order favoured by the measurements.
+Each machine is drawn with one of several forms of deflection and measured in the case's set and in the held-out
+positions. It is identified twice: with the Legendre order of the machine file, and with the order that has the largest
+evidence from the measurements.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ _MACHINES_PER_CHECK = 5  # number of richer machines per machine as modelled
 
 @dataclass(frozen=True, eq=False)
 class ComparedEstimate:
-    """One estimate of one machine: `levels` by region, and true and predicted volumetric errors in mm."""
+    """Comparison of one estimate with its machine. `form`: form of deflection; `chosen`: choice of the Legendre order;
+    `levels`: region → levels at which the regions just contain the truth; true VE and VCE and predicted VCE in mm."""
 
     form: str
     chosen: str
@@ -64,7 +66,8 @@ class ComparedEstimate:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTask:
-    """Task that draws the machine of a number and form, and compares both of its estimates with the truth."""
+    """Task that draws the machine of a given number and form of deflection, and compares its estimates with the
+    truth."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -86,7 +89,8 @@ class CoverageTask:
         return [self._compared(random_machine, *found, again, points) for found in self._estimates(seen, form)]
 
     def _measure_both(self, random_machine: RandomMachine, rng: np.random.Generator) -> Observations:
-        """Measure set and held-out positions with the same artefact under the same conditions."""
+        """Return simulated measurements of the set, then of the held-out positions, with one artefact and the same
+        conditions."""
         parts = (self.planned, self.held_out)
         further = replace(self.held_out, position=self.held_out.position + self.planned.position.max() + 1)
         rows = {
@@ -132,7 +136,8 @@ class CoverageTask:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the coverage over `case.machines` machines with alternating forms, and over some that are as modelled."""
+    """Compute the coverage over `case.machines` machines with alternating forms of deflection, and over some machines
+    that the model describes exactly."""
     machines = [(number, DEFLECTION_FORMS[number % len(DEFLECTION_FORMS)]) for number in range(case.machines)]
     machines += [(case.machines + extra, AS_MODELLED) for extra in range(max(case.machines // _MACHINES_PER_CHECK, 2))]
     found = case.map(_comparison(case), machines)
@@ -164,13 +169,13 @@ def _comparison(case: StudyCase) -> CoverageTask:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTable:
-    """Observed coverages over all comparisons."""
+    """Comparisons of all machines, and the observed coverage over any of them."""
 
     compared: Sequence[ComparedEstimate]
     rng: np.random.Generator
 
     def select(self, chosen: str, form: str | None = None) -> list[ComparedEstimate]:
-        """Return the comparisons with one choice of the order, for one form or for all forms together."""
+        """Return the comparisons made with one choice of the Legendre order, for one form of deflection or for all."""
         forms = DEFLECTION_FORMS if form is None else (form,)
         return [one for one in self.compared if one.chosen == chosen and one.form in forms]
 
@@ -245,7 +250,7 @@ def _shares(table: CoverageTable, of: Sequence[ComparedEstimate]) -> dict[str, O
 
 
 def _pairs(table: CoverageTable, of: Sequence[ComparedEstimate]) -> dict[str, list[float]]:
-    """Return observed coverage and its standard error, by region."""
+    """Return region → observed coverage and its standard error."""
     shares = _shares(table, of)
     return {region: _rounded([share.observed, share.standard_error]) for region, share in shares.items()}
 

@@ -1,4 +1,4 @@
-"""Figure of the coverage study: observed coverage by form, and observed against nominal levels."""
+"""Figure of the coverage study: observed coverage by form of deflection, and observed against nominal coverage."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LOWEST = 70.0
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Results for one choice of the order.
+    """Results for one choice of the Legendre order. `groups`: forms of deflection, and "all".
 
     `shares`: region → observed coverage of each of `groups`; `curves`: region → observed coverage at each of `LEVELS`.
     """
@@ -34,7 +34,7 @@ class Panel:
 
 
 def draw(figure: Figure, panels: Sequence[Panel]) -> None:
-    """Draw one row per panel: coverage by form on the left, reliability on the right."""
+    """Draw one row per panel, with coverage by form of deflection on the left and reliability on the right."""
     axes = figure.subplots(len(panels), 2, width_ratios=(2.1, 1.0), squeeze=False)
     for (left, right), panel in zip(axes, panels, strict=True):
         _by_form(left, panel)

@@ -1,8 +1,8 @@
-"""Designed sets compared with S1, S2, S3 and their combinations: volumetric compensated error over machine time.
+"""Designed sets compared with S1, S2, S3 and their combinations: volumetric compensated error against machine time.
 
-Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`), with the deflection of
-the machine file, which neither the model nor the search knows. The named sets are also evaluated under the published
-formulation: distances, unit weights, no prior.
+Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`). It includes the
+deflection of the machine file, which neither the model nor the search includes. The named sets are also evaluated with
+the published formulation: distances, unit weights, no prior.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ REFERENCE = "S3"
 SLOT_SHARES = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.75, 1.0)
 """Time slots, as shares of the machine time of the reference set."""
 VARIANT_SHARE = 0.5
-"""Time slot of the artefact search, as a share of the machine time of the reference set."""
+"""Time slot for which variants of artefact and touches are designed, as a share of the reference set's machine time."""
 TOUCHES, BALLS, THETAS_DEG = (5, 9, 13), (5, 7, 9, 15), (0.0, 5.0, 30.0)
 SLOT_KIND, TARGET_KIND = "design for a slot", "design for a target"
 COLUMNS = (
@@ -65,10 +65,11 @@ CENTRES = Options(estimate_scales=False, outliers="none")
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """Results of one set, rigidly aligned.
+    """Results of one set. All errors are rigidly aligned.
 
-    `vce_um`: closed form with deflection; `criterion_um`: criterion of the search; for named sets also `published_um`
-    under the published formulation, and `with_prior_um` under the same with the prior.
+    `criterion_um`: expected VCE without deflection, the criterion of the search. `vce_um`: expected VCE with
+    deflection. `published_um`, `with_prior_um`: expected VCE with the published formulation, without and with the
+    prior; None except for named sets.
     """
 
     name: str
@@ -87,7 +88,8 @@ class EvaluatedSet:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate named sets, designs for time slots and for the reference's VCE, and an artefact search at one slot."""
+    """Evaluate the named sets, designs for time slots and for the VCE of the reference set, and designs for one time
+    slot with other artefacts and touches."""
     evaluator = SetEvaluator.of(case)
     base = variants_of(case.job, Path())[0]
     named = [evaluator.evaluate_named(base, name, case.positions(name)) for name in SETS]
@@ -121,7 +123,7 @@ def run(case: StudyCase) -> StudyResult:
 
 @dataclass(frozen=True, eq=False)
 class SetEvaluator:
-    """Evaluates all sets in the same way: `field` is the residual field form of the case on the evaluation grid."""
+    """Evaluator of sets. `field`: residual field form of the case on the evaluation grid, the same for all sets."""
 
     field: FieldForm
 
@@ -175,7 +177,7 @@ def _job(variant: Variant) -> Job:
 
 
 def _options(job: Job) -> list[Variant]:
-    """Return variants of touches, balls and tilt, changing one at a time."""
+    """Return measuring variants in which either the touches, the balls or the tilt differ from the job."""
     choices: list[dict[str, Sequence[int] | Sequence[float]]] = [
         {"touches": TOUCHES},
         {"balls": BALLS},
@@ -198,8 +200,8 @@ def _row(one: EvaluatedSet) -> list[Cell]:
 def _summary(
     evaluator: SetEvaluator, named: Sequence[EvaluatedSet], designs: Sequence[EvaluatedSet]
 ) -> dict[str, object]:
-    """Summarise the VCE of the reference, ours and published, and the share of its time in which a design reaches
-    it."""
+    """Return the VCE of the reference set by each formulation, and the share of its machine time in which a design
+    reaches that VCE."""
     reference = next(one for one in named if one.name == REFERENCE)
     rivals = {
         "reference": reference.vce_um,
@@ -216,7 +218,8 @@ def _summary(
 
 
 def _share(designs: Sequence[EvaluatedSet], vce_um: float, reference: EvaluatedSet) -> float | None:
-    """Return the share of the reference's time in which a design is at least as good, or None if none is."""
+    """Return the machine time of the fastest design with at most `vce_um`, as a share of the reference set's; None if
+    no design reaches it."""
     soonest = min((one.minutes for one in designs if one.vce_um <= vce_um), default=None)
     return None if soonest is None else soonest / reference.minutes
 

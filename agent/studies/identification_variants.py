@@ -1,4 +1,5 @@
-"""Identification variants that a study compares: the requested one and the published ones."""
+"""Identification variants that a study compares: the requested options, and the published method with and without
+prior."""
 
 from __future__ import annotations
 
@@ -8,12 +9,13 @@ from agent.studies.monte_carlo import with_stated_scales
 from twin.identification import Options
 
 PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False)
-"""Published method: all distances of a position with equal weight, no prior."""
+"""Options of the published method: all distances between the balls of a position, with equal weights and no prior."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdentificationVariant:
-    """Identification options with scales as stated, so that closed form and simulation are comparable."""
+    """Identification options with scales as stated, not estimated, so that closed form and simulation are
+    comparable."""
 
     options: Options
 

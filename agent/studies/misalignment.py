@@ -1,4 +1,4 @@
-"""Effect of tilting the balls off the bar's axis: volumetric error left for tilts of 0 to 30 degrees."""
+"""Effect of tilting the ball holders: volumetric error after compensation for tilts of 0 to 30 degrees."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Verdicts = Sequence[tuple[Verdict, ...]]
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate the case's bar with other tilts, in S2 and in S2+S3."""
+    """Evaluate the case's bar with each tilt of its holders, in the position sets S2 and S2+S3."""
     bar, evaluator, variants = Bar.of(case.artefact), ProcedureEvaluator(case), identification_variants(case.options)
     cases = [(name, tilt) for name in SETS for tilt in TILTS_DEG]
     trials = [ProcedureVariant.of(case, bar.with_(tilt_deg=tilt), case.positions(name)) for name, tilt in cases]
@@ -47,9 +47,9 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def saving(rows: Verdicts, variant: int) -> float | None:
-    """Return the share of the VCE, rigidly aligned, that the largest tilt saves against a straight bar.
+    """Return the share by which the largest tilt reduces the rigidly aligned VCE compared to a straight bar.
 
-    Return None if one of them was not identified.
+    Return None if the machine is not identified with one of these two bars.
     """
     straight, tilted = aligned_um(rows[0][variant]), aligned_um(rows[-1][variant])
     return None if straight is None or tilted is None else 1.0 - tilted / straight

@@ -1,8 +1,8 @@
 """Whole procedures by Monte Carlo simulation, compared with the closed form: VE and VCE of many machines.
 
-Each machine is drawn, measured and identified independently, twice with the same random numbers: as in a run (scales of
-noise, prior and misfit from the data, contradicting balls rejected), and with all scales as stated, to which the closed
-form applies.
+Each machine is drawn, measured and identified independently. The same measurements are identified twice: as in a run
+(scales of noise, prior and misfit estimated, contradicting balls rejected), and with all scales as stated, as the
+closed form assumes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ COVERAGE_FACTOR = 2.0
 
 @dataclass(frozen=True)
 class SimulatedMachine:
-    """One machine: true (t,) and estimated (p,) parameters, and diagnostics of the identification."""
+    """One simulated machine: true (t,) and estimated (p,) parameters, normalised chi-square, and number of rejected
+    balls."""
 
     truth: Array
     estimate: Array
@@ -49,7 +50,7 @@ class SimulatedMachine:
 class ProcedureTask:
     """Task that simulates the procedure on the machine with a given number.
 
-    In all procedures with the same assumptions and seed, a number stands for the same machine and artefact.
+    With the same assumptions and seed, a number gives the same machine and artefact in all procedures.
     """
 
     planned: Observations
@@ -92,12 +93,12 @@ class ErrorSample:
 
     @property
     def expected(self) -> VolumetricRms:
-        """Root of the mean square over the machines; the closed form gives its expectation."""
+        """Root mean square over the machines; the closed form gives the root of the expected mean square."""
         return VolumetricRms(*(float(np.sqrt(np.mean(values**2))) for values in (self.raw_mm, self.aligned_mm)))
 
     @property
     def standard_error(self) -> VolumetricRms:
-        """Standard error of `expected`, propagated from that of the mean square."""
+        """Standard error of `expected`, propagated from the standard error of the mean square."""
         return VolumetricRms(*(_error_of_root(values) for values in (self.raw_mm, self.aligned_mm)))
 
 
@@ -129,13 +130,15 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def with_stated_scales(options: Options) -> Options:
-    """Return the options with fixed scales and without outlier rejection: an estimate linear in the measurements."""
+    """Return the options with fixed scales and without outlier rejection, so that the estimate is linear in the
+    measurements."""
     return replace(options, estimate_scales=False, outliers="none")
 
 
 @dataclass(frozen=True, eq=False)
 class SimulationComparison:
-    """Closed form and simulation: `plain` is simulated with scales as stated, like `closed`; `usual` as in a run."""
+    """Closed form and simulation. `closed`: VCE in closed form; `before`: simulated VE; `plain`: simulated VCE with
+    scales as stated, as `closed` assumes; `usual`: simulated VCE with identification as in a run."""
 
     closed: VolumetricRms
     before: ErrorSample
@@ -189,7 +192,7 @@ def _summary(
 
 
 def deviation(simulated_mm: float, closed_mm: float, error_mm: float) -> float | None:
-    """Return simulation less closed form in standard errors, or None if there is only one machine."""
+    """Return simulation minus closed form in standard errors; None if there is no standard error (one machine)."""
     return (simulated_mm - closed_mm) / error_mm if error_mm > 0.0 else None
 
 

@@ -1,4 +1,4 @@
-"""Map of the workspace: length of a deviation over one XY plane."""
+"""Map of the length of a deviation over one XY plane of the workspace."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PLANE_SHAPE = (81, 27)
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Lengths (nx, ny) in µm over x (nx,) and y (ny,) in mm."""
+    """Values of a map: lengths (nx, ny) in µm of the deviation at `x_mm` (nx,) and `y_mm` (ny,)."""
 
     title: str
     x_mm: Array
@@ -27,14 +27,15 @@ class Plane:
 
 
 def map_nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
-    """Return x, y and the height of the map: the published height, or the middle if the machine does not reach it."""
+    """Return X (nx,), Y (ny,) and height of the map in mm. The height is the published one, or the middle of the Z
+    range if the machine does not reach that."""
     x, y, (low, high) = ranges_mm
     height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)
     return np.linspace(*x, PLANE_SHAPE[0]), np.linspace(*y, PLANE_SHAPE[1]), height_mm
 
 
 def draw_plane(axes: Axes, plane: Plane, top_um: float) -> AxesImage:
-    """Draw the map with contour lines, coloured from zero to `top_um`."""
+    """Draw the map with contour lines; the colour scale extends from zero to `top_um`."""
     extent = (plane.x_mm[0], plane.x_mm[-1], plane.y_mm[0], plane.y_mm[-1])
     values = plane.length_um.T
     image = axes.imshow(

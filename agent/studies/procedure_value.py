@@ -1,4 +1,4 @@
-"""Volumetric error that a procedure leaves, in closed form and by simulating it on many machines."""
+"""Volumetric error after compensation by a procedure, in closed form and simulated on many machines."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class ProcedureVariant:
 class Verdict:
     """Result for one procedure and identification variant.
 
-    `expected`: root of the expected mean square VCE in closed form, None if not identified; `simulated` and
-    `standard_error`: the same from `machines` simulated machines, None if not simulated.
+    `expected`: root of the expected mean square VCE in closed form, None if the machine is not identified. `simulated`:
+    rms VCE of `machines` simulated machines, and `standard_error`: its standard error; None if not simulated.
     """
 
     expected: VolumetricRms | None
@@ -52,8 +52,8 @@ class Verdict:
     machines: int = 0
 
     def with_simulation(self, spread: ErrorSample | None) -> Verdict:
-        """Return the verdict with simulation results; `spread` None means that some machines could not be
-        identified."""
+        """Return the verdict with simulation results. `spread`: VCE of the simulated machines; None if one of them
+        could not be identified, which gives the verdict "not identified"."""
         if spread is None:
             return Verdict(None)
         return Verdict(self.expected, spread.expected, spread.standard_error, len(spread.raw_mm))
@@ -61,7 +61,7 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class ProcedureEvaluator:
-    """Evaluates procedure variants of a case."""
+    """Evaluator of the procedure variants of a case."""
 
     case: StudyCase
 
@@ -74,11 +74,11 @@ class ProcedureEvaluator:
 
     @property
     def before(self) -> VolumetricRms:
-        """Root of the expected mean square VE."""
+        """Root of the expected mean square VE, without compensation."""
         return self.field.uncompensated()
 
     def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:
-        """Return the closed-form error budget, or None if `identify` would refuse the set."""
+        """Return the closed-form error budget; None if the planned observations do not identify the machine."""
         family = self.case.machine.family
         if trial.planned is None:
             return None
@@ -91,10 +91,10 @@ class ProcedureEvaluator:
     def evaluate(
         self, trials: Sequence[ProcedureVariant], variants: Sequence[IdentificationVariant], simulated: Sequence[int]
     ) -> list[tuple[Verdict, ...]]:
-        """Return the verdicts on every trial (rows) under every identification variant (columns).
+        """Return the verdicts on every trial (rows) with every identification variant (columns).
 
-        The trials with the indices `simulated` are also simulated, each on an equal share of the case's machines and
-        all on the same machines.
+        The trials with the indices `simulated` are also simulated, all on the same machines. The number of machines is
+        that of the case divided by the number of simulated trials, but at least `MIN_MACHINES`.
         """
         rows = []
         for number, trial in enumerate(trials):
@@ -123,7 +123,8 @@ class ProcedureEvaluator:
         pairs: Sequence[tuple[int, int]],
         share: int,
     ) -> list[ErrorSample | None]:
-        """Return the VCE of `share` machines for each (trial, variant) pair; None if one of the machines is refused."""
+        """Return the VCE of `share` machines for each (trial, variant) pair; None for a pair if one of the machines is
+        not identified."""
         if not pairs:
             return []
         tasks = tuple(self.procedure(trials[row], variants[variant]) for row, variant in pairs)
@@ -136,8 +137,8 @@ class ProcedureEvaluator:
         return ErrorSample.compensated(self.field, machines) if len(machines) == len(found) else None
 
     def procedure(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ProcedureTask:
-        """Return the task that simulates the trial on a numbered machine. Raise DataError if there is nothing to
-        measure."""
+        """Return the task that simulates the trial on the machine with a given number. Raises DataError if no position
+        has three balls within reach."""
         if trial.planned is None:
             raise DataError("none of the positions has three balls within reach")
         case = self.case
@@ -153,9 +154,9 @@ class ProcedureEvaluator:
 
 
 def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedMachine | None:
-    """Return the simulation of a machine, or None if its identification is refused.
+    """Return the simulation of the machine with number `machine`; None if it is not identified.
 
-    A set that just identifies the machine it was planned for need not identify this one.
+    A set that just identifies the nominal machine need not identify every other machine.
     """
     try:
         return procedure(machine)
@@ -165,7 +166,8 @@ def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedM
 
 @dataclass(frozen=True, eq=False)
 class _ProcedureOnMachine:
-    """Task that runs one of several procedures on a machine, given the indices of both."""
+    """Task that simulates one of several procedures on one machine, given the procedure's index and the machine's
+    number."""
 
     procedures: tuple[ProcedureTask, ...]
 

@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 Cell = str | int | float | bool | None
 
 Progress = Callable[[str, int, int], None]
-"""Callback with the current activity, the number of items done and the total number."""
+"""Callback that receives the current activity, the number of items done and the total number of items."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +65,15 @@ class StudyCase:
 
     @property
     def assumptions(self) -> TruthAssumptions:
-        """Truth assumptions of this case: machines of the family with the deflection of the machine file."""
+        """Truth assumptions of this case: machines of the machine file's family that have the deflection of that
+        file."""
         return TruthAssumptions.of_case(self.machine)
 
     def positions(self, expression: str | None = None) -> tuple[Position, ...]:
-        """Return the positions of `S1`, `S1+S3` … or of a position file, at the stations of the case.
-
-        The default is the set that the user requested. Raise TwinError for an unknown set, UserError for an invalid
+        """Return the positions of named sets such as `S1` or `S1+S3` at the stations of the case, or of a position
         file.
+
+        The default is the set of the case. Raises TwinError for an unknown set, UserError for an invalid file.
         """
         expression = expression or self.position_set
         if expression is None:
@@ -91,7 +92,7 @@ class StudyCase:
         return tuple(self.job.settings.procedure.stations or self.procedure.stations)
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:
-        """Return the results of `task` for all items in their order, computed by the workers; `what` labels the
+        """Return the results of `task` for all items in their order, computed by the workers. `what`: label of the
         progress."""
         total = len(items)
         self.progress(what, 0, total)
@@ -118,8 +119,9 @@ class StudyCase:
 class StudyResult:
     """Result of a study.
 
-    A table (`columns`, with units in their names, and `rows`), the `summary` with JSON-compatible values, and the
-    figure: `draw` draws it on an empty figure of `size_in` inches in the style of `agent.figures.study_style`.
+    `columns` (names with units) and `rows` form a table. `summary` has values that `agent.studies.study_files` can
+    write as JSON. `draw` draws the figure on an empty figure of `size_in` inches in the style of
+    `agent.figures.study_style`.
     """
 
     name: str

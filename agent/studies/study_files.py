@@ -14,12 +14,11 @@ from agent.files import write_all_atomically
 from agent.studies.study import Cell, StudyResult
 
 DIGITS = 8
-"""Significant digits in the CSV file, more than any figure is accurate to."""
+"""Significant digits in the CSV file, more than the accuracy of any value."""
 
 
 def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
-    """Write the four files, all or none, and return their paths by suffix. Raise InputError if they cannot be
-    written."""
+    """Write the four files, all or none, and return suffix → path. Raises InputError if they cannot be written."""
     drawn = picture(result.name, result.draw, result.size_in)
     contents: dict[str, str | bytes] = {
         "png": drawn.png,
@@ -32,7 +31,7 @@ def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
 
 
 def document(result: StudyResult) -> dict[str, object]:
-    """Return the summary with JSON-compatible values."""
+    """Return name, title and summary of the study with JSON-compatible values."""
     plain = {key: as_plain(value) for key, value in result.summary.items()}
     return {"study": result.name, "title": result.title, **plain}
 

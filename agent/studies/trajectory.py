@@ -1,4 +1,4 @@
-"""Compensation along a trajectory: deviation along Z of one true machine and of the models identified on it."""
+"""Compensation along a line in Z: deviation of one simulated machine, and of the models identified on it."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ LINE_STYLES = (":", "--", "-")
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryResult:
-    """Fields along the trajectory without the rigid motion of the workspace, (n, 3) in µm.
+    """Deviations (n, 3) in µm along the trajectory, without the rigid motion of the workspace.
 
-    `machine_um`: the machine M; `models_um` and `sigma_um`: for each identifiable number of balls the model C and the
-    expected rms of M less C.
+    `machine_um`: deviation of the machine. `models_um`: number of balls → deviation by the identified model.
+    `sigma_um`: number of balls → expected rms of machine minus model. Numbers of balls that do not identify the machine
+    are left out.
     """
 
     z_mm: Array
@@ -42,16 +43,18 @@ class TrajectoryResult:
     sigma_um: dict[int, Array]
 
     def residual_um(self, count: int) -> float | None:
-        """Return the rms length of M less C over the trajectory, or None if there is no C."""
+        """Return the rms length in µm of machine minus model over the trajectory; None if `count` balls give no
+        model."""
         return _rms(self.machine_um - self.models_um[count]) if count in self.models_um else None
 
     def expected_residual_um(self, count: int) -> float | None:
-        """Return the expected rms length of M less C over all machines, or None if there is no C."""
+        """Return the rms length in µm of machine minus model expected over all machines; None if `count` balls give no
+        model."""
         return _rms(self.sigma_um[count]) if count in self.sigma_um else None
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compare machine number 0 of the seed, measured with 3, 5 and 11 balls in the case's set, with its models."""
+    """Compare simulated machine number 0 with the models identified on it with 3, 5 and 11 balls in the case's set."""
     variant, line = identification_variants(case.options)[0], middle_line(case.machine.model.ranges_mm)
     followed = compare_along(case, variant, line)
     where = f"X = {line[0, 0]:g} mm, Y = {line[0, 1]:g} mm"
@@ -67,7 +70,7 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def middle_line(ranges_mm: Ranges) -> Array:
-    """Return axis positions (n, 3) over the full range of Z in the middle of X and Y."""
+    """Return axis positions (n, 3) over the full range of Z, with X and Y in the middle of their ranges."""
     x, y, z = ranges_mm
     line = np.tile([0.5 * sum(x), 0.5 * sum(y), 0.0], (POINTS, 1))
     line[:, 2] = np.linspace(*z, POINTS)
@@ -75,7 +78,7 @@ def middle_line(ranges_mm: Ranges) -> Array:
 
 
 def compare_along(case: StudyCase, variant: IdentificationVariant, line: Array) -> TrajectoryResult:
-    """Return machine and models along axis positions `line` (n, 3)."""
+    """Return the deviations of machine and models at the axis positions `line` (n, 3)."""
     evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
     basis, deflection = evaluator.field.columns_at(line, aligned=True)
     truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters

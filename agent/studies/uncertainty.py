@@ -1,8 +1,8 @@
 """Sources of the residual error after compensation: contributions in closed form, each with its own simulation.
 
 Conditions are not ideal: the artefact is warm, its thermometer has an error, the machine drifts during each position,
-and the true machines have higher Legendre orders than the model as well as the deflection of the machine file. The
-estimator knows of the thermometer error, but not of the drift.
+and the true machines have higher Legendre orders than the model and the deflection of the machine file. The estimator
+allows for the thermometer error, but not for the drift.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ NAME = "uncertainty"
 TOGETHER = "all together"
 
 ORDERS_BEYOND = 2
-"""Orders of the true machines beyond the model's, as in the simulated machine of the case study."""
+"""Difference between the Legendre orders of the true machines and of the model, as in the case study's simulator."""
 
 WARMER_K = 3.0
-"""Temperature of the artefact above the reference temperature of its certificate."""
+"""Temperature difference, in K, of the artefact from the reference temperature of its certificate."""
 
 THERMOMETER_K = 0.1
 DRIFT_MM = 0.5e-3
@@ -64,8 +64,8 @@ COLUMNS = (
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the contributions for the case's set, simulating each alone and all together on `case.machines`
-    machines."""
+    """Compute the contributions of all influences for the case's set, and simulate each influence alone and all
+    together on `case.machines` machines."""
     trial = _Trial.of(case)
     assumptions = study_assumptions(case)
     budget = trial.budget(assumptions)
@@ -87,7 +87,8 @@ def run(case: StudyCase) -> StudyResult:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """The case's set, identified with scales as stated by an estimator that includes the thermometer error."""
+    """Planned measurement of the case's set and its identification options: scales as stated, with the thermometer's
+    uncertainty."""
 
     case: StudyCase
     planned: Observations
@@ -111,7 +112,7 @@ class _Trial:
         )
 
     def simulated(self, assumptions: TruthAssumptions, what: str) -> ErrorSample:
-        """Return the VCE of the case's machines, drawn under these assumptions."""
+        """Return the VCE of the case's machines, drawn under `assumptions`. `what`: label of the progress."""
         task = replace(ProcedureTask.of(self.case, self.planned, self.options), assumptions=assumptions)
         return ErrorSample.compensated(self.form(assumptions), self.case.map(task, range(self.case.machines), what))
 
@@ -128,7 +129,8 @@ def study_assumptions(case: StudyCase) -> TruthAssumptions:
 
 
 def extended_family(machine: MachineDescription) -> Family:
-    """Return the machine's family extended to higher orders, with amplitudes that continue to fall."""
+    """Return the machine's family extended to higher Legendre orders by the decreasing amplitudes of the machine
+    file."""
     model = machine.model
     orders = {error: order + ORDERS_BEYOND for error, order in model.orders.items()}
     richer = ErrorModel(model.chain, model.ranges_mm, orders, model.cross_effect)
@@ -136,9 +138,9 @@ def extended_family(machine: MachineDescription) -> Family:
 
 
 def isolated_influences(assumptions: TruthAssumptions, model: ErrorModel) -> Mapping[str, TruthAssumptions | None]:
-    """Return, for each influence, the assumptions with every other influence switched off.
+    """Return influence → assumptions with every other influence switched off.
 
-    The mount has None: its pose is free in every estimate, so there is nothing to simulate.
+    The value for the mount is None: its pose is free in every estimate, so it need not be simulated.
     """
     family = assumptions.family
     own = np.isin(family.model.names, model.names)

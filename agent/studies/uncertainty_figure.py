@@ -1,4 +1,5 @@
-"""Figure of the study `uncertainty`: contributions, distribution, map, and remaining uncertainty of the 21 errors."""
+"""Figure of the study `uncertainty`: contributions, distribution and map of the residual error, and standard
+uncertainties of the 21 geometric errors."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ ROTATING = "ABC"
 
 @dataclass(frozen=True, eq=False)
 class InfluenceResult:
-    """Contribution of one influence in closed form, and from simulations with it alone (None if not simulated)."""
+    """Contribution of one influence. `closed`: closed form; `simulated`: simulation with this influence alone, None if
+    not simulated."""
 
     name: str
     closed: VolumetricRms
@@ -33,7 +35,8 @@ class InfluenceResult:
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyResult:
-    """Results of the study: `parts`, one per influence; `together`: machines simulated with all influences."""
+    """Results of the study. `parts`: one per influence; `budget`: closed form with all influences; `together`: machines
+    simulated with all influences."""
 
     parts: tuple[InfluenceResult, ...]
     budget: ErrorBudget
@@ -51,7 +54,8 @@ def draw(figure: Figure, found: UncertaintyResult) -> None:
 
 
 def _draw_contributions(axes: Axes, found: UncertaintyResult) -> None:
-    """Draw the contributions, largest on top and the total at the bottom; their squares add up."""
+    """Draw the contributions with the largest at the top and the total at the bottom. The squares add up to its
+    square."""
     ordered = sorted(found.parts, key=lambda part: part.closed.aligned_mm)
     bars = [InfluenceResult("all together", found.budget.expected, found.together), *ordered]
     coordinates = np.arange(len(bars))
@@ -114,7 +118,8 @@ def _draw_map(figure: Figure, axes: Axes, budget: ErrorBudget) -> None:
 
 
 def _draw_motions(panels: tuple[Axes, Axes], budget: ErrorBudget) -> None:
-    """Draw displacements in µm, rotations and squareness in µrad, each as rms over the range of its axis."""
+    """Draw the standard uncertainties of displacements in µm, and of rotations and squareness in µrad, as rms over the
+    range of the axis, before and after identification."""
     model = budget.field.form.model
     family = motion_uncertainty(model, budget.field.family_moments)
     left = motion_uncertainty(model, budget.total)

@@ -1,4 +1,4 @@
-"""Test of the valuation number: random sets with their valuation in advance and the simulated outcome."""
+"""Test of the valuation: random position sets with the valuation computed in advance and the simulated VCE."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class SetTask:
-    """Task that simulates the procedure of the set with a given number on all machines."""
+    """Task that simulates the procedure of the set with a given number on `machines` machines."""
 
     procedures: Sequence[ProcedureTask]
     machines: int
@@ -53,7 +53,8 @@ class SetTask:
 
 @dataclass(frozen=True)
 class SimulatedSet:
-    """One set: its valuation (%) and expected VCE, and rms of the simulated VCE with its standard error; aligned."""
+    """Results of one set: valuation in %, expected VCE, and rms of the simulated VCE with its standard error. All
+    errors are rigidly aligned."""
 
     name: str
     positions: int
@@ -65,7 +66,7 @@ class SimulatedSet:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compare valuation and simulation for `RANDOM_SETS` random sets and the named ones."""
+    """Compare valuation and simulation for `RANDOM_SETS` random sets and the sets in `NAMED`."""
     machines = max(MIN_MACHINES, case.machines // MACHINES_SHARE)
     sets = [(name, tuple(case.positions(name))) for name in NAMED]
     sets += [(f"random {number + 1}", chosen) for number, chosen in enumerate(random_sets(case, RANDOM_SETS))]
@@ -90,7 +91,7 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def random_sets(case: StudyCase, count: int) -> list[tuple[Position, ...]]:
-    """Return random sets of 2 to 24 reachable positions at one to all stations."""
+    """Return `count` random sets of 2 to 24 reachable positions, each at a random choice of one or more stations."""
     reached = _within_reach(case)
     found = []
     for number in range(count):

@@ -1,7 +1,7 @@
-"""Verdicts as curves, on an axis that is broken if a variant is far worse than no compensation.
+"""Curves of verdicts, on an axis that is broken if a variant is far worse than no compensation.
 
-The lower part, linear from zero, shows the results worth comparing; the upper, logarithmic, those that make a machine
-worse.
+The lower part is linear from zero and shows the results worth comparing. The upper part is logarithmic and shows the
+variants that make a machine much worse.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ HEADROOM = 1.12
 
 @dataclass(frozen=True, eq=False)
 class BrokenAxes:
-    """Axes in one or two parts: `lower` linear from zero to `limit_um`, `upper` logarithmic above it or None if not
-    needed."""
+    """Axes in one or two parts. `lower`: linear from zero to `limit_um`; `upper`: logarithmic, for larger values; None
+    if there are none."""
 
     lower: Axes
     upper: Axes | None
@@ -41,7 +41,7 @@ class BrokenAxes:
     def add(
         cls, figure: Figure, slot: SubplotSpec, rows: Sequence[Sequence[Verdict]], before: VolumetricRms
     ) -> BrokenAxes:
-        """Add the axes in a slot of the figure, with room for the closed form of `rows` and for VE."""
+        """Add the axes in a slot of the figure, scaled for the closed-form VCE of `rows` and for the VE `before`."""
         values = [value for row in rows for value in map(aligned_um, row) if value is not None]
         beyond = [value for value in values if value > FAR_BEYOND * before.aligned_um]
         near = [value for value in values if value <= FAR_BEYOND * before.aligned_um]
@@ -65,11 +65,12 @@ class BrokenAxes:
 
     @property
     def top(self) -> Axes:
-        """Part that bears the title."""
+        """Part at the top, which has the title."""
         return self.lower if self.upper is None else self.upper
 
     def draw_curve(self, coordinates: Sequence[float], verdicts: Sequence[Verdict], series: int) -> None:
-        """Draw the closed form as a line, with gaps if nothing is identified, and the simulation as open squares."""
+        """Draw the closed form as a line, with gaps where the machine is not identified, and the simulation as open
+        squares."""
         expected = [np.nan if value is None else value for value in map(aligned_um, verdicts)]
         for axes in self.parts:
             axes.plot(coordinates, expected, color=SERIES[series], marker=MARKERS[series])
@@ -92,7 +93,7 @@ class BrokenAxes:
 
 
 def draw_simulated(axes: Axes, coordinates: Sequence[float], verdicts: Sequence[Verdict], colour: str) -> None:
-    """Draw simulated procedures as open squares with two standard errors."""
+    """Draw the simulated VCE as open squares with error bars of two standard errors."""
     for coordinate, verdict in zip(coordinates, verdicts, strict=True):
         if verdict.simulated is not None and verdict.standard_error is not None:
             error = TWO_STANDARD_ERRORS * verdict.standard_error.aligned_um
@@ -103,7 +104,7 @@ def draw_simulated(axes: Axes, coordinates: Sequence[float], verdicts: Sequence[
 
 
 def draw_legend(figure: Figure, titles: Sequence[str], before: VolumetricRms) -> None:
-    """Draw a legend below the panels: variants in the order of their series, VE, and the open squares."""
+    """Draw a legend below the panels: variants in the order of their series, the VE `before`, and the open squares."""
     entries = [
         Line2D([], [], color=SERIES[series], marker=MARKERS[series], label=title) for series, title in enumerate(titles)
     ]

@@ -18,29 +18,30 @@ COLUMNS = (
     "simulated_vce_aligned_um",
     "simulated_vce_aligned_standard_error_um",
 )
-"""Columns of a verdict. `vce_…` is the closed form; an empty cell means not identified or not simulated."""
+"""Columns of a verdict. `vce_…` are in closed form; a cell is empty if the machine is not identified or not
+simulated."""
 
 
 MIN_MACHINES = 30
-"""Number of machines below which the standard error is itself too uncertain."""
+"""Number of machines below which the standard error is too uncertain to be used."""
 
 
 def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, ...]:
-    """Return the cells of `COLUMNS`."""
+    """Return the cells of a row in the order of `COLUMNS`. `label`: name of the identification variant."""
     measured = 0 if trial.planned is None else trial.planned.size
     simulated, error = _both(verdict.simulated), _both(verdict.standard_error)
     return (label, measured, *_both(verdict.expected), simulated[0], error[0], simulated[1], error[1])
 
 
 def aligned_um(verdict: Verdict) -> float | None:
-    """Return the closed-form VCE, rigidly aligned, or None if nothing is identified."""
+    """Return the closed-form VCE in µm, rigidly aligned; None if the machine is not identified."""
     return None if verdict.expected is None else verdict.expected.aligned_um
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
-    """Return the largest difference between simulation and closed form, rigidly aligned, in standard errors.
+    """Return the largest absolute difference of VCE between simulation and closed form, in standard errors.
 
-    Return None if too few machines were simulated to know a standard error.
+    The VCE is rigidly aligned. Return None if no verdict has `MIN_MACHINES` simulated machines.
     """
     distances = [
         abs(verdict.simulated.aligned_mm - verdict.expected.aligned_mm) / verdict.standard_error.aligned_mm

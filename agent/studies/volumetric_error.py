@@ -1,6 +1,6 @@
-"""Volumetric error of a family of machines, and its distribution in the workspace of a typical one.
+"""Volumetric error of a family of machines, and a map of the deviation of a typical machine.
 
-No grid is evaluated per machine, since the volumetric error is a quadratic form of the parameters.
+The volumetric error is a quadratic form of the parameters, so no grid is evaluated for each machine.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class FamilyErrors:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the distribution over `case.machines` machines, and a map of the machine of median volumetric error."""
+    """Compute the distribution over `case.machines` machines, and a map of the machine nearest to the median."""
     what, family = "volumetric error", case.assumptions.family
     case.progress(what, 0, 2)
     grid = evaluation_grid(family.model.ranges_mm)
@@ -63,14 +63,16 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.random.Generator) -> FamilyErrors:
-    """Draw machines of a family and return their volumetric errors; `form` includes the deflection common to all."""
+    """Draw machines of a family and return their volumetric errors. `form`: quadratic form of the error, including the
+    deflection, which is the same for all."""
     parameters = family.draw(rng, machines)
     raw_mm, aligned_mm = form.values(parameters)
     return FamilyErrors(parameters, 1e3 * raw_mm, 1e3 * aligned_mm)
 
 
 def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
-    """Return the length of the deviation at one height, raw and without the best rigid motion of the workspace."""
+    """Return two maps of the length of the deviation at one height: raw, and without the best rigid motion of the
+    workspace."""
     x_mm, y_mm, height_mm = map_nodes(field.model.ranges_mm)
     points = np.stack(np.meshgrid(x_mm, y_mm, [height_mm], indexing="ij"), axis=-1).reshape(-1, 3)
     maps = []

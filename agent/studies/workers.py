@@ -1,7 +1,7 @@
 """Workers of a study: one task applied to many items, on the cores of this computer or on a cluster.
 
-Every item is computed independently, by the same code with one thread, and draws its random numbers from its own
-generator. The results therefore do not depend on the number of workers or on their assignment.
+Every item is computed independently, by the same code in one thread, with random numbers from a generator of its own.
+The results therefore do not depend on the number of workers or on the assignment of items to them.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ def local_cores() -> int:
 
 
 class LocalWorkers:
-    """Processes on this computer, started at first use and ended with the `with` block; a single worker is this
-    process.
+    """Worker processes on this computer, started at first use and ended with the `with` block. A single worker is the
+    calling process.
 
-    Raise UserError or VolcalError naming the failed item, RunError if a process died.
+    Raises VolcalError with the name of a failed item, and RunError if a process died.
     """
 
     def __init__(self, processes: int | None = None) -> None:
@@ -115,9 +115,9 @@ class LocalWorkers:
         return self._pool
 
     def _stop(self) -> None:
-        """Terminate the processes immediately, then end the thread of the pool that manages them.
+        """Terminate the processes immediately, then shut down the pool and the thread by which it manages them.
 
-        Left to the interpreter's exit, that thread would close a pipe that is still being written to.
+        Otherwise that thread would close a pipe at the interpreter's exit while data are still being written to it.
         """
         if self._pool is None:
             return
@@ -131,8 +131,8 @@ class LocalWorkers:
 
 
 def _run_in_process(task: bytes, items: Sequence[Item], done: OnItemsDone) -> list[Result]:
-    """Run in this process, from the same pickled task as elsewhere, since unpickling may change an array's memory
-    layout."""
+    """Return the results computed in this process. The task is pickled as for other processes, because unpickling may
+    change the memory layout of an array."""
     found: list[Result] = []
     with threadpool_limits(limits=1):
         for number, item in enumerate(items):
@@ -143,7 +143,7 @@ def _run_in_process(task: bytes, items: Sequence[Item], done: OnItemsDone) -> li
 
 @contextmanager
 def _without_interrupt() -> Iterator[None]:
-    """Shield processes started inside from the keyboard interrupt, which only this process handles."""
+    """Block the keyboard interrupt in processes started inside the `with` block; only this process handles it."""
     former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -152,8 +152,8 @@ def _without_interrupt() -> Iterator[None]:
 
 
 def _end_with_parent() -> None:
-    """End this worker with its parent: it waits for work on a pipe that it holds open itself, so it would outlive a
-    killed parent."""
+    """End this worker when its parent ends. A worker holds the pipe on which it waits for work open itself, so it would
+    outlive a killed parent."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_exit_after, args=(parent.join,), daemon=True).start()
