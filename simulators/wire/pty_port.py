@@ -17,7 +17,7 @@ from drivers.errors import ConfigurationError
 
 RECEIVE_BYTES = 4096
 ANY = "any"
-"""Value in place of a path: no link is made, and the name given by the system is used."""
+"""Value used instead of a link's path if no link is to be made; the terminal then has only the system's name."""
 log = structlog.get_logger()
 
 
@@ -68,7 +68,9 @@ class PseudoTerminal:
             os.write(self._ours, data)
 
     def offer(self, data: bytes) -> int:
-        """Return the number of bytes that the line accepted; a sender that keeps the rest loses none."""
+        """Write as many bytes of `data` as the line accepts, and return their number, so that the caller can retain
+        the rest.
+        """
         try:
             return os.write(self._ours, data)
         except BlockingIOError:

@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 
 
 class TimeDriven(Protocol):
-    """Object with a machine time that its owner advances."""
+    """Interface of an object with a machine time that its owner advances."""
 
     @property
     def now(self) -> float: ...
@@ -29,9 +29,9 @@ class _Companion:
 class SharedWorld(Generic[W_co]):
     """Serialises every access to `world`: hold `lock` (re-entrant) around any reading of it or command to it.
 
-    Companions (a heartbeat watch, CAN nodes) are called after each advance, under the lock. A companion that must act
-    at its own instant gives it by `wakes_at`; a longer advance then stops there first, so a watch of one second expires
-    after one second however far the clock jumps.
+    Companions (a heartbeat monitor, CAN nodes) are called after each advance, under the lock. A companion that must be
+    called at a certain instant returns it from `wakes_at`. A longer advance is then made in two parts, so that, for
+    example, a timeout of one second expires after one second however far the clock jumps.
     """
 
     def __init__(self, world: W_co) -> None:
@@ -58,7 +58,7 @@ class SharedWorld(Generic[W_co]):
             self._companions.append(_Companion(on_advance, wakes_at))
 
     def advance_to(self, instant_s: float) -> None:
-        """Advance the world and its companions to `instant_s`; an instant that has passed changes nothing."""
+        """Advance the world and its companions to `instant_s`; do nothing if that instant has passed."""
         with self.lock:
             while self._world.now < instant_s:
                 self._step_to(min(instant_s, self._next_wake(instant_s)))

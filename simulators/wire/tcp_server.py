@@ -18,9 +18,9 @@ log = structlog.get_logger()
 class TcpServer:
     """Listens from the start and serves each connection with `serve(connection)` until that returns.
 
-    With `one_client` the connections are served one at a time: the next waits until the present one has closed, as at a
-    PLC with a single Modbus socket. An OSError raised by `serve` means that the peer has closed the connection. Raises
-    ConfigurationError if the address is not available.
+    With `one_client` the connections are served one at a time: the next waits until the present one has closed, as with
+    a PLC that has a single Modbus socket. An OSError raised by `serve` means that the peer has closed the connection.
+    Raises ConfigurationError if the address is not available.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class TcpServer:
 
 
 def serve_lines(connection: socket.socket, answer: Callable[[bytes], bytes]) -> None:
-    """Answer each line with one line until the peer closes the connection; an overlong line closes it from here."""
+    """Answer each line with one line until the peer closes the connection or sends an overlong line."""
     buffer = b""
     while chunk := connection.recv(LONGEST_LINE):
         *lines, buffer = (buffer + chunk).split(b"\n")

@@ -1,7 +1,7 @@
 """Machine time for simulators that run as a separate process.
 
-Lockstep: the agent leads (`drivers.clock.LockstepClock`); the line ``advance SECONDS`` advances the world and is
-answered with ``ok`` once it has arrived. Otherwise a ticker advances the world with the wall clock.
+In lockstep the agent controls time (`drivers.clock.LockstepClock`): the line ``advance SECONDS`` advances the world to
+that machine time and is then answered with ``ok``. Otherwise a ticker advances the world with the wall clock.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ TICK_S = 0.002
 
 
 class TimeServer:
-    """Lockstep over TCP.
+    """Server for lockstep over TCP.
 
-    A client's clock starts at zero, so its seconds count from the machine time at which it connected. Otherwise time
-    would stand still for a second agent until its clock had passed the end of the first one's night.
+    A client's clock starts at zero, so its seconds are counted from the machine time at which it connected. Otherwise
+    time would stand still for a second agent until its clock had passed the machine time left by the first agent.
     """
 
     def __init__(self, shared: SharedWorld[TimeDriven], address: tuple[str, int]) -> None:

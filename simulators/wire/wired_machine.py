@@ -26,8 +26,8 @@ Address = tuple[str, int]
 class Links:
     """Addresses to listen on.
 
-    `speed` is machine seconds per wall second, None for lockstep at `time`. With `modbus_rtu` the controller is on that
-    serial line instead of TCP, because it has one master.
+    `speed` is in machine seconds per wall second, or None for lockstep over the address `time`. With `modbus_rtu` the
+    controller is on that serial line instead of TCP, because it accepts only one master.
     """
 
     modbus: Address
@@ -38,7 +38,7 @@ class Links:
     numbers: RegisterNumberFormat = field(default_factory=Float64Numbers)
     modbus_rtu: LineSettings | None = None
     serial: str | None = None
-    """Path of a link to an additional GRBL pseudo-terminal, or ``any``."""
+    """Path of a link to be made to the pseudo-terminal of an additional GRBL, or ``any`` for no link."""
 
 
 class WiredMachine:
@@ -92,10 +92,10 @@ class WiredMachine:
             self._servers.pop().close()
 
     def ready_line(self) -> dict[str, Any]:
-        """Return what the other side must know: actual addresses, stations and the drives on the bus.
+        """Return everything that the agent must know: actual addresses, stations and the drives on the bus.
 
-        The drives are given for the first mount and for all mounts by number, which is that of the station if each
-        station has its own mount.
+        The drives are given for the first mount, and for all mounts by number. A mount's number is that of its station
+        if each station has its own mount.
         """
         settings = self.world.scenario.settings
         nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drive_configs(len(self.world.mounts))]

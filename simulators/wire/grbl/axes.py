@@ -1,4 +1,4 @@
-"""Axes as seen by GRBL's stepper side: one planned move at a time in whole steps, with the probe's pin and latch."""
+"""Axes as seen by GRBL's stepper program: one planned move at a time, in whole steps, and the probe's pin and latch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from simulators.wire.grbl.settings import RATE, TRAVEL, GrblSettings
 
 @dataclass(frozen=True)
 class PlannedMove:
-    """Move in machine coordinates, in mm; a feed of None is rapid."""
+    """Move to a target in machine coordinates, in mm. A feed of None means rapid speed."""
 
     target_mm: Triple
     feed_mm_per_min: float | None
@@ -40,7 +40,7 @@ class GrblAxes:
 
     @property
     def failed(self) -> bool:
-        """True after a collision or any other event that stops the drives."""
+        """True after a collision or any other event that has stopped the drives."""
         return self._physics.motion is MotionState.FAULT
 
     @property
@@ -53,7 +53,7 @@ class GrblAxes:
 
     @property
     def pin(self) -> bool:
-        """State of the probe's input; the probe is wired for ``$6=0``."""
+        """State of the probe's input pin. The probe is wired so that ``$6=0`` gives True if it is deflected."""
         return self._physics.probe_deflected != self._settings.flag(6)
 
     @property
@@ -71,7 +71,7 @@ class GrblAxes:
         return self._coordinates.from_axes(self._physics.displayed_position())
 
     def latch_after(self, latches: int) -> Triple | None:
-        """Return the position of the latest trip if it came after the first `latches` latches, else None."""
+        """Return the position latched at the latest trip if its sequence number is above `latches`, else None."""
         latch = self._physics.latch
         return self._coordinates.from_axes(latch.position) if latch is not None and latch.sequence > latches else None
 
@@ -95,7 +95,7 @@ class GrblAxes:
         return True
 
     def watch_pin(self) -> None:
-        """Brake once the probe has separated, if that is the purpose of the move."""
+        """Brake once the probe has separated, if the move was started with `leaving`."""
         free_s = self._physics.probe_free_s if self._leaving else None
         if free_s is not None and self._now() >= free_s and self.released_at_mm is None:
             self.released_at_mm = self.position()

@@ -71,7 +71,7 @@ class GrblModalState:
 
 @dataclass(frozen=True)
 class GcodeBlock:
-    """Actions requested by one line. `target_mm`: machine coordinates, None if nothing moves."""
+    """Actions requested by one line. `target_mm`: target in machine coordinates, None if nothing moves."""
 
     motion: float | None = None
     target_mm: Triple | None = None
@@ -93,7 +93,10 @@ class WorkOffsets:
 
 
 def parse_words(line: str) -> list[tuple[str, float]]:
-    """Return letters and values of a line without blanks and comments. Raises BlockError."""
+    """Return letters and values of a line that contains no blanks and comments.
+
+    Raises BlockError if it is malformed.
+    """
     words: list[tuple[str, float]] = []
     at = 0
     while at < len(line):
@@ -108,7 +111,7 @@ def parse_words(line: str) -> list[tuple[str, float]]:
 
 
 class BlockParser:
-    """Parser of consecutive lines; a line with an error changes nothing."""
+    """Parser of consecutive lines. A line with an error does not change the parser's state."""
 
     def __init__(self, offsets: WorkOffsets) -> None:
         self.offsets = offsets
@@ -119,7 +122,7 @@ class BlockParser:
         return self.offsets.work_offset(self.modes)
 
     def read(self, line: str, machine_mm: Triple) -> GcodeBlock:
-        """Parse one line. `machine_mm`: end of the previous line in machine coordinates. Raises BlockError."""
+        """Parse one line. `machine_mm`: end position of the previous line in machine coordinates. Raises BlockError."""
         codes, values = self._classify_words(parse_words(line))
         modes = self._modes(codes, values)
         once = codes.get("once")

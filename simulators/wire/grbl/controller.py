@@ -1,12 +1,13 @@
 """GRBL 1.1 controller in front of the simulated machine, written from GRBL's documents.
 
-Two programs share it, as on the chip. Real-time characters are taken out of the stream on arrival. Lines wait in a
-receive buffer of 128 bytes for the main program, which reads one at a time and waits wherever GRBL's does: while the
-planner is full, until a dwell or a probe cycle has finished, and through every hold. It is written as a generator that
-yields the condition it waits for.
+As on the chip, there are two programs. The interrupt program takes real-time characters out of the stream on arrival.
+The other lines wait in a receive buffer of 128 bytes for the main program, which reads one at a time and waits where
+GRBL's main program does: while the planner is full, until a dwell or a probe cycle has finished, and during every hold.
+The main program is a generator that yields the condition for which it waits.
 
-The physics has no look-ahead over blocks: every block is braked to rest. After a reset in motion the simulated axes
-brake instead of losing steps; the alarm is raised all the same. A collision reaches GRBL as its limit input.
+The physics does not look ahead over blocks, so the axes come to rest at the end of every block. After a reset in motion
+the simulated axes brake instead of losing steps, but the alarm is raised nevertheless. A collision reaches GRBL as its
+limit input.
 
 Source: gnea/grbl, doc/markdown/interface.md, commands.md, realtime_cmds.md.
 """
@@ -51,11 +52,10 @@ class GrblState(Enum):
 
 
 class GrblController:
-    """GRBL behind a line: `received` takes its bytes, `send` writes to it; `on_advance` and `wakes_at` connect it to
-    time.
+    """GRBL on a serial line: `received` accepts bytes from the line, and `send` writes to it.
 
-    It starts homed unless `homed` is False; then it is locked, as after power-on. Not simulated: check mode, sleep,
-    jogging, startup lines, overrides.
+    `on_advance` and `wakes_at` connect it to machine time. It starts homed unless `homed` is False; then it is locked,
+    as after power-on. Not simulated: check mode, sleep, jogging, startup lines, overrides.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class GrblController:
         self._axes.resume()
 
     def soft_reset(self) -> None:
-        """Abort everything; if the axes were moving, their position is no longer certain."""
+        """Abort everything. If the axes were moving, their position is then uncertain, which raises an alarm."""
         if self._axes.moving and self.state is not GrblState.ALARM:
             self.send_line(f"ALARM:{HOMING_RESET if self.state is GrblState.HOME else ABORTED}")
             self.state = GrblState.ALARM
@@ -143,7 +143,7 @@ class GrblController:
         self._welcome()
 
     def reboot(self) -> None:
-        """Restore power: position lost, locked until homed if homing is enabled."""
+        """Restart as after power-on: the position is lost, and GRBL is locked until homed if homing is enabled."""
         self._axes.abort()
         self.state = GrblState.ALARM if self.settings.flag(22) else GrblState.IDLE
         self._restart()
@@ -175,7 +175,7 @@ class GrblController:
         self._awaited: WaitCondition = next(self._program)
 
     def _run(self) -> None:
-        """Run the main program until it must wait, and the planner until it has nothing to start."""
+        """Run the main program until it must wait, and start planned moves until none can be started."""
         self._end_motion()
         while self._can_continue() or self._can_start():
             if self._can_start():
@@ -198,8 +198,9 @@ class GrblController:
             self.send_line(f"error:{code}" if code else "ok")
 
     def _line_received(self) -> bool:
-        """Move bytes from the receive buffer up to the end of a line, dropping blanks and comments; True at the end of
-        a line.
+        """Take bytes from the receive buffer up to the end of a line, dropping blanks and comments.
+
+        Returns True if the line is complete.
         """
         while self._waiting and not self._line_complete:
             character = chr(self._waiting.pop(0))
@@ -249,7 +250,9 @@ class GrblController:
         return None
 
     def _probe(self, motion: float, target_mm: Triple) -> Program:
-        """Execute G38.n: everything before it is finished first; the answer follows the message with the result."""
+        """Execute G38.n once all earlier motion has finished, and send the message with the result before the
+        answer.
+        """
         yield self._synchronised
         towards, axes = motion in TOWARDS, self._axes
         self._probed = (self._probed[0], False)

@@ -10,7 +10,7 @@ from simulators.wire.modbus.physics import MovingMachine
 
 
 class GrblPhysics(MovingMachine, Protocol):
-    """Moving machine that also forecasts its next events."""
+    """Moving machine that also predicts the instants of its next events."""
 
     @property
     def motion_ends_s(self) -> float | None: ...

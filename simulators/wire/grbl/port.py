@@ -11,7 +11,7 @@ from simulators.wire.pty_port import ANY, PseudoTerminal
 from simulators.wire.shared_world import SharedWorld, TimeDriven
 
 BAUD: Final = 115200
-"""Baud rate required by GRBL's documents; a pseudo-terminal has none."""
+"""Baud rate required by GRBL's documents. It has no effect on a pseudo-terminal."""
 
 
 class WorldWithAxes(TimeDriven, Protocol):
@@ -20,7 +20,7 @@ class WorldWithAxes(TimeDriven, Protocol):
 
 
 class GrblPort:
-    """Serves the world's axes and probe on a serial line."""
+    """Simulated GRBL, controlling the world's axes and probe, on a pseudo-terminal."""
 
     def __init__(
         self,
@@ -41,8 +41,9 @@ class GrblPort:
 
     @property
     def agent_settings(self) -> dict[str, object]:
-        """Keys of a serial device's settings. GRBL, homed at the upper ends, reads negative values where the axes read
-        0.
+        """Settings of the agent's serial driver, which include the offset between GRBL's and the world's coordinates.
+
+        GRBL homes at the upper ends, so it reads negative values where the axes of the world read 0.
         """
         upper = self._shared.world.controller.limits().upper_mm
         return {"port": self.line.device_path, "baud": BAUD, "axis_zero_mm": [-value for value in upper]}

@@ -22,12 +22,15 @@ HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 MACHINE_POSITION, BUFFER_STATE = 1, 2
 OFFSET_EVERY = {True: 30, False: 10}
 OVERRIDES_EVERY = {True: 20, False: 10}
-"""Number of reports between two such fields, by whether the machine is moving."""
+"""Number of reports between two override fields; the key is True if the machine is moving."""
 
 
 @dataclass(frozen=True)
 class StatusSnapshot:
-    """Controller state at one instant. `state` with its sub-state (``Hold:0``); lengths in mm, machine coordinates."""
+    """Controller state at one instant, with lengths in mm in machine coordinates.
+
+    `state` includes a sub-state (``Hold:0``).
+    """
 
     state: str
     moving: bool
@@ -43,14 +46,17 @@ class StatusSnapshot:
 
 
 class StatusReporter:
-    """Selects the fields of each report: offset and overrides only every few reports, and at once when they change."""
+    """Selects the fields of each report.
+
+    Offset and overrides are sent only every few reports, and whenever they change.
+    """
 
     def __init__(self, settings: GrblSettings) -> None:
         self._settings = settings
         self.restart()
 
     def restart(self) -> None:
-        """Restart the counts after a reset: offset in the first report, overrides in the second."""
+        """Restart the counts after a reset, so that the first report has the offset and the second the overrides."""
         self._until_offset, self._until_overrides = 0, 1
         self._shown_offset: Triple | None = None
         self._shown_others: tuple[tuple[int, int, int], str] | None = None
@@ -98,7 +104,7 @@ def probe_message(position_mm: Triple, tripped: bool, *, inches: bool) -> str:
 
 
 def parameters(offsets: WorkOffsets, modes: GrblModalState, *, inches: bool) -> Iterator[str]:
-    """Yield the answer to ``$#`` except for its last line, the probe's."""
+    """Yield the lines that answer ``$#``, except for the last one, which gives the probe's result."""
     for system, offset in sorted(offsets.systems.items()):
         yield f"[G{system}:{coordinates(offset, inches=inches)}]"
     for predefined in (28, 30):

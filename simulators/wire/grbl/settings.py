@@ -27,7 +27,7 @@ class SettingRefusedError(Exception):
 
 
 class GrblSettings:
-    """Settings with homing and soft limits for axes with the given limits; 1000 steps per mm by default."""
+    """Settings for axes with the given limits, with homing and soft limits enabled; 1000 steps per mm by default."""
 
     def __init__(self, limits: AxisLimits, steps_per_mm: float = 1000.0) -> None:
         self._values: dict[int, float] = {
@@ -47,8 +47,9 @@ class GrblSettings:
         return bool(self._values[number])
 
     def axes(self, first: int) -> tuple[float, float, float]:
-        """Return the values of X, Y, Z. `first` is the number for X: 100 steps, 110 rates, 120 accelerations, 130
-        travels.
+        """Return the values of X, Y, Z for the group of settings whose number for X is `first`.
+
+        100: steps per mm; 110: maximum rates; 120: accelerations; 130: travels.
         """
         return self._values[first], self._values[first + 1], self._values[first + 2]
 

@@ -1,4 +1,4 @@
-"""Fault codes of the register map (table 9.1) for the fault texts of the physics."""
+"""Fault codes of the register map (table 9.1) for the fault texts of the simulated machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ WATCHED_FAULTS: Final = {
     FaultCode.PERMISSION_LOST: "permission lost while moving",
     FaultCode.PROBE_LOST: "probe lost while moving",
 }
-"""Faults that are detected here and not by the physics, with the texts passed to it."""
+"""Faults that the register side detects, not the simulated machine, and the texts with which it reports them to the
+machine."""
 
 _FAULT_WORDS: Final = (
     ("collision", FaultCode.COLLISION),
@@ -27,7 +28,7 @@ _FAULT_WORDS: Final = (
 
 
 def fault_code(fault: str) -> FaultCode:
-    """Return the code of a fault text of the physics; 99 if the table has none for it."""
+    """Return the code for a fault text of the simulated machine; 99 (other) if none matches."""
     words = fault.lower()
     for marker, code in _FAULT_WORDS:
         if marker in words:
@@ -36,7 +37,7 @@ def fault_code(fault: str) -> FaultCode:
 
 
 def outcome_of(fault: FaultCode) -> ModbusOutcome:
-    """Return the outcome of a motion that ended in this fault (table 9.3)."""
+    """Return the motion outcome (table 9.3) for a motion that ended in `fault`."""
     if fault is FaultCode.PROBE_TRIPPED:
         return ModbusOutcome.GUARD_TRIPPED
     return ModbusOutcome.HEARTBEAT_LOST if fault is FaultCode.HEARTBEAT_LOST else ModbusOutcome.FAULT

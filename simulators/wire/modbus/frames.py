@@ -1,4 +1,4 @@
-"""Modbus TCP framing: splitting the stream into requests, and the three functions on a set of registers.
+"""Modbus TCP framing: splits the stream into requests, and executes functions 3, 16 and 23 on a set of registers.
 
 Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application Protocol V1.1b3
 (functions 3, 16 and 23: 6.3, 6.12, 6.17); docs/reference/modbus-register-map.md, 1.
@@ -32,7 +32,7 @@ class RegisterAccessError(Exception):
 
 
 class Registers(Protocol):
-    """Registers that requests read and write, as bytes, high byte first. Each method may raise RegisterAccessError."""
+    """Registers that requests read and write as bytes, high byte first. Each method may raise RegisterAccessError."""
 
     def check_read(self, address: int, count: int) -> None: ...
 
@@ -48,7 +48,7 @@ class ModbusFramingError(Exception):
 
 
 def split_frames(buffer: bytearray) -> Iterator[tuple[int, int, bytes]]:
-    """Remove every complete frame from the front of `buffer` and yield transaction, unit and request.
+    """Remove every complete frame from the front of `buffer`; yield its transaction id, unit id and request.
 
     Raises ModbusFramingError if the header is not one of Modbus TCP.
     """
@@ -69,7 +69,7 @@ def frame(transaction: int, unit: int, answer: bytes) -> bytes:
 
 
 def answer_request(request: bytes, registers: Registers) -> bytes:
-    """Return the response to one request (function code and what follows it); it may be an exception response."""
+    """Return the response to one request, which may be an exception response. Both start with the function code."""
     function = request[0]
     try:
         if function == READ:
@@ -101,7 +101,7 @@ def _write(request: bytes, registers: Registers) -> bytes:
 
 
 def _write_and_read(request: bytes, registers: Registers) -> bytes:
-    """Write, then read; nothing is written if either half is refused."""
+    """Execute function 23: write, then read. Nothing is written if either half is refused."""
     _require(len(request) >= 10)
     read_address, read_count, address, count = _FOUR_WORDS.unpack_from(request, 1)
     _require(1 <= read_count <= MAX_READ)
@@ -113,7 +113,7 @@ def _write_and_read(request: bytes, registers: Registers) -> bytes:
 
 
 def _require_data(request: bytes, start: int, count: int) -> None:
-    """Require that register count, byte count (the byte before `start`) and the bytes received agree."""
+    """Require that register count, byte count (the byte before `start`) and number of bytes received agree."""
     _require(1 <= count <= MAX_WRITTEN and request[start - 1] == 2 * count == len(request) - start)
 
 

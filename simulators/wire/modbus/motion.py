@@ -1,4 +1,4 @@
-"""Motion as seen in the registers: commands, outcome, latch, fault codes and the heartbeat watch.
+"""Motion as seen in the registers: commands, outcome, latch, fault codes, and supervision of the agent's heartbeat.
 
 Source: docs/reference/modbus-register-map.md, 3, 5, 7 and 9.
 """
@@ -70,7 +70,8 @@ class MotionRequest:
 class MotionRegisters:
     """Registers 1004 … 1037 and the state behind them.
 
-    A motion that is stopped or fails brakes first: until the axes rest, the state is moving and the outcome 1.
+    After a stop or a fault the axes first brake. Until they are at rest, the state remains moving and the outcome 1
+    (under way).
     """
 
     def __init__(self, machine: MovingMachine, now: Callable[[], float]) -> None:
@@ -98,13 +99,13 @@ class MotionRegisters:
 
     @property
     def permissions(self) -> int:
-        """Content of register 1006."""
+        """Content of register 1006 (permissions, one bit each)."""
         given = self._machine.permissions
         return sum(1 << bit for bit, name in enumerate(PERMISSION_BITS) if given[name])
 
     @property
     def probe(self) -> int:
-        """Content of register 1007."""
+        """Content of register 1007 (probe: bit 0 loaded, 1 healthy, 2 deflected)."""
         machine = self._machine
         return machine.probe_loaded | machine.probe_healthy << 1 | machine.probe_deflected << 2
 
@@ -116,7 +117,7 @@ class MotionRegisters:
         self._watched_since_s = self._now()
 
     def wakes_at(self) -> float | None:
-        """Return the instant at which the watch of register 2000 expires; None while nothing moves."""
+        """Return the instant in s at which the heartbeat in register 2000 becomes overdue; None while nothing moves."""
         if self._ending or self._machine.motion is not MotionState.MOVING:
             return None
         return self._watched_since_s + HEARTBEAT_WITHIN_S

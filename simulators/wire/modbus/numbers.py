@@ -1,4 +1,4 @@
-"""Encoding of a number in four registers: float64, or a scaled int32 for controllers without float64.
+"""Encoding of a number in four registers: as float64, or as a scaled int32 for controllers without float64.
 
 Source: docs/reference/modbus-register-map.md, 1.
 """
@@ -22,7 +22,7 @@ class RegisterNumberFormat(Protocol):
 
 
 class Float64Numbers:
-    """IEEE 754 binary64 encoding."""
+    """Encoding as IEEE 754 binary64."""
 
     def pack(self, *values: float) -> bytes:
         return struct.pack(f">{len(values)}d", *values)

@@ -1,4 +1,4 @@
-"""Physics that the registers need; implemented by `simulators.world.controller.Controller`."""
+"""Interfaces of the physics behind the registers; `simulators.world.controller.Controller` implements them."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class MovingMachine(Protocol):
 
 
 class TableMemory(Protocol):
-    """Compensation banks of the controller behind the registers, and the active one."""
+    """Compensation banks of the controller behind the registers, including which bank is active."""
 
     @property
     def banks(self) -> Mapping[int, TableImage]: ...

@@ -1,7 +1,7 @@
 """Register map as the controller sees it: blocks, codes, and the layout of each block.
 
 Source: docs/reference/modbus-register-map.md, sections 2 to 5, 8 and 9. Written from that page, not from the agent's
-driver: a shared map would hide a swapped word.
+driver, because an error in a shared map, such as a swapped word, would not be noticed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ BLOCK_NUMBER_REGISTER: Final = 2320
 
 
 class ModbusExceptionCode(IntEnum):
-    """Exception codes of section 1 of the register map that the simulator answers with; 4 is never needed."""
+    """Exception codes (section 1 of the register map) with which the simulator answers; code 4 is never needed."""
 
     FUNCTION_NOT_OFFERED = 1
     ILLEGAL_ADDRESS = 2

@@ -1,4 +1,4 @@
-"""Holding registers of the controller: images of the blocks, and the effects of a write.
+"""Holding registers of the controller: byte images of the blocks, and the effects of writing to them.
 
 Source: docs/reference/modbus-register-map.md, 2 to 6 and 8.
 """
@@ -55,7 +55,7 @@ ACTIVATION_CODE: Final = {
 
 
 class ControllerRegisters:
-    """Register access by address, as bytes. The caller holds the world's lock."""
+    """Register access by address, as bytes. The caller must hold the world's lock."""
 
     def __init__(self, machine: ControllerPhysics, numbers: RegisterNumberFormat, now: Callable[[], float]) -> None:
         self._machine = machine
@@ -153,7 +153,7 @@ class ControllerRegisters:
         return result
 
     def _status(self) -> bytes:
-        """Return a new image: every request is answered from the present state of the machine."""
+        """Return a new image of STATUS, so that every request is answered with the present state of the machine."""
         motion, tables = self.motion, self.tables
         motion.observe()
         self._heartbeat = (self._heartbeat + 1) & 0xFFFF
@@ -194,7 +194,9 @@ class ControllerRegisters:
         )
 
     def _read_window(self) -> bytes:
-        """Return the block requested by READ SELECTOR: 1200 bank, 1201 block, 1202 … 1321 data."""
+        """Return the image of registers 1200 … 1321 (bank, block number, data) for the block requested by READ
+        SELECTOR.
+        """
         selector = self._written[READ_SELECTOR]
         bank, block = int.from_bytes(selector[:2], "big"), int.from_bytes(selector[2:], "big")
         data = self._table_block(bank, block)
@@ -213,7 +215,7 @@ class ControllerRegisters:
 
 
 def _require_representable(store: StoreLimits) -> None:
-    """Require banks 1 and 2 or no banks, as the register map defines. Raises ConfigurationError otherwise."""
+    """Raise ConfigurationError unless the store has banks 1 and 2 or none, as the register map requires."""
     if sorted(store.banks) not in ([], [1, 2]) or max(store.max_nodes) > 0xFFFF:
         raise ConfigurationError(
             f"a store with banks {list(store.banks)} and {store.max_nodes} nodes does not fit the register map",
@@ -236,7 +238,9 @@ def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFo
 
 
 def temperature_counts(temperatures: Mapping[str, float]) -> list[int]:
-    """Return eight slots in thousandths of a degree: artefact, ambient, machine, then the others by name."""
+    """Return eight temperatures in thousandths of a degree Celsius: artefact, ambient, machine, then the others by
+    name.
+    """
     usual = [name for name in USUAL_TEMPERATURES if name in temperatures]
     others = sorted(set(temperatures) - set(USUAL_TEMPERATURES))
     counts = [round(1000.0 * temperatures[name]) for name in (*usual, *others)][:TEMPERATURE_SLOTS]

@@ -1,9 +1,9 @@
 """Simulated controller as a Modbus RTU unit on a pseudo-terminal.
 
 A pseudo-terminal transfers a byte in no time and has no baud rate, so both are simulated here. In lockstep the agent
-leads: it spends the line's time on the machine's clock itself, and an answer is sent at once. On any other clock the
-line is paced: the request takes as long to arrive, and the silence before the answer and each of its characters as long
-to pass, as on a cable. A client that has set another baud rate is ignored.
+controls time: it advances the machine's clock by the transmission time itself, and an answer is sent at once. On any
+other clock the line is paced: the request, the silence before the answer and the answer take as long as on a cable. A
+client that has set another baud rate is ignored.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from simulators.wire.shared_world import SharedWorld
 FAST_BAUD: Final = 19200
 FAST_GAP_S: Final = 0.00175
 CHUNK_CHARACTERS: Final = 16
-"""Characters sent at once on a paced line: the buffer depth of a usual UART."""
+"""Characters sent at once on a paced line: the buffer depth of a common UART."""
 
 STALE_AFTER_S: Final = 0.1
 """Wall time in s after which an incomplete request is discarded.
@@ -39,7 +39,7 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Serial line parameters. `link`: a path made to point at the pseudo-terminal, or `any`.
+    """Serial line parameters. `link`: path to be made a link to the pseudo-terminal, or `any` for no link.
 
     Parity and stop bits only affect the timing.
     """
@@ -59,7 +59,7 @@ class LineSettings:
 
 
 class ModbusRtuController:
-    """Serves the world's controller as unit 1. `clock` paces the line; None: the agent does (lockstep)."""
+    """Serves the world's controller as unit 1. `clock` paces the line; it is None in lockstep."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class ModbusRtuController:
 
     @property
     def agent_settings(self) -> dict[str, Any]:
-        """Options of the agent's driver."""
+        """Options with which the agent's driver reaches this controller."""
         settings = self._settings
         line = {"baud": settings.baud, "parity": settings.parity, "stop_bits": settings.stop_bits}
         return {"serial": {"port": self.terminal.device_path, **line}}

@@ -1,4 +1,4 @@
-"""Modbus RTU frames as a controller sees them: the end of a request, and its validity.
+"""Modbus RTU frames received by a controller: finds the end of a request and checks its validity.
 
 Source: MODBUS over Serial Line Specification V1.02, 2.5.1.1 and 6.2.2 (CRC generation, written bit by bit as there).
 """
@@ -16,7 +16,7 @@ _BYTE_COUNT_AT: Final = {WRITE: 6, WRITE_AND_READ: 10}
 
 
 class InvalidFrameError(Exception):
-    """Received data that is not a valid request; a controller does not answer it."""
+    """Error for received data that is not a valid request, which a controller does not answer."""
 
 
 def frame_crc(data: bytes) -> bytes:
@@ -56,7 +56,10 @@ def answer_frame(unit: int, answer: bytes) -> bytes:
 
 
 def _length(buffer: bytearray) -> int | None:
-    """Return the length of the frame, or None if not yet known; for an unknown function, everything received so far."""
+    """Return the length of the frame, or None if not yet known.
+
+    For an unknown function, all bytes received so far count.
+    """
     if len(buffer) < SHORTEST:
         return None
     function = buffer[1]

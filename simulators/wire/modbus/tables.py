@@ -1,4 +1,4 @@
-"""Compensation tables over registers: transfer in blocks, commit with CRC-32, two-step activation.
+"""Compensation tables in the registers: transfer in blocks, commit with CRC-32, and two-step activation.
 
 Source: docs/reference/modbus-register-map.md, 8.
 """
@@ -72,7 +72,7 @@ class TableGridDescriptor:
 
 @dataclass
 class _Transfer:
-    """Bank between TABLE BEGIN and COMMIT."""
+    """Table being transferred to a bank, from TABLE BEGIN to TABLE COMMIT."""
 
     descriptor: TableGridDescriptor
     stored: bytearray = field(default_factory=bytearray)
@@ -85,7 +85,7 @@ class _Transfer:
 
 @dataclass(frozen=True)
 class CompleteTable:
-    """Bank as it is read back: its descriptor and its counts, big-endian, in the order of the register map."""
+    """Contents of a bank, as read back: its descriptor and its big-endian counts, in the order of the register map."""
 
     image: TableImage
     descriptor: TableGridDescriptor
@@ -103,8 +103,8 @@ class CompleteTable:
 class BankRegisters:
     """Bank registers of STATUS and the commands that change them.
 
-    `memory` holds complete tables only. An open or damaged bank is known only here; meanwhile the active bank of
-    `memory`, which no transfer can touch, stays in effect.
+    `memory` holds complete tables only. Banks with an unfinished transfer or a wrong CRC are recorded only here. No
+    transfer can change the active bank of `memory`, which remains in effect meanwhile.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class BankRegisters:
         return ModbusBankState.COMPLETE if bank in self._memory.banks else ModbusBankState.EMPTY
 
     def complete(self, bank: int) -> CompleteTable | None:
-        """Return the table of a complete bank; None for every other bank."""
+        """Return the table of `bank` if it is complete, else None."""
         if bank == 0 or self.state(bank) is not ModbusBankState.COMPLETE:
             return None
         image = self._memory.banks[bank]
@@ -192,7 +192,7 @@ class BankRegisters:
         return None if same and descriptor.fits(self.limits) else ResultCode.DESCRIPTOR_NOT_ALLOWED
 
     def take_block(self, number: int, data: bytes) -> None:
-        """Append a block. `data` is registers 2200 … 2319, `number` register 2320."""
+        """Append a block to the transfer. `data`: contents of registers 2200 … 2319; `number`: of register 2320."""
         transfer = self._transfer
         if transfer is None:
             self.block_result = ResultCode.NO_TRANSFER
@@ -247,7 +247,7 @@ class BankRegisters:
         return ResultCode.ACCEPTED
 
     def occurred(self, event: Activation) -> None:
-        """Handle a reset (power-up, reference): the bank that waited for it becomes active."""
+        """Handle power-up or referencing: make the bank whose activation waits for this event active."""
         if event is self.limits.activation and self.pending_bank != NO_BANK_PENDING:
             self._memory.activate(self.pending_bank)
             self.pending_bank = NO_BANK_PENDING

@@ -1,1 +1,1 @@
-"""Simulated controller that punches and reads its parameters as tapes."""
+"""Simulated controller that sends and receives its parameters as paper tapes."""

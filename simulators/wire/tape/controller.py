@@ -1,7 +1,8 @@
-"""Controller that punches and reads its parameters in tape format, written from its maker's manuals.
+"""Controller that punches and reads its parameters in tape format, written from the manufacturer's manuals.
 
-It reads characters at the speed of its line into a small memory: nearly full, it sends DC3; nearly empty, DC1 again.
-Everything happens as machine time passes; `press_read` and `press_punch` are the operator's keys.
+It reads characters at the speed of its line into a small buffer. It sends DC3 when the buffer is nearly full, and DC1
+again when it is nearly empty. Everything happens as machine time passes; `press_read` and `press_punch` are the
+operator's keys.
 
 Source: FANUC B-63503EN/02 (Series 0i connection manual), 5.3: DC1 starts and DC3 stops a reader, DC2 switches a punch
 on and DC4 off, one parity bit (even) among eight; B-63950EN/02, chapter 3: parameters as ``N ... P ...;``.
@@ -37,7 +38,7 @@ def with_parity(character: str) -> int:
 
 
 class TapeCnc:
-    """CNC with a tape interface. `parameters`: number -> the text after it, as ``P00001100`` or ``A1P10A2P20``."""
+    """CNC with a tape interface. `parameters` maps numbers to the texts after them (``P00001100``, ``A1P10A2P20``)."""
 
     def __init__(
         self, parameters: dict[int, str], *, baud: int = 4800, memory: int = 128, writable: bool = True
@@ -49,7 +50,9 @@ class TapeCnc:
         self.overrun = 0
         self.stays_stopped = False
         self.misstored: dict[int, str] = {}
-        """Parameters that it stores with another value, like one protected by the ladder program."""
+        """Parameters that the controller stores with a different value than it received, as if its ladder program
+        protected them.
+        """
         self._writable = writable
         self._per_s = baud / BITS
         self._memory = memory
@@ -77,7 +80,7 @@ class TapeCnc:
         self._outgoing = deque([DC2, 0, 0, *(with_parity(character) for character in text), DC4])
 
     def press_reset(self) -> None:
-        """Interrupt whatever is in progress."""
+        """Interrupt any punching or reading."""
         self.mode = Mode.READY
         self._outgoing.clear()
 
