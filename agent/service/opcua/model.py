@@ -1,8 +1,8 @@
 """OPC UA nodes, methods and events as data; docs/reference/opc-ua.md shows the same tables.
 
-Names and their order follow OPC 40210 (GMSType, CorrectionType apart) and OPC 40501-1 (ProductionType, MonitoringType,
-NotificationType) if they define one. The nodes belong to this program's own namespace and have only base types of OPC
-UA: none is an instance of a type of those two specifications.
+If OPC 40210 (GMSType, but not its CorrectionType) or OPC 40501-1 (ProductionType, MonitoringType, NotificationType)
+defines a name, the model uses it, in the same order. The nodes belong to this program's own namespace and have only
+base types of OPC UA: none is an instance of a type of those two specifications.
 """
 
 from __future__ import annotations

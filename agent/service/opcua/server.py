@@ -36,7 +36,7 @@ class ServerFiles:
 
 
 class OpcUaServer:
-    """OPC UA server, which publishes a `Control`. Each object serves once, from `serve` until it is stopped."""
+    """OPC UA server for a `Control`, whose status it shows and whose methods it offers to clients."""
 
     def __init__(self, settings: OpcUaSettings, files: ServerFiles, control: Control) -> None:
         self._settings = settings

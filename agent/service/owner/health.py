@@ -1,8 +1,8 @@
 """Liveness of the thread of a run, on which the feeding of systemd's watchdog depends.
 
 Every wait of a driver and every step gives a beat. While the machine can move, the thread is considered hung after
-seconds without a beat. While the thread computes (preflight, identification, writing results after the final state) it
-gives no beats and is allowed minutes. Between runs nothing can hang.
+some seconds without a beat. While the thread computes (preflight, identification, writing results after the final
+state), it gives no beats and is considered hung only after some minutes. Between runs nothing can hang.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ COMPUTING = frozenset({RunState.PREFLIGHT, RunState.IDENTIFYING})
 
 
 class Health:
-    """Monitor of the time since the last beat. `now`: function that returns s of a clock independent of the engine."""
+    """Monitor of the time since the last beat. `now`: returns the time in s of a clock independent of the engine."""
 
     def __init__(self, now: Callable[[], float], *, hang_timeout_s: float, computing_s: float) -> None:
         self._now = now

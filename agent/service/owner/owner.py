@@ -158,8 +158,8 @@ class Owner:
     def reconcile(self) -> None:
         """Compare the compensation in the controller with the journal of the last run, and undo an unverified table.
 
-        Effective once after the start and once after each run that ended aborted or faulted. Raise DeviceError if the
-        machine cannot be reached; the comparison is then repeated before the next run.
+        A call does nothing if this has been done since the start of the service and since the last run that ended
+        aborted or faulted. Raise DeviceError if the machine cannot be reached; it is then done before the next run.
         """
         if not self._reconciled:
             found = self._parts.machine.reconcile(self.settings, self._parts.config.parent)

@@ -23,7 +23,7 @@ from twin.units import S_PER_MIN
 
 
 def current_circumstances() -> Circumstances:
-    """Return the local time and the time since switch-on, at which Linux's monotonic clock starts."""
+    """Return the local time, and the time since switch-on as given by the monotonic clock of Linux."""
     return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
 
 
