@@ -34,9 +34,10 @@ class MountPoseEstimate:
         return MountPoseEstimate(np.concatenate((self.expected, expected)), np.concatenate((self.found, found)))
 
     def transform(self, points: Array) -> Array:
-        """Return nominal points (m, 3) mm moved by the mount's small rigid motion.
+        """Return nominal points (m, 3) mm, moved by the estimated small rigid motion of the mount.
 
-        The motion is the least-squares fit; if the balls do not determine it fully, it is the smallest one.
+        The motion is fitted to the measured balls by least squares; if they do not determine it fully, the smallest
+        motion is used.
         """
         if len(self.expected) == 0:
             return points

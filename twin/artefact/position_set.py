@@ -17,7 +17,7 @@ from twin.artefact.mount_geometry import MountGeometry
 from twin.errors import DataError, TwinError
 
 SPACE_DIAGONAL_DEG = 35.264
-"""Elevation of a cube's diagonal, atan(1/√2)."""
+"""Elevation in degrees of the space diagonal of a cube, atan(1/√2)."""
 
 POSITION_SETS: dict[str, tuple[tuple[float, float], ...]] = {
     "S1": ((0.0, 0.0), (90.0, 0.0), (0.0, 90.0)),

@@ -95,7 +95,7 @@ class PathCandidates:
         return PathCandidates(self.corners[mask], self.counts[mask])
 
     def inside(self, lower: Array, upper: Array) -> PathCandidates:
-        """Return the candidates with all corners within the bounds, (3,) each."""
+        """Return the candidates with all corners between `lower` and `upper`, (3,) each, in mm."""
         within = (self.corners >= lower) & (self.corners <= upper)
         return self.select(np.asarray(within.reshape(len(within), -1).all(axis=1)))
 

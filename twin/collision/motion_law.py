@@ -116,7 +116,10 @@ class MotionLaw:
 
 
 def trapezoid(start_s: float, length: float, speed: float, acceleration: float) -> MotionLaw:
-    """Return the law from rest to rest over `length`; triangular if `speed` is not reached."""
+    """Return the law of a motion from rest to rest over `length`, with trapezoidal speed.
+
+    The speed profile is triangular if `speed` is not reached.
+    """
     top, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
     # distance of one ramp: v² / 2a
     ramp = 0.5 * top * top / acceleration

@@ -14,7 +14,10 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, Point
 
 CERTAINTY_MARGIN_MM = 1e-6
-"""Penetration in mm below which the decision is left to the exact search; equal to the tolerance of that search."""
+"""Penetration in mm below which this test reports no collision and leaves the decision to the exact search.
+
+It equals the tolerance of the exact search.
+"""
 _CLOSING_MM2 = 1e-6
 
 
@@ -29,7 +32,7 @@ class SphereBody:
 
 @dataclass(frozen=True)
 class SceneSpheres:
-    """Moving and stationary spheres of a scene."""
+    """Moving bodies and stationary bodies of a scene that are spheres."""
 
     moving: tuple[SphereBody, ...]
     stationary: tuple[SphereBody, ...]

@@ -29,7 +29,10 @@ MountAngles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class SphereCover:
-    """Spheres that enclose all rotating bodies: `centres` (n, 3) in the artefact frame, `radii` (n,)."""
+    """Spheres that enclose all rotating bodies.
+
+    `centres` (n, 3) mm: along the axes of the artefact frame, relative to the mount location; `radii` (n,) mm.
+    """
 
     centres: Array
     radii: Array

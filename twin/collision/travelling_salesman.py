@@ -107,8 +107,9 @@ def _cheaper(
 
 
 def _exchanged(order: list[Node]) -> Iterator[list[Node]]:
-    """Yield every order with one part reversed (2-opt) and every order with up to three nodes moved elsewhere
-    (or-opt).
+    """Yield every order that differs from `order` by one exchange.
+
+    An exchange reverses one part (2-opt) or moves up to three successive nodes elsewhere (or-opt).
     """
     count = len(order)
     for first in range(count):

@@ -17,7 +17,7 @@ System = Literal["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G5
 
 
 class PartSetupFile(StrictModel):
-    """Axis positions (machine coordinates) and lengths in mm. Tools by the number of H."""
+    """Contents of the file: axis positions (machine coordinates) and lengths in mm, and tools by the number of H."""
 
     work_offsets_mm: dict[System, Triple] = Field(default_factory=dict)
     reference_points_mm: dict[Literal["G28", "G30"], Triple] = Field(default_factory=dict)

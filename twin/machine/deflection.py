@@ -110,7 +110,9 @@ CASE_STUDY_NODES = (
 
 
 def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStructure | None = None) -> DeflectionGrid:
-    """Return plausible deflections of a cantilever moving-column machine, from Euler-Bernoulli beams.
+    """Return plausible deflections of a moving-column machine with an overhanging ram, from Euler-Bernoulli beams.
+
+    `x`, `y`, `z`: grid nodes in mm.
 
     Four effects are added: bending of the column by the ram's moment (the cross-effect: a displacement along Y and a
     rotation about X that grow with height); bending of the ram under the weight of ram and head; rotation of the ram

@@ -22,7 +22,9 @@ ColumnIndices = np.ndarray[Any, np.dtype[np.int64]]
 def deviation_basis(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, scale: Array | None = None
 ) -> Array:
-    """Return the derivative (n, 3, p) of the deviation with respect to the parameters at zero; C-contiguous.
+    """Return the derivative (n, 3, p) of the deviation with respect to the parameters, taken at zero parameters.
+
+    The array is C-contiguous.
 
     `scale` (p,): unit of each parameter in mm or rad; without it, 1 mm and 1 rad. Each parameter displaces the tool
     point by one of twelve effects (three translations, and three rotations of each of the three axes) times a function
@@ -110,7 +112,7 @@ def _functions(model: ErrorModel, points: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _columns(model: ErrorModel) -> tuple[ColumnIndices, ColumnIndices]:
-    """Return for each parameter (p,) its column in `_effects` and its column in `_functions`."""
+    """Return, for each parameter, the index (p,) of its effect in `_effects` and of its function in `_functions`."""
     starts = np.cumsum([0, *(order + 1 for order in model.highest_order)]).tolist()
     effect, row = np.empty(model.size, dtype=np.int64), np.empty(model.size, dtype=np.int64)
     for error, block in model.block.items():

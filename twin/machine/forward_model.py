@@ -182,7 +182,7 @@ def _travel(axis: int, numbers: _UnpackedParameters, rows: _Workspace) -> None:
 
 
 def _rotate(rows: _Workspace) -> None:
-    """Rotate arm + deviation by Rz(EC) Ry(EB) Rx(EA) and add the change to the deviation.
+    """Rotate the sum of arm and deviation by Rz(EC) Ry(EB) Rx(EA), and add the change to the deviation.
 
     The cosines are stored minus one, so the change is computed directly, without the difference of two long arms.
     """

@@ -12,8 +12,10 @@ _HINT = "Write the chain from tool to workpiece with each axis once, such as too
 
 @dataclass(frozen=True)
 class Chain:
-    """Kinematic chain. `tool_side`: axes from the tool to the bed; `workpiece_side`: axes from the bed to the
-    workpiece.
+    """Kinematic chain.
+
+    `tool_side`: axes between tool and bed, starting at the tool; `workpiece_side`: axes between bed and workpiece,
+    starting at the bed.
     """
 
     tool_side: tuple[str, ...]

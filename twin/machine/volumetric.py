@@ -74,7 +74,7 @@ def _refuse_gap(axis: str, nodes: Array, low: float, high: float) -> None:
 
 
 def rms(deviation: Array) -> float:
-    """Return the square root of the mean squared length of deviations (n, 3)."""
+    """Return the root mean square length of deviations (n, 3)."""
     return float(np.sqrt(np.mean(np.einsum("ij,ij->i", deviation, deviation))))
 
 

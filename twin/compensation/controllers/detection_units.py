@@ -44,7 +44,7 @@ class CountUnit:
         return np.asarray(self.mm * counts, dtype=np.float64)
 
     def whole(self, length_mm: float, what: str) -> int:
-        """Return a length in detection units; DataError if it is not an integer multiple of them."""
+        """Return a length as a number of detection units; DataError if it is not an integer multiple of them."""
         units = 1e3 * length_mm / self.detection_unit_um
         if abs(units - round(units)) > 1e-6:
             unit = f"the detection unit ({self.detection_unit_um:g} µm)"

@@ -52,8 +52,9 @@ class ControllerExport:
 
 class FormatWriter(Protocol):
     def __call__(self, source: ExportSource, choices: ExportOptions) -> ControllerExport:
-        """Write the files of the export. Raises DataError with reason and hint if the format cannot represent the
-        table.
+        """Return the files of the export and their effect.
+
+        Raises DataError with reason and hint if the format cannot represent the table.
         """
         ...
 

@@ -38,7 +38,7 @@ LOSSES = (
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write `pitch-error.txt` (the data) and `parameters.txt`, in punched form."""
+    """Write `pitch-error.txt` (the data) and `parameters.txt`, both in the form of punched data."""
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")
     steps = even_steps(table)

@@ -52,9 +52,10 @@ Domain = WholeNumber | PositiveNumber | OneOf | Switch | Text
 
 @dataclass(frozen=True)
 class FormatOption(Generic[Value]):
-    """One option of a format.
+    """Option of an export format.
 
-    `key` is its name in `ExportOptions` and, with hyphens, on a command line; `default` applies if it is not set.
+    `key` is its name in `ExportOptions` and, with hyphens, on a command line; `default` applies if the option is not
+    set.
     """
 
     key: str

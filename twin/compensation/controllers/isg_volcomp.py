@@ -37,10 +37,10 @@ LOSSES = ("terms of second order, nanometres", "the misfit of the estimate, as i
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """Error motions at the nodes.
+    """Error motions at the nodes of the table.
 
-    `series[axis]` (6, n): EX, EY, EZ in mm, EA, EB, EC in rad of each axis; EYZ and EAZ are zero there. `crossed` (2,
-    ny, nz): EYZ and EAZ over Y and Z.
+    `series[axis]` (6, n): EX, EY, EZ in mm and EA, EB, EC in rad of each axis; EYZ and EAZ are zero there. `crossed`
+    (2, ny, nz): EYZ and EAZ as functions of Y and Z.
     """
 
     series: tuple[Array, Array, Array]

@@ -35,7 +35,7 @@ class CompensationLoss:
 
     @property
     def retained_share(self) -> float:
-        """Share of the improvement of the full table (aligned) that the reduced table achieves."""
+        """Improvement by the reduced table as a share of the improvement by the full table, both aligned."""
         removed = self.before.aligned_mm - self.full.aligned_mm
         return (self.before.aligned_mm - self.reduced.aligned_mm) / removed if removed > 0.0 else 1.0
 

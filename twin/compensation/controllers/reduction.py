@@ -126,13 +126,15 @@ def sum_of_cross_axis_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_p
 
 
 def describe_term(first: int, second: int | None, output: int) -> str:
-    """Return `Y by Z` or `Y by Y·Z`: the compensated axis and the axes whose positions it depends on."""
+    """Return text such as `Y by Z` or `Y by Y·Z`: the corrected axis, and the axes on whose positions the term
+    depends.
+    """
     inputs = AXES[first] if second is None else f"{AXES[first]}·{AXES[second]}"
     return f"{AXES[output]} by {inputs}"
 
 
 def _zero_at(kept: tuple[Term, ...], reference: Array) -> tuple[Term, ...]:
-    """Shift the first main effect of every axis so that the sum of its terms is zero at the reference point."""
+    """Shift the first main effect of each output axis so that the sum of its terms is zero at the reference point."""
     there, shifted_axes, result = sum_of_terms(kept, reference[None, :])[0], set(), []
     for term in kept:
         if term.factor is None and term.output not in shifted_axes:

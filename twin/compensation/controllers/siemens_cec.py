@@ -1,4 +1,4 @@
-"""SINUMERIK sag and angularity error compensation (CEC): `$AN_CEC`, with multiplied tables.
+"""SINUMERIK sag and angularity error compensation (CEC, `$AN_CEC`) with tables that are multiplied by each other.
 
 Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The values of all tables of an output axis are added.
 If a table names another one in `$AN_CEC_MULT_BY_TABLE` (by its index + 1), its value is the product of both. The
@@ -75,7 +75,7 @@ def _as_written(term: Term) -> Term:
 
 
 def _written(kept: tuple[Term, ...]) -> str:
-    """Describe the written terms, the most valuable first."""
+    """Describe the written terms, in the order in which they were selected."""
     return ", ".join(
         describe_term(term.profile.axis, None if term.factor is None else term.factor.axis, term.output)
         for term in kept

@@ -1,4 +1,4 @@
-"""Summary of a corrected program, for the person who runs it."""
+"""Summary of the correction of a part program, for the person who runs the corrected program."""
 
 from __future__ import annotations
 

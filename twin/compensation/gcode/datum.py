@@ -114,7 +114,7 @@ def _through_words(axes: list[int], point: Triple, modal: ModalState, writer: Pr
 
 
 def set_tool_length(block: Block, modal: ModalState) -> None:
-    """Handle G43.1: the axis words are the tool lengths."""
+    """Handle G43.1, whose axis words are the tool lengths."""
     lengths = list(modal.tool_offset)
     for axis in axes_in_block(block):
         lengths[axis] = block.values[AXIS_LETTERS[axis]] * modal.unit_mm

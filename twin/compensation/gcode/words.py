@@ -49,7 +49,7 @@ class Block:
 
 
 def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
-    """Return the error for a line that cannot be corrected; it names and shows the line."""
+    """Return the error for a line that cannot be corrected; its message contains the line."""
     shown = "".join(sign if sign.isprintable() else "?" for sign in text.strip()[:61])
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return FormatError(f"{message}: {shown}", hint=hint, line=line)
