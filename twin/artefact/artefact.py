@@ -68,10 +68,7 @@ class Artefact:
         return float(np.abs(self.balls[:, 0]).max())
 
     def at(self, temperature_c: float, elevation_rad: float) -> Array:
-        """Return ball centres (N, 3) mm in the artefact frame at this temperature and elevation.
-
-        They contain thermal expansion and gravity sag.
-        """
+        """Return ball centres (N, 3) mm in the artefact frame, including thermal expansion and gravity sag."""
         # thermal expansion p (1 + α ΔT); gravity acts across the bar with cos(elevation)
         stretched = self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c))
         if self.sag_mm:
