@@ -121,8 +121,8 @@ def _require_proof(verified: MeasuredPositions) -> None:
 
 
 def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-    """Plan of a calibration: prepare the probe, measure the set and the held-out positions, and measure the held-out
-    positions again."""
+    """Return the plan of a calibration: prepare the probe, measure the set and the held-out positions, and measure the
+    held-out positions again."""
     prepared = yield from job.preparation_plan()
     order = replace(job.measuring_order, standing_at=prepared.standing_at)
     measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.repeat_rules)

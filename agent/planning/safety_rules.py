@@ -1,4 +1,5 @@
-"""Rules for every measuring plan, even if a simulated machine would permit more; the preflight checks each step."""
+"""Safety rules for every measuring plan. The preflight checks them at each step, even if the simulated machine would
+permit more."""
 
 from __future__ import annotations
 
@@ -20,9 +21,10 @@ SECONDS_A_MINUTE = 60.0
 def checked_plan(
     plan: s.Plan[T], procedure: ProcedureSettings, stations: StationSettings, *, carried: bool
 ) -> s.Plan[T]:
-    """Return the same plan with each step checked. Raises PlanRefused, naming the step, if a step breaks a rule.
+    """Return the result of `plan`, with each step checked before it is yielded. Raises PlanRefused with the step's key
+    if a step breaks a rule.
 
-    `carried`: one mount and its artefact are carried from station to station.
+    `carried`: True if one mount and its artefact are carried from station to station.
     """
     fastest = max(procedure.touch_feed_mm_per_min, procedure.first_touch_feed_mm_per_min) / SECONDS_A_MINUTE
     rules = _Rules(fastest, len(stations.places_mm), carried, stations.standing_at)
@@ -45,7 +47,8 @@ def checked_plan(
 
 @dataclass
 class _Rules:
-    """State of a plan after the steps so far. `stands_at`: station of the carried artefact; None: not known."""
+    """Rules, and the state of a plan after the steps so far. `stands_at`: station of the carried artefact, None if not
+    known."""
 
     fastest_mm_per_s: float
     station_count: int

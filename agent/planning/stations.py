@@ -1,4 +1,5 @@
-"""Mounts and artefacts at the stations: one mount that is carried, a mount at each, or an artefact at each."""
+"""Mounts and artefacts at the stations. Either one mount is carried, or each station has a mount, or each station has
+both a mount and an artefact."""
 
 from __future__ import annotations
 
@@ -23,20 +24,21 @@ from twin.collision.neighbour_stations import neighbour_bodies
 
 @dataclass(frozen=True, eq=False)
 class Artefacts:
-    """Artefacts of a run. `all`: those measured, with balls numbered as in an estimate; `own`: station → artefact that
-    stays there."""
+    """Artefacts of a run. `all`: all of them as one artefact, with balls numbered as in an estimate. `own`: station →
+    artefact that always stands there, empty if one artefact is carried."""
 
     all: Artefact
     own: Mapping[int, Artefact] = field(default_factory=dict)
 
     @property
     def kind(self) -> Artefact:
-        """One of the artefacts; all have the same number of balls, of one size."""
+        """One of the artefacts, as an example; all have the same number of balls of the same size."""
         return self.own.get(1, self.all)
 
 
 def load_artefacts(artefact: Path, stations: StationSettings) -> Artefacts:
-    """Read the `artefact`, or those of the stations. Raises ConfigurationError."""
+    """Read the file `artefact`, or the files of the artefacts at the stations. Raises ConfigurationError if they cannot
+    be combined."""
     if stations.artefacts is None:
         return Artefacts(load_artefact(artefact))
     own = {number: load_artefact(path) for number, path in enumerate(stations.artefacts, start=1)}
@@ -45,7 +47,7 @@ def load_artefacts(artefact: Path, stations: StationSettings) -> Artefacts:
 
 
 def station_change(roles: RoleSettings, stations: StationSettings) -> StationChange:
-    """Return how a run changes from station to station."""
+    """Return the rules for the change from station to station."""
     if isinstance(roles.mount, str):
         return StationChange()
     carried = CarriedItem.ARTEFACT if stations.artefacts is None else CarriedItem.NOTHING
@@ -55,7 +57,8 @@ def station_change(roles: RoleSettings, stations: StationSettings) -> StationCha
 def bodies_around(
     mount: MountGeometry, stations: StationSettings, change: StationChange, artefacts: Artefacts
 ) -> Mapping[int, tuple[Body, ...]]:
-    """Return station → bodies of the other stations' mounts, which the probe must avoid; empty for a carried mount."""
+    """Return station → bodies of the mounts and artefacts at the other stations, which the probe must avoid; empty if
+    the mount is carried."""
     if not change.own_mounts:
         return {}
     places = {number: np.array(place) for number, place in enumerate(stations.places_mm, start=1)}
@@ -63,7 +66,7 @@ def bodies_around(
 
 
 def check_stations(settings: Settings) -> None:
-    """Raise ConfigurationError, naming the key, for mounts and artefacts that contradict each other."""
+    """Raise ConfigurationError with the key if the settings of mounts and artefacts contradict each other."""
     named = settings.roles.mount
     if isinstance(named, str):
         if settings.stations.artefacts is not None:

@@ -1,8 +1,8 @@
 """Time of each step: motion by the motion law within the machine's limits, and the latency of every command.
 
-Motion is computed as in `twin.collision.motion_law`: straight lines from rest to rest, a touch braked at the trip.
-The time a controller takes to begin and to report the end is in no data sheet; it is a latency for each kind of
-command.
+Motion is computed as in `twin.collision.motion_law`: moves are straight lines from rest to rest, and a touch brakes at
+the trip. The time that a controller takes to start a command and to report its end is in no data sheet; it is modelled
+as a latency for each kind of command.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from twin.units import S_PER_MIN
 
 @dataclass(frozen=True)
 class TimeModel:
-    """Model of step times. `rapid_mm_per_s` and `acceleration_mm_per_s2` (X, Y, Z) of the machine file; the mount's
-    speed and acceleration apply to each of its axes, which turn simultaneously. The latencies are added to each move,
-    touch and turn (including the mount's settling); `carrying_s`: operator's time to put artefact and mount at another
-    station.
+    """Model of step times. `rapid_mm_per_s`, `acceleration_mm_per_s2`: limits of X, Y and Z from the machine file.
+
+    The mount's speed and acceleration apply to each of its axes, which turn simultaneously. The latencies are added to
+    each move, touch and turn; that of a turn includes the mount's settling. `carrying_s`: operator's time to put
+    artefact and mount at another station.
     """
 
     rapid_mm_per_s: Point
@@ -36,13 +37,14 @@ class TimeModel:
     carrying_s: float = 0.0
 
     def move_s(self, start_mm: Point, target_mm: Point, feed_mm_per_s: float | None) -> float:
-        """Return the time of a straight move from rest to rest, without latency; rapid without a feed."""
+        """Return the time in s of a straight move from rest to rest, without latency; rapid traverse if the feed is
+        None."""
         path = straight_path(start_mm, target_mm)
         speed = min(feed_mm_per_s or math.inf, path.limit_along(self.rapid_mm_per_s))
         return travel_time_s(path.length, speed, path.limit_along(self.acceleration_mm_per_s2))
 
     def touch_s(self, path: StraightPath, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
-        """Return the time in s, without latency, and the axis positions afterwards.
+        """Return the time in s of a touch, without latency, and the axis positions afterwards.
 
         `trip_mm`: distance along `path` at which the probe trips and the axes brake; None for a miss.
         """
@@ -57,12 +59,12 @@ class TimeModel:
         return trip_s + speed / acceleration, path.at(trip_mm + 0.5 * speed * speed / acceleration)
 
     def turn_s(self, start_deg: tuple[float, float], target_deg: tuple[float, float]) -> float:
-        """Return the time to turn azimuth and elevation simultaneously, without latency."""
+        """Return the time in s to turn azimuth and elevation simultaneously, without latency."""
         angle_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
         return travel_time_s(angle_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
 
     def overhead_s(self, step: Step) -> float:
-        """Return the time of `step` besides motion: its latency, or the operator's time."""
+        """Return the time in s that `step` takes in addition to its motion: its latency, or the operator's time."""
         match step:
             case MoveTo():
                 return self.command_latency_s
@@ -76,7 +78,7 @@ class TimeModel:
 
 
 def time_model(machine: MachineDescription, timing: TimingSettings) -> TimeModel:
-    """Return the time model: dynamics from the machine file, everything else from the settings."""
+    """Return the time model, with the axes' dynamics from the machine file and everything else from the settings."""
     x, y, z = machine.rapid_mm_per_min
     return TimeModel(
         rapid_mm_per_s=(x / S_PER_MIN, y / S_PER_MIN, z / S_PER_MIN),

@@ -1,4 +1,4 @@
-"""Studies of the procedure: each examines a case by simulation and in closed form, and produces a figure and its
+"""Studies of the procedure. Each examines a case by simulation and in closed form, and produces a figure and its
 numbers.
 
 A study is a function `run(case: StudyCase) -> StudyResult` in a module of this package, with one entry here.

@@ -1,1 +1,2 @@
-"""Preview of a plan before anything moves: a picture, and an interactive page that steps through the positions."""
+"""Preview of a plan before anything moves: a picture, and an interactive page on which a user steps through the
+positions."""

@@ -1,4 +1,4 @@
-"""Artefact in one position: its bodies, and the accessibility of each ball."""
+"""Artefact in one position: its bodies, and for each ball the reason if it is not accessible."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import point, separation
 
 _SEARCH_RADIUS_MM = 25.0
-"""Largest distance of two bodies that are considered as an obstruction."""
+"""Largest distance of a probe body from another body that may be named as the obstruction."""
 
 
 def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> ArtefactPlacement:
@@ -32,7 +32,8 @@ def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> Ar
 
 
 def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
-    """Return artefact, mount and table in `position`, the mount at its nominal location."""
+    """Return the bodies of artefact and mount in `position`, the table and the neighbouring bodies; the mount is at its
+    nominal location."""
     place = job.layout.location(position.station)
     pose = _pose(job, position, place)
     geometry = job.layout.mount
@@ -42,7 +43,7 @@ def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
 
 
 def obstruction_of(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
-    """Return as text why the probe cannot measure ball `number` at the axis position `axes_mm` (3,)."""
+    """Return the reason why the probe cannot measure ball `number`, whose axis positions are `axes_mm` (3,)."""
     layout = job.layout
     ends = zip("XYZ", axes_mm.tolist(), layout.lower_mm.tolist(), layout.upper_mm.tolist(), strict=True)
     outside = [
@@ -55,12 +56,13 @@ def obstruction_of(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
 
 
 def _tenths(value_mm: float) -> str:
-    """Return the value with one decimal; a tiny negative number as 0.0, not -0.0."""
+    """Return the value as text with one decimal; a tiny negative value gives 0.0, not -0.0."""
     return f"{round(value_mm, 1) + 0.0:.1f}"
 
 
 def _closest_pair(job: Job, scene: Scene, number: int, axes_mm: Array) -> tuple[str, str] | None:
-    """Return the names of the two closest bodies with the tip at the starts of a ball's touches."""
+    """Return the names of the probe body and the other body that are closest with the tip at the start of any touch of
+    the ball; None if all are farther apart than the search radius."""
     meant = {(TIP, ball_name(number)), ("stem", ball_name(number))}
     away = job.layout.contact_mm + job.layout.approach_mm
     closest, named = math.inf, None

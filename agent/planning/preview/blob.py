@@ -1,7 +1,7 @@
-"""A preview as one compact JSON text for the page, in integer tenths of a millimetre and hundredths of a second.
+"""Preview as one compact JSON text for the page, in integer tenths of a millimetre and hundredths of a second.
 
-The path is stored as differences, so that ten thousand points stay small; differences of rounded numbers add up
-without drift.
+The path is stored as differences between points, so that the text of ten thousand points is short. The differences are
+taken between rounded numbers, so that rounding errors do not add up.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ NO_BALL = -1
 
 
 def embedded(preview: Preview) -> str:
-    """Return JSON that is safe in a `<script>` element: no text in it can end the element."""
+    """Return the preview as JSON that can be embedded in a `<script>` element, because no text in it can end the
+    element."""
     text = json.dumps(document(preview), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c")
 

@@ -1,4 +1,4 @@
-"""Build the preview of a job: all positions, the path through them, and the refusal by the preflight."""
+"""Preview of a job: all positions, the path through them, and the refusal by the preflight, if any."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ MARGIN_MM = 200.0
 
 
 def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
-    """Return the preview of `job`; `refused`: the preflight's refusal. `waypoints`: path already simulated by a
-    preflight; None: the path of the whole calibration."""
+    """Return the preview of `job`. `refused`: error by which the preflight refused the plan, None if it passed.
+    `waypoints`: path already computed; None for the path of the whole calibration."""
     if waypoints is None:
         waypoints = walk_waypoints(job, refused)
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))
@@ -48,7 +48,7 @@ def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence
 
 
 def _path(waypoints: Sequence[Waypoint], refusal: Refusal | None) -> tuple[PathPoint, ...]:
-    """Return the path; that of a refused plan ends where the two bodies collide."""
+    """Return the path; if the plan was refused, the path ends where the two bodies collide."""
     path = [PathPoint(w.tip_mm, w.ends_s, w.ball, w.touches) for w in waypoints]
     if path and refusal:
         path[-1] = replace(path[-1], tip_mm=refusal.tip_mm, touch=False)
@@ -56,7 +56,8 @@ def _path(waypoints: Sequence[Waypoint], refusal: Refusal | None) -> tuple[PathP
 
 
 def _walked(waypoints: Sequence[Waypoint], positions: Sequence[Position]) -> tuple[Visit, ...]:
-    """Group consecutive steps by position; steps between two positions (carrying) belong to the next one."""
+    """Return one visit for each run of consecutive steps at the same position; steps between two positions, such as
+    carrying, belong to the next one."""
     known = {position_key(position): number for number, position in enumerate(positions)}
     visits: list[Visit] = []
     index = 0
@@ -77,7 +78,7 @@ def _phase_and_position(key: str) -> tuple[str, str]:
 def _unvisited(
     placements: Sequence[ArtefactPlacement], walked: Sequence[Visit], refused: PlanRefused | None
 ) -> list[Visit]:
-    """Return the positions that are not measured, each with the reason."""
+    """Return a visit without waypoints for each position that is not measured, with the reason."""
     seen = {visit.placement for visit in walked}
     end = walked[-1].end if walked else 0
     visits = []

@@ -1,4 +1,4 @@
-"""The preview as one picture: isometric view, and plan views to scale from above (XY) and along X (YZ)."""
+"""Preview as one picture: a view in space, and views to scale from above (XY) and along X (YZ)."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ STEEL = "#8b97a5"
 STATION_COLOURS = (BLUE, AMBER, GREEN, PURPLE, SKY, "#6a51a3", "#7a8a00", "#8c564b")
 ELEVATION_DEG, AZIMUTH_DEG = 28.0, -118.0
 SLAB_MM = 40.0
-"""Drawn thickness of the table; its full thickness would only take space."""
+"""Drawn thickness of the table, less than the full one to save space."""
 
 ROOM_MM = 40.0
 BEHIND_MM = 300.0
-"""Length of the ram shown behind the travel."""
+"""Length along Y by which the drawing extends behind the travel to show the ram."""
 
 _SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 _EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
 def draw_png(preview: Preview) -> bytes:
-    """Return a PNG of the whole plan; for a refused plan with the two bodies that would collide."""
+    """Return a PNG of the whole plan; the picture of a refused plan marks the two bodies that would collide."""
     return picture("plan", lambda figure: _draw(figure, preview), SIZE_IN).png
 
 
 def _draw(figure: Figure, preview: Preview) -> None:
-    """Draw all views at fixed places: automatic layout takes seconds with so many points in space."""
+    """Draw all views at fixed locations, because the automatic layout takes seconds with so many points."""
     figure.set_layout_engine("none")
     space: Axes3D = figure.add_axes((0.14, 0.40, 0.86, 0.56), projection="3d", computed_zorder=False)
     _draw_space(space, preview)
@@ -162,7 +162,8 @@ _MEETING: dict[str, Any] = {
 
 
 def _lines(preview: Preview) -> Iterable[tuple[Array, str, float]]:
-    """Yield segments (n, 2, 3), colour and width: mounts, posts, bars by station; last, in red, colliding bodies."""
+    """Yield segments (n, 2, 3), colour and line width of the mounts, of the bars and posts by station, and last, in
+    red, of the colliding bodies."""
     yield _segments(preview.placements, ("pedestal",)), STEEL, 4.0
     yield _segments(preview.placements, ("shaft",)), STEEL, 2.0
     for number, station in enumerate(preview.stations):
@@ -178,7 +179,8 @@ def _lines(preview: Preview) -> Iterable[tuple[Array, str, float]]:
 
 
 def _dots(preview: Preview) -> Iterable[tuple[Array, dict[str, Any]]]:
-    """Balls (n, 3) and how they are marked: filled by station, hollow red where the probe does not get."""
+    """Yield ball centres (n, 3) and marker style: reachable balls filled, in the colour of their station; other balls
+    hollow and red."""
     for number, station in enumerate(preview.stations):
         there = [placement for placement in preview.placements if placement.position.station == station]
         colour = STATION_COLOURS[number % len(STATION_COLOURS)]
@@ -208,14 +210,14 @@ def _legend(preview: Preview) -> list[Any]:
 
 
 def _extent(preview: Preview) -> tuple[Array, Array]:
-    """Return the lower and upper corner (3,) of the drawn space."""
+    """Return the lower and the upper corner, each (3,), of the drawn space in mm."""
     balls = np.vstack([_centres(preview.placements, reachable=reached) for reached in (True, False)])
     everything = np.vstack([_corners(preview.travel), _corners(_slab(preview.table)), balls])
     return everything.min(axis=0) - ROOM_MM, everything.max(axis=0) + ROOM_MM
 
 
 def _probe(preview: Preview) -> list[Body]:
-    """Return tip, stem, body and ram at the last touch of the path, or where it is refused."""
+    """Return the bodies of the probe at the last touch of the path, or at the collision if the plan was refused."""
     touched = [point.tip_mm for point in preview.path if point.touch]
     tip = preview.refusal.tip_mm if preview.refusal else touched[-1] if touched else None
     return [] if tip is None else [Body(body.name, body.shape.translated(tip)) for body in preview.probe]
@@ -238,7 +240,7 @@ def _ends(bodies: Iterable[Body]) -> Array:
 
 
 def _centres(placements: Sequence[ArtefactPlacement], *, reachable: bool) -> Array:
-    """Return the centres (n, 3) of the balls that are reachable, or of those that are not."""
+    """Return the centres (n, 3) of the reachable balls, or of the other balls if `reachable` is False."""
     kept = [ball.centre_mm for placement in placements for ball in placement.balls if ball.reachable is reachable]
     return np.array(kept, dtype=np.float64).reshape(-1, 3)
 
@@ -249,7 +251,7 @@ def _slab(table: Box) -> Box:
 
 
 def _corners(box: Box) -> Array:
-    """Return the corners (8, 3)."""
+    """Return the corners (8, 3) of `box`."""
     low, high = np.array(box.lower), np.array(box.upper)
     bits = np.array([[i & 1, (i >> 1) & 1, i >> 2] for i in range(8)])
     corners: Array = low + bits * (high - low)
@@ -257,5 +259,6 @@ def _corners(box: Box) -> Array:
 
 
 def _width(radius_mm: float) -> float:
-    """Return a line width in points that indicates the thickness; to scale it would be invisible."""
+    """Return a line width in points that indicates the radius; it is not to scale, since thin bodies would be
+    invisible."""
     return max(0.8, 0.12 * radius_mm)

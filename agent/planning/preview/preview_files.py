@@ -1,4 +1,4 @@
-"""Files of a preview, written both or none: a picture, and a self-contained page that needs no network."""
+"""Files of a preview: a picture, and a self-contained page that needs no network. Both are written, or neither."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from agent.planning.preview.scene import Preview
 
 PICTURE, PAGE = "plan.png", "plan.html"
 PROGRAM = ("camera.js", "model.js", "shapes.js", "painting.js", "controls.js", "input.js")
-"""Scripts of the page, in this order: each uses definitions of those before it."""
+"""Scripts of the page in loading order, because each uses definitions of the scripts before it."""
 
 
 def write_preview(job: Job, folder: Path, refused: PlanRefused | None = None) -> list[Path]:
-    """Draw the plan of `job` into `folder` and return the files written. `refused`: the error of preflight."""
+    """Write the preview of `job` into `folder` and return the paths of its files. `refused`: error by which the
+    preflight refused the plan."""
     preview = preview_of(job, refused)
     write_all_atomically(folder, {PICTURE: draw_png(preview), PAGE: render_page(preview)})
     return [folder / PICTURE, folder / PAGE]
 
 
 def render_page(preview: Preview) -> str:
-    """Return the HTML text of a preview; reads no clock and no device."""
+    """Return the HTML text of a preview; the text depends only on `preview`."""
     environment = Environment(
         loader=PackageLoader("agent.planning.preview", package_path=""),
         autoescape=select_autoescape(["html"]),

@@ -1,4 +1,4 @@
-"""Refusal of a plan: the step, the two colliding bodies, and the tip centre at the collision."""
+"""Refusal of a plan by the preflight: the step, the two colliding bodies, and the tip centre at the collision."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from twin.collision.geometry import Point, point, translate_point
 
 
 def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], visit: int) -> Refusal:
-    """Return the refusal. `waypoints`: up to the refused step, which is the last one; `visit`: index of its visit."""
+    """Return the refusal. `waypoints`: waypoints up to the refused step, which is the last one; `visit`: index of the
+    visit to which that step belongs."""
     bodies: tuple[str, ...] = ()
     tip = translate_point(lower_end(job), point(job.tool_offset_mm))
     if waypoints:
@@ -33,7 +34,7 @@ def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], vi
 
 
 def named_in(message: str, moving: Sequence[Body], standing: Sequence[Body]) -> tuple[str, ...]:
-    """Return the moving and the stationary body named in a message; empty unless it names both."""
+    """Return the names of the moving and the stationary body in `message`; empty unless it contains both."""
     groups = [{body.name for body in group if _has(message, body.name)} for group in (moving, standing)]
     return tuple(max(names, key=len) for names in groups) if all(groups) else ()
 
@@ -43,7 +44,7 @@ def _has(message: str, name: str) -> bool:
 
 
 def _goal(job: Job, waypoint: Waypoint) -> Point:
-    """Return the tip centre at the end of the step; a turn of the mount leaves it unchanged."""
+    """Return the tip centre at the end of the waypoint's step; only moves and touches change it."""
     step = waypoint.step
     if isinstance(step, MoveTo | TouchTowards):
         return translate_point(step.target_mm, point(job.tool_offset_mm))

@@ -1,6 +1,6 @@
 """Contents of a preview as immutable values, without drawing or files.
 
-Lengths in mm, in the workpiece frame; the path is that of the stylus tip's centre.
+Lengths are in mm, in the workpiece frame. The path is that of the stylus tip's centre.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class PreviewBall:
 
 @dataclass(frozen=True)
 class ArtefactPlacement:
-    """Artefact in one position, with the mount that holds it. `bodies`: balls, posts, bar, shaft, pedestal."""
+    """Artefact in one position, with the mount that holds it. `bodies`: balls, posts, bar, shaft and pedestal, and
+    other stationary bodies except the table."""
 
     position: Position
     held_out: bool
@@ -42,9 +43,10 @@ class ArtefactPlacement:
 
 @dataclass(frozen=True)
 class Visit:
-    """One measurement of a position: waypoints `first` to `end` (exclusive) of the path.
+    """One measurement of a position, or a position not measured. `placement`: index of the position's placement;
+    `first`, `end` (exclusive): range of its waypoints in the path.
 
-    `note`: reason why a position without waypoints is not measured.
+    `note`: reason if the position is not measured, else empty.
     """
 
     phase: str
@@ -56,7 +58,8 @@ class Visit:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """Point of the path. `ball`: ball being measured; `touch`: the tip is on a ball."""
+    """Point of the path. `ends_s`: time at which the tip reaches it; `ball`: ball being measured; `touch`: True if the
+    step is a touch."""
 
     tip_mm: Point
     ends_s: float
@@ -66,7 +69,8 @@ class PathPoint:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Refusal by the preflight: message, step, the two colliding bodies and the tip centre there."""
+    """Refusal by the preflight: message, step, names of the two colliding bodies, and tip centre at the collision.
+    `visit`: index of the visit to which the step belongs."""
 
     message: str
     step: str
@@ -77,8 +81,8 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Preview:
-    """Preview of a plan. `travel`: that of the tip; `table`: its part under the travel; `probe`: relative to the
-    tip."""
+    """Preview of a plan. `travel`: travel of the tip; `table`: drawn part of the table; `probe`: bodies of the probe
+    relative to the tip centre."""
 
     machine: str
     artefact: str
@@ -101,7 +105,7 @@ class Preview:
 
     @property
     def minutes(self) -> float:
-        """Machine time of the whole path; for a refused plan, up to the refusal."""
+        """Machine time in minutes of the whole path; for a refused plan, up to the refusal."""
         return self.path[-1].ends_s / 60.0 if self.path else 0.0
 
     @property

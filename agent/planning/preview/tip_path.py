@@ -24,8 +24,8 @@ _BALL = re.compile(r"/ball-(\d+)")
 
 @dataclass(frozen=True)
 class Waypoint:
-    """State after a step: tip centre (workpiece frame), seconds since the start of the plan, and the artefact's
-    position."""
+    """State after a step. `tip_mm`: tip centre (workpiece frame); `ends_s`: time since the start of the plan;
+    `standing`: station and mount angles of the artefact."""
 
     step: Step
     tip_mm: Point
@@ -38,15 +38,15 @@ class Waypoint:
 
     @property
     def ball(self) -> int | None:
-        """Number of the ball that the step belongs to; None if there is none."""
+        """Number of the ball to which the step belongs; None if it belongs to no ball."""
         named = _BALL.search(self.step.key)
         return int(named.group(1)) if named else None
 
 
 def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
-    """Return every step that moves something or takes time, in order; for a refused plan up to the refused step.
+    """Return a waypoint for every step that moves something or takes time, in order.
 
-    If the plan stops earlier on the ideal machine, the path ends there.
+    The path of a refused plan ends at the refused step, or earlier if the plan stops earlier on the ideal machine.
     """
     walker = _Walker(job)
     last = refused.where.get("step") if refused else None
@@ -56,7 +56,7 @@ def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoi
 
 
 def lower_end(job: Job) -> Point:
-    """Axis positions from which a plan is assumed to start, as in the preflight."""
+    """Return the lower end of the travel, from which a plan is assumed to start, as in the preflight."""
     return point(low for low, _ in job.machine.limits)
 
 
@@ -75,7 +75,7 @@ def _up_to(plan: Generator[Step, Any, Any], last: str | None) -> Generator[Step,
 
 
 class _Walker:
-    """Records the position of the ideal machine after each step."""
+    """Recorder of the state of the ideal machine after each step."""
 
     def __init__(self, job: Job) -> None:
         machine = IdealMachine(job.layout, time_model(job.machine, job.settings.timing), lower_end(job), self._spent)
