@@ -63,7 +63,7 @@ def identify(
 
     `order`: Legendre order of the 18 error motions, given as a number; "file" uses the orders of the machine file, and
     "evidence" the order that the measurements support best. `options`: formulation, prior, weights, outliers. Raises
-    SingularSet if the positions cannot determine anything, and DataError if the artefact does not have a measured ball.
+    SingularSet if the positions cannot determine anything, and DataError if a measured ball is not on the artefact.
 
     >>> estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
     >>> estimate.rank, estimate.model.size

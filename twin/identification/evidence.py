@@ -6,7 +6,7 @@ With the poses projected out and z integrated out, twice the negative log margin
 
 (MacKay 1992; Rasmussen and Williams 2006, 5.4), where N = AᵀA and r = Aᵀy are matrix and right side of the normal
 equations of A z = y, σ is the touch noise and D the prior precision of z. The gradient needs only the diagonal of H⁻¹.
-Each log scale has a weak normal prior and bounds, so that a small set cannot drive it to extreme values.
+Each log scale has a weak normal prior and bounds, so that it cannot become extreme if there are few measurements.
 """
 
 from __future__ import annotations

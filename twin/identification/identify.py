@@ -49,8 +49,8 @@ def identify(
     """Estimate the parameters of `model` from ball centres measured on `artefact`; `family` is the prior, and its
     standard deviations are the units of the parameters.
 
-    Raise SingularSet if the positions determine nothing, and DataError if the family belongs to another model or the
-    artefact does not have a measured ball.
+    Raise SingularSet if the positions determine nothing, and DataError if the family belongs to another model or a
+    measured ball is not on the artefact.
     """
     options = options or Options()
     if family.model != model:

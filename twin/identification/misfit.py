@@ -199,8 +199,8 @@ def _waves(axis: int, highest: int) -> Weights:
 
 
 def _quadrature(model: ErrorModel, degrees: tuple[Degrees, ...]) -> tuple[Array, Array]:
-    """Return Gauss-Legendre points (n, 3) over the workspace, exact for all products, and weights (n,) that sum to
-    1."""
+    """Return Gauss-Legendre points (n, 3) over the workspace, exact for products of any two fields, and weights (n,)
+    that sum to 1."""
     nodes, weights = [], []
     for axis, (low, high) in enumerate(model.ranges_mm):
         node, weight = np.polynomial.legendre.leggauss(max(degree[axis] for degree in degrees) + 1)

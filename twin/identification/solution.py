@@ -27,8 +27,8 @@ Equations = CentreEquations | DistanceEquations
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution z (P,) with poses, both sides of the exact equations at z, and the equations and prior it was derived
-    from.
+    """Solution z (P,) with poses, both sides of the exact equations at z, and the equations and prior from which it was
+    derived.
 
     `covariance` (P, P): covariance of true minus estimated z, valid for parameters and misfit; `scales_estimated`: True
     if the scales were estimated from the data; `alternatives`: solutions for other plausible scales; empty until the

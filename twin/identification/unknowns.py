@@ -22,7 +22,7 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 @dataclass(frozen=True, eq=False)
 class UnknownBlocks:
     """Slice of each kind of unknown in z. `kinds`: consecutive slices within the misfit; `drifting`: number of drift
-    unknowns, which are last."""
+    unknowns, which form the last block."""
 
     parameters: slice
     certificate: slice

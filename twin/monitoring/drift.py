@@ -99,13 +99,15 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
 
 
 def regression_design(t: Array, steps: Sequence[float]) -> Array:
-    """Return the design matrix (n, 2 + k): level at the end, slope, and for each step -1 before it, 0 after it."""
+    """Return the design matrix (n, 2 + k) with columns for the level at the last night, the slope, and each of the k
+    steps (-1 before the step, 0 after it)."""
     before = [-(t < at).astype(np.float64) for at in steps]
     return np.stack([np.ones_like(t), t - t[-1], *before], axis=1)
 
 
 def _scatter(residuals: Array, freedom: int) -> tuple[float, float]:
-    """Return the factor on the stated uncertainties, and the lag-1 correlation of the residuals, at least zero."""
+    """Return the factor on the stated uncertainties, and the lag-1 correlation of the residuals (0 if it is
+    negative)."""
     square = float(residuals @ residuals)
     if freedom < MIN_FREEDOM_FOR_SCALE or square == 0.0:
         return 1.0, 0.0

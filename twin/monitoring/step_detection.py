@@ -149,7 +149,8 @@ class Innovation:
         return factor * float(np.ptp(along)) * (1.0 if along[-1] >= along[0] else -1.0), unit
 
     def _without(self, error: str, jump: float) -> Innovation:
-        """Return the innovation with this error left free within `jump`: S + A J Λ JᵀAᵀ replaces S."""
+        """Return the innovation after this error has been given the free variance Λ of `jump`: S + A J Λ JᵀAᵀ replaces
+        S."""
         columns = self._columns(error)
         through = self.information[:, columns]
         free = cho_factor(np.eye(len(columns)) / jump**2 + self.information[np.ix_(columns, columns)], lower=True)

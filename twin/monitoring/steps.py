@@ -89,7 +89,7 @@ def _usable(t: Array, known: Sequence[float]) -> tuple[float, ...]:
 
 
 def _candidates(t: Array, steps: Sequence[float]) -> list[float]:
-    """Return the times that leave at least two values to each level."""
+    """Return the times at which a further step would leave at least two values on each level."""
     edges = [0, *(int(np.searchsorted(t, at)) for at in steps), len(t)]
     return [
         float(t[index])

@@ -1,4 +1,5 @@
-"""Distribution of a quadratic form whose covariance is one of several, each with equal probability."""
+"""Distribution of a quadratic form of Gaussian variables that have one of several means and covariances with equal
+probability."""
 
 from __future__ import annotations
 
