@@ -26,7 +26,7 @@ from twin.formats.toml_reading import validate_document
 class Truth:
     """True volumetric errors in µm, rigidly aligned, and number of collisions, as reported by the simulator.
 
-    None if the simulator could no longer be reached.
+    `after_um` and `collisions` are None if the simulator could no longer be reached.
     """
 
     before_um: float

@@ -131,7 +131,7 @@ def _goal(slot: float | None, positions: int | None, target_vce: float | None) -
 
 
 def _rivals(job: Job) -> list[ReferenceSet]:
-    """Return the position set of the settings for comparison, or an empty list if the set cannot be measured."""
+    """Return a list with the position set of the settings, for comparison; empty if the set cannot be measured."""
     name = job.settings.procedure.position_set
     try:
         vce_um = valuation_of(job, job.positions).after.aligned_um

@@ -1,8 +1,8 @@
 """Output of a command's errors: one line on stderr and the exit code of the error class, never a traceback.
 
 Exit codes of `volcal`: 0 success; 1 unexpected error; 2 wrong input (including usage errors of click); 3 failure of a
-device; 4 negative decision of the run itself, such as a failed check; 5 abort by a person; 6 the service declined to
-start a run at this time.
+device; 4 error in the run itself, such as a refused plan, a failed check or another run in progress; 5 abort by a
+person or interruption of the run; 6 the service declined to start a run at this time.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def plan_command(
 def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path]]:
     """Return a function that draws the plan and returns the paths of the files; its argument is the refusal, if any.
 
-    Raise InputError, before the plan is made, if `folder` cannot be written.
+    Raise InputError before anything is drawn if `folder` cannot be written.
     """
     from agent.planning.preview.preview_files import write_preview  # noqa: PLC0415  plotting is slow to import
 

@@ -101,8 +101,7 @@ def _show(found: RankResult, console: Console) -> None:
 
 
 def _first_of_each_kind(advice: Sequence[TrialGain]) -> list[TrialGain]:
-    """Return the first entry of each kind of trial, such as a length or a stylus along one axis; the best comes
-    first."""
+    """Return the best trial of each kind, such as a length or a stylus along one axis; `advice`: best trial first."""
     best: dict[str, TrialGain] = {}
     for gain in advice:
         best.setdefault(gain.trial.kind, gain)

@@ -23,7 +23,7 @@ END_WITHIN_S = 5.0
 class SimulatorProcess:
     """Context manager that runs the simulator as a process.
 
-    The process never outlives this program, because it ends when its standard input closes.
+    The process never outlives this program, because the simulator ends when its standard input is closed.
     """
 
     def __init__(self, scenario: Path, *, can: str, log: Path, modbus_rtu: str | None = None) -> None:
