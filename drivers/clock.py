@@ -57,7 +57,7 @@ class ScaledClock:
 
 
 class VirtualClock:
-    """Clock that advances only by calls of `sleep`; listeners (a simulated world, wire servers) advance with it."""
+    """Clock that advances only by `sleep` and `advance_to`; listeners (a simulated world, wire servers) follow it."""
 
     def __init__(self) -> None:
         self._now = 0.0

@@ -149,8 +149,8 @@ class Machine(Protocol):
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         """Move in a straight line to `target_mm` and return when the axes are in position.
 
-        A feed of None is rapid. If the probe trips in a guarded move, the axes stop and the method raises
-        `GuardTripped`; the fault is already cleared then, so the withdrawal can start at once.
+        A feed of None means rapid traverse. If the probe trips in a guarded move, the axes stop, and the method clears
+        the fault and raises `GuardTripped`, so the withdrawal can start at once.
         """
 
     def hold(self) -> None: ...

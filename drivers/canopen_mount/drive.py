@@ -128,7 +128,7 @@ class Drive:
     def enable(self) -> None:
         """Bring the drive to *operation enabled* by the transitions in `ENABLE_TRANSITIONS`.
 
-        A drive that is already enabled when first queried is stopped before. A fault met on the way is reset.
+        A drive that is already enabled at the first query is stopped first. A fault met on the way is reset.
         """
         if not self._prepared:
             self.prepare()

@@ -45,7 +45,7 @@ class Factor:
 
 
 def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
-    """Yield the expected values of the objects that the settings say to compare."""
+    """Yield the expected values of those objects in the drive that the settings require to be compared."""
     units = settings.units
     turns = (objects.ENCODER_INCREMENTS, objects.ENCODER_MOTOR_TURNS)
     gear = (objects.GEAR_MOTOR_TURNS, objects.GEAR_SHAFT_TURNS)

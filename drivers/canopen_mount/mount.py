@@ -87,8 +87,7 @@ class CanopenMount:
         """Turn both axes together, wait until they are in position and settled, and return the encoder angles.
 
         Raises CommandRejected, before anything is sent, if a limit is exceeded or an axis is not homed; MotionFault,
-        DeadlineExpired, LinkError.
-        If an exception ends the wait, both drives are quick-stopped before it propagates.
+        DeadlineExpired, LinkError. If an exception ends the wait, both drives are quick-stopped before it propagates.
         """
         drives = self._require_open()
         targets = (azimuth_deg, elevation_deg)

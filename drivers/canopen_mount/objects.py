@@ -79,7 +79,7 @@ READ = (STATUSWORD, MODE_DISPLAY, POSITION)
 WRITTEN = (CONTROLWORD, MODE, TARGET_POSITION, PROFILE_VELOCITY)
 """Objects that the EDS of a usable drive must list: `READ`, and `WRITTEN` as writable.
 
-The acceleration and deceleration are missing here because they are optional in CiA 402.
+The ramps (0x6083, 0x6084) are not required, because CiA 402 makes them optional.
 """
 WRITTEN_FOR_HOMING = (HOMING_METHOD, HOMING_SEARCH_SPEED, HOMING_LATCH_SPEED, HOMING_ACCELERATION)
 

@@ -12,7 +12,7 @@ from drivers.roles import CompensationStore, TableImage, Thermometer
 
 
 class CompensationStoreContract:
-    """Contract of a store with empty banks and immediate activation."""
+    """Contract tests of a store that activates immediately and whose banks are empty at the start of each test."""
 
     def test_implements_the_role(self, rig: ContractRig) -> None:
         assert isinstance(rig.store, CompensationStore)

@@ -104,8 +104,7 @@ class ModbusLink:
     def exchange(self, register: int, data: bytes, read: int, count: int, *, idempotent: bool) -> bytes:
         """Write `data` from `register` on, then read and return `count` registers from `read` on, with function 23.
 
-        Both take one round trip.
-        If the server does not support function 23, functions 16 and 3 are used from then on.
+        Both take one round trip. If the server does not support function 23, functions 16 and 3 are used from then on.
         """
         if self._combined:
             written = self._writable_count(register, data)

@@ -53,9 +53,9 @@ class SerialLine(DriverOptions):
         return FAST_GAP_S if self.baud > FAST_BAUD else 3.5 * self.character_s
 
     def exchange_s(self, request: int, answer: int) -> float:
-        """Return the time in s for gap, `request` bytes, gap and `answer` bytes.
+        """Return the transmission time in s of a request and its answer, each preceded by a gap.
 
-        Both byte counts run from the function code up to, not including, the CRC.
+        `request` and `answer` are their lengths in bytes from the function code up to, not including, the CRC.
         """
         characters = request + answer + 2 * ADDRESS_AND_CRC
         return 2.0 * self.gap_s + characters * self.character_s

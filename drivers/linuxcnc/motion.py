@@ -268,7 +268,7 @@ class LinuxCncMotion:
             clock.sleep(settings.poll_interval_s)
 
     def _late_messages(self, ended: Snapshot, messages: tuple[str, ...]) -> tuple[str, ...]:
-        """Return messages that arrive up to one poll after an error; none if the reason is already known."""
+        """Return messages that arrive up to one poll after an error; none if there was no error or `messages` exist."""
         if ended.outcome != "error" or messages:
             return ()
         self._session.clock.sleep(self._session.settings.poll_interval_s)

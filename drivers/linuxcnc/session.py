@@ -131,7 +131,7 @@ class LinuxCncSession:
         )
 
     def _number(self, reported: object, place: str) -> float:
-        """Parse a positive number from the INI file or the status. Raises ProtocolError if it is none."""
+        """Parse a positive number from the INI file or the status. Raises ProtocolError if it is not one."""
         try:
             value = float(str(reported).split("#")[0])
         except ValueError:

@@ -23,7 +23,7 @@ SLOW_ROUND_TRIP_S = 0.1
 def diagnose(
     conversation: Conversation, settings: SerialCncSettings, store: BankStore, directory: Path
 ) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order. A device error becomes a finding; that on tables still follows."""
+    """Return the findings in troubleshooting order. After a device error, only the tables are still reported."""
     findings: list[DiagnosticFinding] = []
     opened_here = not conversation.line.connected
     try:

@@ -1,7 +1,7 @@
 """Motions, from the sending of the line to the end of the motion.
 
-The ``ok`` to a motion line means that the motion is planned. Its end is the ``ok`` to ``G4 P0``, which the controller
-sends once all planned motions are complete; a probe cycle is answered at its own end.
+The ``ok`` to a motion line means only that the motion is planned. The ``ok`` to a following ``G4 P0`` comes once all
+planned motions are complete. The ``ok`` to a probe cycle comes at the end of the cycle.
 """
 
 from __future__ import annotations

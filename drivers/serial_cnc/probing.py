@@ -33,7 +33,7 @@ class ProbeCycleResult:
 
 
 class SerialProbing:
-    """Probe cycles. A latched position is accepted only if the cycle reported one position and it lies on its path."""
+    """Probe cycles. A latched position is accepted only if it is the only one and lies on the path of the cycle."""
 
     def __init__(
         self, conversation: Conversation, tracker: StatusTracker, motion: SerialMotion, frames: CoordinateFrames

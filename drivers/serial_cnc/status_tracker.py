@@ -205,5 +205,5 @@ def _motion_state(report: StatusReport) -> MotionState:
 
 
 def _tool_offset(message: MessageLine) -> Triple:
-    """Return the tool offset: GRBL sends only a length, along Z, grblHAL all three components."""
+    """Return the tool offset: GRBL sends only a length along Z, grblHAL sends all three components."""
     return message.triple() if "," in message.text else (0.0, 0.0, message.number())

@@ -31,8 +31,8 @@ Announce = Callable[[str], None]
 class PunchRead:
     """Tape transfer over a serial line that is open inside the `with` block.
 
-    `announce` asks the operator to press a key.
-    Methods raise LinkLost, LinkTimeout, ProtocolError, and DeadlineExpired if no key was pressed in time.
+    `announce` asks the operator to press a key. Methods raise LinkLost, LinkTimeout, ProtocolError, and
+    DeadlineExpired if no key was pressed in time.
     """
 
     def __init__(self, settings: TapeSettings, clock: Clock, announce: Announce, *, device: str = "") -> None:
