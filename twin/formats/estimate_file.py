@@ -124,7 +124,7 @@ class StoredEstimate:
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
     """Return the estimate as JSON text.
 
-    `provenance`: software version, time, names and checksums of the input files, which are stored unchanged.
+    `provenance`: software version, time, names and checksums of the input files. All entries are stored unchanged.
     """
     document: dict[str, Any] = {
         "format": FORMAT,

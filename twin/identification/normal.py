@@ -126,8 +126,8 @@ class PriorPrecision:
 class Posterior:
     """Posterior of z, represented by its precision: `factor` (P, P) is the lower Cholesky factor, in Fortran order.
 
-    Since z is in units of its prior, the precision is of order 1 or larger in every direction, even in those that the
-    measurements leave open. An explicit inverse is therefore numerically safe.
+    At scale 1 the prior alone gives a precision of 1 in every direction that the measurements leave open, so an
+    explicit inverse is numerically safe.
     """
 
     factor: Array
