@@ -1,1 +1,1 @@
-"""Runs on a machine: start, carry out, resume, abandon; and identification from files."""
+"""Start, execution, resumption and abandonment of runs on a machine, and identification from files."""

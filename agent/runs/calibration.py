@@ -1,4 +1,4 @@
-"""Calibration from permission to proof: measure, identify, gate, stage, activate, verify, accept or restore."""
+"""Calibration run, from the check of permissions to the proof of the new table and its acceptance or removal."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ from twin.formats.estimate_file import format_estimate
 
 
 class CalibrationRun(GuardedRun):
-    """Calibration of one `Job`. `reference`: last accepted night of this machine, with which the change is compared."""
+    """Calibration of the machine of a `Job`.
+
+    `reference`: last accepted night of this machine, against which the change is judged; `nights`: nights since then.
+    """
 
     def __init__(
         self,
@@ -51,7 +54,10 @@ class CalibrationRun(GuardedRun):
         self.calibrate(prepared.standing_at)
 
     def calibrate(self, standing_at: int | None) -> None:
-        """Calibrate from the first position of the set; the state is measuring and the compensation has been read."""
+        """Calibrate, beginning with the first position of the set.
+
+        The state must be MEASURING, and the active compensation must have been read.
+        """
         job, progress = self._job, self.progress
         order = replace(job.measuring_order, standing_at=standing_at)
         progress.measured = self._engine.run(measure_with_repeats(order, job.layout, self.rules, job.repeat_rules))
@@ -78,7 +84,7 @@ class CalibrationRun(GuardedRun):
         return (*gates, change_gate(change.found_um, change.expected_um, self._job.gate_limits))
 
     def _pass_gates(self, gates: Sequence[Gate]) -> None:
-        """Journal every gate. Raise GateRefused if one stays closed; the gate of the change opens by consent."""
+        """Journal every gate. Raise GateRefused if one does not pass; consent passes the gate `CHANGE`."""
         self.progress.gates += gates
         given = any(opens_by_consent(gate, self._consent) for gate in gates)
         if given or (self._consent is Consent.ASK and self._engine.run(ask_consent(gates))):
@@ -88,7 +94,10 @@ class CalibrationRun(GuardedRun):
         require_passed(self.progress.gates)
 
     def _write_and_prove(self, estimation: EstimationResult, measured: MeasuredPositions) -> None:
-        """Stage, activate, measure the held-out positions again; if they disagree, the former bank is reactivated."""
+        """Stage and activate the table, and measure the held-out positions again.
+
+        If they disagree with the prediction, the former bank is reactivated.
+        """
         progress, enter = self.progress, self._tracker.enter
         assert progress.found is not None  # noqa: S101  read before anything is measured
         image = image_of(estimation.table, self._rig.store.store_limits())
@@ -131,5 +140,5 @@ class CalibrationRun(GuardedRun):
         return prove(self._job, estimation, before, after)
 
     def _accept(self, estimation: EstimationResult, image: TableImage) -> None:
-        """Record the result as the reference with which later runs compare the machine."""
+        """Record the estimate and the table as the reference with which later runs compare the machine."""
         record_accepted(self._journal, AcceptedTable.of(self._job, estimation.estimate.parameters, image))

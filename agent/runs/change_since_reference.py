@@ -1,4 +1,4 @@
-"""Expected change of a machine between two nights, and the change that an estimate shows."""
+"""Change of a machine between two nights: the expected change, and the change according to an estimate."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ SCALES = ("EXX[1]", "EYY[1]", "EZZ[1]")
 
 @dataclass(frozen=True)
 class Change:
-    """Change found and change expected: rms of the field over the workspace, aligned, in µm."""
+    """Change of the machine's error field, found and expected: rms over the workspace, aligned, in µm."""
 
     found_um: float
     expected_um: float
 
 
 def night_noise(job: Job, model: ErrorModel) -> Array:
-    """Return the standard deviations (p,), in mm or rad, by which each parameter may change in one night."""
+    """Return the standard deviation (p,) of the change of each parameter in one night, in mm or rad."""
     chosen = job.settings.nightly
     family = job.machine.with_model(model).family
     noise = process_noise(family, MM_PER_UM * chosen.drift_um, job.tool_offset_mm)
@@ -39,17 +39,17 @@ def night_noise(job: Job, model: ErrorModel) -> Array:
 
 
 def prior_tonight(job: Job, reference: ReferenceState, nights: float) -> CarriedOverPrior:
-    """Return the estimate of the last accepted night as prior, widened by the drift of `nights`."""
+    """Return the estimate of the last accepted night as prior, widened by the drift in `nights` nights."""
     return reference.estimate.carried_over().after(night_noise(job, reference.estimate.model), nights)
 
 
 def change_since(
     job: Job, reference: ReferenceState, nights: float, estimate: Estimate, *, fused: bool = False
 ) -> Change:
-    """Return the change from the last accepted night to `estimate`. `fused`: that night was the prior of `estimate`.
+    """Return the change from the last accepted night to `estimate`.
 
-    An estimate differs from its prior by the prior's covariance less its own; two independent estimates differ by the
-    sum of their covariances.
+    `fused`: True if the estimate of that night was the prior of `estimate`. The covariance of the expected difference
+    is then that of the prior minus that of the estimate. If the two are independent, it is the sum of both.
     """
     offset, old = job.tool_offset_mm, reference.estimate
     grid = evaluation_grid(old.model.ranges_mm)

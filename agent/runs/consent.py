@@ -1,4 +1,4 @@
-"""Consent to a machine that has changed: given with the request, asked for at the machine, or refused."""
+"""Consent to write a table although the machine has changed: given with the request, asked for, or refused."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class Consent(Enum):
 
 
 def opens_by_consent(gate: Gate, consent: Consent) -> bool:
-    """Return True if a closed gate opens without a question."""
+    """Return True if `gate` did not pass and the consent given with the request opens it without a question."""
     return gate.name == CHANGE and not gate.passed and consent is Consent.GIVEN
 
 
 def ask_consent(gates: Sequence[Gate]) -> Plan[bool]:
-    """Ask the operator for consent if only the gate of the change is closed. True if consent was given.
+    """Ask the operator for consent if `CHANGE` is the only gate that did not pass. Return True if consent was given.
 
-    In any other case there is no question. The answer no ends the run as an abort does.
+    In all other cases no question is asked and the result is False. Raises Aborted if the answer is no.
     """
     closed = [gate for gate in gates if not gate.passed]
     if [gate.name for gate in closed] != [CHANGE]:

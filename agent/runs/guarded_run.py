@@ -1,4 +1,4 @@
-"""Guarded run, the base of every kind: on every exit the machine is left as it was found."""
+"""Guarded run, the base class of all kinds of run: if it does not succeed, it leaves the machine as it found it."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ from drivers.roles import Activation
 
 @dataclass
 class RunProgress:
-    """Results of a run so far, filled in while it runs, so that a fault loses nothing.
+    """Results of a run so far, filled in during the run so that a fault does not lose them.
 
-    `job`: job for which `measured` was measured, if it is not the one that the run began with.
+    `found`: compensation that was active at the start. `job`: job for which `measured` was measured; None if it is the
+    one with which the run began.
     """
 
     found: publish.ActiveCompensation | None = None
@@ -49,7 +50,7 @@ class RunProgress:
 
 
 class GuardedRun(ABC):
-    """Run that restores the compensation it found, and reads it back, on every exit path but the accepted one."""
+    """Run that restores and reads back the compensation found at its start, unless it accepts a new one."""
 
     def __init__(self, job: Job, context: RunContext) -> None:
         self._job = job
@@ -63,10 +64,10 @@ class GuardedRun(ABC):
 
     @abstractmethod
     def _work(self) -> None:
-        """Do everything from permission to a final state. GateRefused if the run itself refuses to continue."""
+        """Do all work up to a final state. Raise GateRefused if the run decides not to continue."""
 
     def carry_out(self) -> RunProgress:
-        """Run to a final state. A `VolcalError` ends in `progress.error`, never in a traceback."""
+        """Run to a final state. A `VolcalError` is not raised but stored in `progress.error`."""
         try:
             self._work_or_refuse()
         except VolcalError as error:
@@ -87,7 +88,7 @@ class GuardedRun(ABC):
             self._tracker.enter(RunState.REFUSED, str(refusal))
 
     def _begin(self) -> publish.ActiveCompensation:
-        """Read and journal the whole active compensation before anything moves."""
+        """Read, journal and return the active compensation before anything moves."""
         self._tracker.enter(RunState.MEASURING)
         found = self.progress.found = self._engine.run(publish.read_state("before"))
         self.progress.active_bank = found.bank
@@ -95,13 +96,13 @@ class GuardedRun(ABC):
         return found
 
     def _prepare_probe(self) -> PreparationResult:
-        """Check and qualify the probe; the result holds for all later measurements."""
+        """Check and qualify the probe. The result is valid for all later measurements of the run."""
         prepared = self.progress.prepared = self._engine.run(self._job.preparation_plan())
         record_probe(self._journal, prepared)
         return prepared
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """Return why the time left is too short for `following`, the first motion after a resume; None if it is not."""
+        """Return an error if too little time is left for `following`, the first moving step of a resumed run."""
         return None
 
     @property
@@ -117,13 +118,16 @@ class GuardedRun(ABC):
 
     @property
     def _correction(self) -> Correction:
-        """Correction that the table found at the start adds to displayed axis positions."""
+        """Correction that the table active at the start adds to displayed axis positions."""
         found = self.progress.found
         assert found is not None  # noqa: S101  read before anything is measured
         return no_correction if found.table is None else table_of(found.table, self._job.tool_offset_mm).at
 
     def _leave_safely(self, error: VolcalError) -> None:
-        """Stop, withdraw, restore; failures of these are reported beside the first cause."""
+        """Stop the machine, withdraw the probe and restore the compensation.
+
+        Failures of these actions are added to the reason of the final state, after `error`.
+        """
         aborted = isinstance(error, Aborted)
         self._supervisor.shield()
         self._engine, self._journal = self._engine.aside(), self._journal.aside()
@@ -148,7 +152,7 @@ class GuardedRun(ABC):
         )
 
     def _attempt_restore(self) -> list[str]:
-        """Activate the former bank; if the journal fails, do so without it. Return complaints, empty on success."""
+        """Activate the former bank; without journal if the journal fails. Return error texts, empty on success."""
         found = self.progress.found
         if found is None or self.progress.active_bank == found.bank:
             return []
@@ -170,7 +174,8 @@ class GuardedRun(ABC):
 
 
 def attempt(what: str, action: Callable[[], None]) -> list[str]:
-    """Return the complaint if `action` fails, so that the first cause of an exit is not lost; empty on success."""
+    """Carry out `action`. If it fails, return the error text instead of raising, so that it does not replace the first
+    error; empty on success. `what` completes the text "could not …"."""
     try:
         action()
     except VolcalError as failure:

@@ -1,4 +1,4 @@
-"""Identification from files without a device: ball centres in; estimate, table and report out."""
+"""Identification without a machine: reads ball centres from files; writes estimate, table and report."""
 
 from __future__ import annotations
 
@@ -27,15 +27,16 @@ from twin.machine.machine_description import MachineDescription
 from twin.units import MM_PER_UM
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
-"""Limits of a store that does not exist: a file can hold corrections of any size."""
+"""Limits that never apply, for a table that is written to a file only."""
 
 
 @dataclass(frozen=True)
 class IdentificationRequest:
-    """Files and options of an identification. `tool` None: the tool with which most balls were measured.
+    """Files and options of an identification.
 
-    `carried_over`: an earlier estimate as prior; the machine may have changed since by `process_noise_um` (rms of the
-    field over the workspace, rigidly aligned). `gates`: limits that the results are judged by, those of a run.
+    `tool`: tool for which the table is made; None: the one with which most balls were measured. `carried_over`: file of
+    an earlier estimate to be used as prior; `process_noise_um`: rms over the workspace, rigidly aligned, by which the
+    error field of the machine may have changed since. `gates`: limits of the gates, the same as for a run.
     """
 
     balls: Path
@@ -52,7 +53,7 @@ class IdentificationRequest:
 
 @dataclass(frozen=True)
 class IdentificationInput:
-    """Contents of the files, and the tool that the table is made for."""
+    """Machine, artefact, measured balls and options read from files, and the tool that the table is made for."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -72,7 +73,7 @@ class IdentificationResult:
     report: Path
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
-        """Return the keys that every command ends with; None for values that only a machine can give."""
+        """Return a JSON object with the keys of a run; None for values that only a run on a machine has."""
         estimate, volumetric = self.estimation.estimate, self.estimation.volumetric
         return {
             "state": "complete",
@@ -102,7 +103,7 @@ class IdentificationResult:
 def identify_files(request: IdentificationRequest, timestamp: str) -> IdentificationResult:
     """Read the files, identify, and write estimate.json, table.csv, table.json and report.html into `request.out`.
 
-    `timestamp` (ISO 8601 UTC) dates the results. Raises UserError for wrong input; nothing is written in that case.
+    `timestamp`: time of the results, ISO 8601 UTC. Raises UserError for wrong input; nothing is written in that case.
     """
     check_folder(request.out)
     material = read_material(request)
@@ -122,7 +123,7 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
 
 
 def read_material(request: IdentificationRequest) -> IdentificationInput:
-    """Return the contents of the files. Raises UserError naming file and key or row if something cannot be used."""
+    """Return the contents of the files. Raises UserError, naming file and key or row, if something cannot be used."""
     machine = load_machine(request.machine)
     artefact = load_artefact(request.artefact)
     balls = load_balls(request.balls, machine)
@@ -140,7 +141,7 @@ def read_material(request: IdentificationRequest) -> IdentificationInput:
 
 
 def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOverPrior:
-    """Return an earlier estimate of this machine as prior, widened by the change since."""
+    """Return the earlier estimate in `path` as prior, widened by the change that is possible since."""
     text = read_text(path)
     with translated(InputError, file=str(path)):
         known = parse_estimate(text, str(path)).carried_over()
@@ -149,7 +150,7 @@ def _carried_over(path: Path, machine: MachineDescription, tool: str, process_no
 
 
 def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[EstimationResult, tuple[Gate, ...]]:
-    """Return estimate and table, and the verdicts of the gates that a run has. Raises TwinError."""
+    """Return estimate and table, and the gates that a run would have to pass. Raises TwinError."""
     estimation = estimate_with_table(
         material.machine,
         material.artefact,
@@ -177,7 +178,7 @@ def _table_tool(request: IdentificationRequest, machine: MachineDescription, bal
 
 
 def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict[str, str]:
-    """Return the four result files by name."""
+    """Return the texts of the four result files by file name."""
     from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib
 
     table = format_table(result.estimation.table)
@@ -248,7 +249,7 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
 
 
 def _warnings(material: IdentificationInput, estimation: EstimationResult, options: Options) -> tuple[str, ...]:
-    """Return notes to read before the table is loaded into a machine."""
+    """Return the warnings that a person should read before loading the table into a machine."""
     notes = ["Nothing was measured with the table active: values after compensation are predictions."]
     share = float(np.mean(estimation.table.extrapolated))
     if share > 0.0:

@@ -1,4 +1,4 @@
-"""Origin of a run as stored in the journal: enough to build the run again, and to notice that a file has changed."""
+"""Origin of a run as stored in the journal: the data needed to rebuild the run and to detect changed files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,11 @@ KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
 
 @dataclass(frozen=True)
 class Origin:
-    """`begun_s`, `begun_at`: machine seconds and UTC at the end of the preflight; `files` path → SHA-256."""
+    """Settings, kind and start conditions of a run that has passed its preflight.
+
+    `base`: directory to which relative paths refer. `files`: path → SHA-256 of each input file. `begun_s`, `begun_at`:
+    machine seconds and UTC at the end of the preflight.
+    """
 
     run_id: str
     settings: Settings
@@ -38,7 +42,7 @@ class Origin:
     begun_at: str
 
     def require_unchanged(self) -> None:
-        """Raise PlanDiverged, naming the file, if one has changed since the run began."""
+        """Raise PlanDiverged, naming the file, if an input file has changed since the run began."""
         for name, digest in digests(self.settings, self.base).items():
             if self.files.get(name) != digest:
                 raise PlanDiverged(
@@ -50,7 +54,7 @@ class Origin:
 
 
 def origin_record(settings: Settings, kind: Kind, base: Path, start: StartConditions) -> dict[str, Any]:
-    """Return the record for `RunJournal.origin`."""
+    """Return the record to be stored by `RunJournal.origin`."""
     options = {f.name: getattr(kind, f.name) for f in fields(kind) if f.name != "name"}  # type: ignore[arg-type]
     return {
         "kind": kind.name,
@@ -63,7 +67,7 @@ def origin_record(settings: Settings, kind: Kind, base: Path, start: StartCondit
 
 
 def read_origin(reader: JournalReader, run: int) -> Origin:
-    """Return the origin of a run. Raise InputError if the journal has none, or its preflight did not end."""
+    """Return the origin of a run. Raise InputError if the journal has none or the run did not pass its preflight."""
     row = reader.origin(run)
     if row is None or row.begun_s is None or row.begun_at is None:
         raise InputError("the journal does not store how this run began", hint="start a new run")
@@ -82,7 +86,7 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
 
 
 def digests(settings: Settings, base: Path) -> dict[str, str]:
-    """Return path → SHA-256 of machine, artefact, the files they name, and the position file."""
+    """Return path → SHA-256 of the machine file, the artefact file, the files named in them, and the position file."""
     paths = list(input_files(settings.machine, settings.artefact))
     if settings.procedure.position_set.endswith(POSITION_FILES):
         paths.append(base / settings.procedure.position_set)

@@ -1,4 +1,4 @@
-"""Planned run: the job as it will be measured, its start conditions and its preflight, before anything moves."""
+"""Planned run: the job that will be measured, its start conditions and its preflight, before anything moves."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from agent.runs.run_context import RunContext
 
 @dataclass(frozen=True)
 class StartConditions:
-    """Conditions at the start of a run. Every decision by date, by earlier runs or by the position of the machine is
-    made from these values, so that a resumed run decides the same again.
+    """Conditions at the start of a run.
 
-    `run`: its number in the journal; only runs with lower numbers count as earlier. `at`: UTC, ISO 8601. `start_mm`:
-    axis positions.
+    All decisions that depend on the date, on earlier runs or on the position of the machine are based on these values,
+    so that a resumed run makes the same decisions.
+
+    `run`: number of the run in the journal; only runs with lower numbers count as earlier. `at`: UTC, ISO 8601.
+    `start_mm`: axis positions.
     """
 
     run: int
@@ -29,7 +31,7 @@ class StartConditions:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """Run that has passed its preflight. `job`: as it will be measured; `begin`: makes the run that carries it out."""
+    """Run that has passed its preflight. `job`: the job that will be measured; `begin`: creates the run object."""
 
     job: Job
     kind: Kind
@@ -39,7 +41,7 @@ class PlannedRun:
 
 
 class Kind(Protocol):
-    """Kind of run. `name`: as the journal stores it."""
+    """Kind of run. `name`: its name in the journal."""
 
     @property
     def name(self) -> str: ...
@@ -47,7 +49,7 @@ class Kind(Protocol):
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         """Decide what will be measured and run its preflight from `start`; the same `start` gives the same plan.
 
-        `watch` is called all the while and raises to interrupt; it decides nothing. Raises PlanRefused or UserError if
-        the run cannot be carried out.
+        `watch` is called repeatedly meanwhile and may raise to interrupt; it does not influence the plan. Raises
+        PlanRefused or UserError if the run cannot be carried out.
         """
         ...

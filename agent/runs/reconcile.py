@@ -1,7 +1,7 @@
-"""Comparison of the controller's compensation at a start with the journal of the last run, and its repair if necessary.
+"""Comparison of the controller's compensation at a start with the journal of the last run, and repair if necessary.
 
-An active table that was never proved is the only state that must not stay: the former table is reactivated. Every other
-state is complete and consistent at whatever instant the run ended, because an active bank is never written.
+Only one state must be repaired: if a table is active that was never proved, the former table is reactivated. All other
+states are complete and consistent whenever the last run ended, because an active bank is never written.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from drivers.roles import MotionState
 
 @dataclass(frozen=True)
 class RecordedBank:
-    """Bank and the CRC-32 of its table according to the journal; None for an empty bank, as bank 0."""
+    """Bank, and the CRC-32 of its table; None for an empty bank and for bank 0 (no compensation)."""
 
     number: int
     crc32: int | None
@@ -33,7 +33,11 @@ class RecordedBank:
 
 @dataclass(frozen=True)
 class LastCompensation:
-    """Compensation left by the last run that read it, according to the journal."""
+    """Compensation left by the last run that read it, according to the journal.
+
+    `former`: bank active before that run; `staged`: bank that it wrote, None if none; `accepted`: True if the written
+    table was accepted.
+    """
 
     run: int
     run_id: str
@@ -47,10 +51,11 @@ class LastCompensation:
 
 
 def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, restore: bool = True) -> Reconciliation:
-    """Compare, and reactivate the former table instead of an unproved one if `restore` is set and the machine permits.
+    """Compare the controller's compensation with the journal; if an unproved table is active, reactivate the former.
 
-    `rig` is open; nothing moves. `of_run`: compare with this run only. Raises DeviceError if the controller cannot be
-    read or refuses, InputError if the journal cannot be read.
+    The table is reactivated only if `restore` is set and the machine permits it. `rig` is open; nothing moves.
+    `of_run`: number of the run to compare with; None: the last one. Raises DeviceError if the controller cannot be read
+    or refuses, InputError if the journal cannot be read.
     """
     last = _last_compensation(state_directory, of_run)
     unfinished = unfinished_run(state_directory) if of_run is None else None
@@ -68,7 +73,7 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
 
 
 def has_compensation_record(state_directory: Path) -> bool:
-    """Return True if any run of the journal has read the compensation; otherwise there is nothing to compare with."""
+    """Return True if a run in the journal has read the compensation; if not, there is nothing to compare with."""
     return _last_compensation(state_directory, None) is not None
 
 
@@ -98,7 +103,10 @@ def _active_bank(rig: Rig, active: int) -> RecordedBank:
 def _waiting(
     rig: Rig, last: LastCompensation, active: int, waiting: int, unfinished: UnfinishedRun | None
 ) -> Reconciliation:
-    """The controller accepted the activation but has not carried it out: its restart and the next start complete it."""
+    """Return the result if the controller has accepted an activation but not yet carried it out.
+
+    A restart of the controller and the next start of the agent complete it.
+    """
     event = rig.store.store_limits().activation
     former = waiting == last.former.number
     instruction = f"{ACTIVATION_INSTRUCTION[event]}: bank {waiting} becomes active only after {ACTIVATED_AFTER[event]}"

@@ -1,4 +1,4 @@
-"""Result of comparing the controller's compensation with the journal at a start, and of the repair."""
+"""Result of the comparison of the controller's compensation with the journal, and of its repair."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from agent.runs.unfinished_run import UnfinishedRun
 
 
 class CompensationState(Enum):
-    """Compensation in the controller against the one that the journal expects."""
+    """State of the controller's compensation compared with the one expected from the journal."""
 
     AS_EXPECTED = "as the last run left it"
     NOT_ACTIVATED = "the former table acts; a new one was written or begun, and never activated"
@@ -30,8 +30,12 @@ class ReconcileAction(Enum):
 
 @dataclass(frozen=True)
 class Reconciliation:
-    """`unfinished`: the interrupted run, if there is one. `active_bank`: after the action. `waiting_bank`: one that the
-    controller will activate later. `instruction`: what a person must do; empty if nothing."""
+    """Result of a reconciliation.
+
+    `active_bank`: bank that is active after the action. `waiting_bank`: bank that the controller will activate later,
+    None if there is none. `unfinished`: the interrupted run, None if there is none. `instruction`: action required from
+    a person, empty if none.
+    """
 
     state: CompensationState
     action: ReconcileAction

@@ -1,8 +1,8 @@
-"""Reference state of a machine: the estimate of the last accepted night, and the table active since.
+"""Reference state of a machine: the estimate of the last accepted night, and the table active since then.
 
-The journal is the single source: an estimate is accepted by a decision that names the table activated with it. The need
-for a full calibration is such a decision too, and holds until a later night is accepted. A copy of the estimate is
-written beside the journal, for people and for `volcal identify --carried-over`; nothing is read from it.
+The journal is the only source. A decision in it accepts an estimate and names the table activated with it. Another
+decision states that a full calibration is needed; it is valid until a later night is accepted. A copy of the accepted
+estimate is written beside the journal for people and for `volcal identify --carried-over`; runs do not read it.
 """
 
 from __future__ import annotations
@@ -32,12 +32,16 @@ COPY_NAME = "last-accepted.json"
 TABLE_RESTORED = "table-restored"
 _ACCEPTED, _FULL_NEEDED = "accepted", "full-calibration-needed"
 ACTIVATING_DECISIONS = frozenset({_ACCEPTED, TABLE_RESTORED})
-"""Kinds of the decisions that make the staged table of their run the one expected to be active."""
+"""Kinds of decision after which the table staged by the same run is expected to be active."""
 
 
 @dataclass(frozen=True, eq=False)
 class AcceptedTable:
-    """`written` (p,) mm or rad: parameters in the active table; `crc32` of its image; `tool` for which it holds."""
+    """Table that is active since its acceptance.
+
+    `written`: parameters (p,) in mm or rad that the table corrects; `tool`: tool for which it is valid; `crc32`: CRC-32
+    of its counts.
+    """
 
     machine: str
     artefact: str
@@ -53,7 +57,11 @@ class AcceptedTable:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceState:
-    """`estimate`: that of that night, all that is carried over; `since`: UTC time of acceptance."""
+    """Estimate and table of the last accepted night.
+
+    `run_id`: run of that night; `since`: time of its acceptance, UTC, ISO 8601; `table`: table active since then;
+    `estimate`: estimate of that night, which becomes the prior of the next.
+    """
 
     run_id: str
     since: str
@@ -61,14 +69,14 @@ class ReferenceState:
     estimate: StoredEstimate
 
     def nights_until(self, now: str) -> float:
-        """Return nights from the acceptance until `now` (UTC, ISO 8601); 0 or more."""
+        """Return the number of nights (days of 24 h) from the acceptance until `now` (UTC, ISO 8601); at least 0."""
         passed = datetime.fromisoformat(now) - datetime.fromisoformat(self.since)
         return max(passed.total_seconds() / S_PER_DAY, 0.0)
 
 
 @dataclass(frozen=True)
 class FullCalibrationNeed:
-    """Durable decision that the next permitted slot is for a full calibration."""
+    """Decision of run `run_id` that a full calibration is to be done in the next slot that permits it."""
 
     run_id: str
     since: str
@@ -76,26 +84,30 @@ class FullCalibrationNeed:
 
 
 def record_accepted(journal: RunJournal, accepted: AcceptedTable) -> None:
-    """Make the run's estimate the last accepted one; durable when it returns."""
+    """Record durably that the run's estimate and the table `accepted` are accepted."""
     journal.decision(_ACCEPTED, {**vars(accepted), "written": accepted.written.tolist()})
 
 
 def record_full_calibration_need(journal: RunJournal, reason: str) -> None:
-    """Request a full calibration in the next permitted slot; durable when it returns."""
+    """Record durably that a full calibration is needed in the next slot that permits it."""
     journal.decision(_FULL_NEEDED, {"reason": reason})
 
 
 def write_copy(directory: Path, run_id: str) -> None:
-    """Write the estimate of `run_id` beside the journal if that is the last accepted night. Raise InputError if the
-    journal cannot be read or the directory cannot be written."""
+    """Write a copy of the estimate of `run_id` beside the journal if that run is the last accepted night.
+
+    Raise InputError if the journal cannot be read or the copy cannot be written.
+    """
     decision, estimate = _accepted(directory, ANY_RUN)
     if decision is not None and decision.run_id == run_id and estimate is not None:
         write_atomically(directory / COPY_NAME, estimate)
 
 
 def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState | None:
-    """Return the last accepted night from the journal in the state directory, of runs numbered below `before_run`; None
-    if no night has been accepted yet. Raise InputError if the journal cannot be read."""
+    """Return the last accepted night among the runs numbered below `before_run`; None if there is none.
+
+    Raise InputError if the journal cannot be read.
+    """
     decision, estimate = _accepted(directory, before_run)
     if decision is None:
         return None
@@ -107,7 +119,7 @@ def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState
 
 
 def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCalibrationNeed | None:
-    """Return the last decision that a full calibration is needed, unless a later night was accepted."""
+    """Return the last decision that requires a full calibration; None if none or if a later night was accepted."""
     if not has_journal(directory):
         return None
     with open_journal(directory) as reader:
@@ -119,13 +131,17 @@ def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCal
 
 
 def reference_for(job: Job, before_run: int = ANY_RUN) -> ReferenceState | None:
-    """Return the last accepted night of the job's machine; None if there is none or it was of another machine."""
+    """Return the last accepted night; None if there is none or it does not belong to the job's machine, artefact and
+    tool."""
     reference = read_reference(job.settings.state_directory, before_run)
     return None if reference is None or mismatch(job, reference) else reference
 
 
 def require_reference(job: Job, before_run: int = ANY_RUN) -> ReferenceState:
-    """Return the same; raise ConfigurationError, with the reason, if there is none to compare with."""
+    """Return the last accepted night of the job's machine, artefact and tool.
+
+    Raise ConfigurationError, with the reason, if there is none.
+    """
     directory = job.settings.state_directory
     reference = read_reference(directory, before_run)
     if reference is None:
@@ -146,7 +162,7 @@ def require_reference(job: Job, before_run: int = ANY_RUN) -> ReferenceState:
 
 
 def mismatch(job: Job, reference: ReferenceState) -> str:
-    """Return why an accepted night does not belong to this machine, artefact and tool; empty if it does."""
+    """Return why an accepted night does not belong to the job's machine, artefact and tool; empty if it does."""
     settings, known, accepted = job.settings, reference.estimate, reference.table
     model, nominal = known.model, job.machine.model
     if accepted.machine != settings.machine.name:
@@ -166,7 +182,7 @@ def mismatch(job: Job, reference: ReferenceState) -> str:
 
 
 def _accepted(directory: Path, before_run: int) -> tuple[DecisionRow | None, str | None]:
-    """Return the last accepting decision and the text of its run's last estimate."""
+    """Return the last decision that accepts an estimate, and the JSON text of the last estimate of its run."""
     if not has_journal(directory):
         return None, None
     with open_journal(directory) as reader:

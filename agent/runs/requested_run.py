@@ -1,4 +1,4 @@
-"""Job and kind of a requested run."""
+"""Job and kind of run, made from a run request."""
 
 from __future__ import annotations
 
@@ -16,12 +16,10 @@ from agent.settings.schema import Settings
 
 
 def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
-    """Return the job of a request. UserError if the request does not fit the machine.
+    """Return the job of a request. Raise UserError if the request does not fit the machine.
 
-    `base`: directory at which relative paths start.
-
-    A calibration measures at the stations of the request. The station of a night is where the artefact stands, and the
-    full calibration that the night may become covers all stations.
+    `base`: directory to which relative paths refer. Stations in the request restrict a calibration only. In the request
+    for a night they name the station of the artefact, and a full calibration in that night uses all stations.
     """
     stations = request.stations if request.kind == "calibrate" else None
     overridden = with_overrides(settings, position_set=request.position_set, stations=stations)
@@ -29,8 +27,11 @@ def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
 
 
 def kind_of(request: RunRequest, *, slot_minutes: float | None = None, nights: float | None = None) -> Kind:
-    """Return the kind of run. `slot_minutes` of a night, None: as the settings say; `nights` since the last accepted
-    one, None: by the calendar. UserError if a kind that measures at one station is requested at several."""
+    """Return the kind of run of a request.
+
+    `slot_minutes`: length of the slot of a night, None: from the settings. `nights`: nights since the last accepted
+    one, None: from the date. Raise UserError if a kind that measures at one station is requested at several.
+    """
     match request.kind:
         case "calibrate":
             return FullCalibration(nights, Consent.ASK if request.consent else Consent.REFUSED)

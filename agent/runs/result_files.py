@@ -1,4 +1,4 @@
-"""Result files of a run: ball centres, estimate, table, report; each complete or absent."""
+"""Result files of a run (ball centres, estimate, table, report); each file is complete or absent."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ REPORT = "report.html"
 def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Mapping[str, str | bytes]) -> Outcome:
     """Write the available result files under ``STATE/RUN_ID``. Return the outcome with the report's path.
 
-    A run that did not reach an estimate leaves only its `report`; its measurements are in the journal.
+    For a run without an estimate only the report is written; its measurements are in the journal. `report`: files of
+    the report by name.
     """
     state = job.settings.state_directory
     texts = dict(report)

@@ -1,4 +1,4 @@
-"""Context of a run: the devices and records that it works with, and the hooks of the caller that started it."""
+"""Context of a run: the devices and records that it uses, and the hooks of the caller that started it."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class RunHooks:
     """Hooks of the caller into a run; the defaults serve a run without an observer.
 
     `announce` receives states, progress and notes. `attach` receives the supervisor, through which signals and
-    endpoints hold or abort the run. `observe` sees every step and its result. `preflight_passed` receives the job as it
-    will be measured and its preflight, and may still refuse the run by raising. `lock` keeps other processes off the
-    machine. `devices` makes clock and rig. `reports` makes the files of the report. `write_files`: results are written
-    as files too; the journal has them in any case.
+    endpoints hold or abort the run. `observe` receives every step and its result. `preflight_passed` receives the job
+    that will be measured and its preflight, and may still refuse the run by raising. `lock` prevents other processes
+    from using the machine. `devices` creates clock and rig. `reports` renders the report. `write_files`: results are
+    also written as files; they are in the journal in any case.
     """
 
     announce: Listener = _ignore_announcement
@@ -56,7 +56,7 @@ class RunHooks:
 
 @dataclass(frozen=True)
 class RunContext:
-    """Everything a run works with. `clock` gives machine seconds and is interrupted by the supervisor."""
+    """Objects that a run uses. `clock`: machine seconds; the supervisor can interrupt its waits."""
 
     rig: Rig
     engine: Engine

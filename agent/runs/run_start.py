@@ -1,4 +1,4 @@
-"""Start of a new run: its entry in the journal, and the conditions from which it starts."""
+"""Start of a new run: its entry in the journal, and its start conditions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ from drivers.clock import Clock, utc_timestamp
 def enter_in_journal(
     journal: Journal, run_id: str, job: Job, kind: Kind, clock: Clock, asked: Mapping[str, object]
 ) -> RunJournal:
-    """Enter a new run with its settings, its input files and who `asked` for it. Raises Busy if `run_id` is taken."""
+    """Create a run in the journal, with its settings, its input files and the source of the request, `asked`.
+
+    Raises Busy if there is already a run `run_id`.
+    """
     settings, inputs = job.settings.model_dump(mode="json"), inputs_of(job)
     run_journal = journal.start_run(run_id, kind.name, settings, version("volcal"), clock)
     run_journal.decision(INPUTS, inputs)
@@ -30,21 +33,26 @@ def enter_in_journal(
 
 
 def record_asked(journal: RunJournal, asked: Mapping[str, object]) -> None:
-    """Journal who asked for a run, and for what; nothing if that is not stated."""
+    """Journal the source and content of the request for a run; do nothing if `asked` is empty."""
     if asked:
         journal.event("asked", asked)
 
 
 def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) -> StartConditions:
-    """Return the conditions here and now; `rig` is open. PlanRefused if the compensation is unfinished."""
+    """Return the present position, time and run number as start conditions; `rig` must be open.
+
+    Raise PlanRefused if the compensation is unfinished.
+    """
     x, y, z = rig.machine.position().tolist()
     _require_finished_compensation(rig, state_directory)
     return StartConditions(journal.run, utc_timestamp(), (x, y, z))
 
 
 def _require_finished_compensation(rig: Rig, state_directory: Path) -> None:
-    """Raise PlanRefused if a former run left a table that must be proved or reverted first: another run would treat it
-    as the intended compensation of the machine."""
+    """Raise PlanRefused if an earlier run left a table that must first be proved or replaced by the former one.
+
+    A new run would take it for the intended compensation of the machine.
+    """
     if not has_compensation_record(state_directory):
         return
     left = reconcile(rig, state_directory, restore=False)

@@ -1,8 +1,7 @@
 """Session of a run, from a job and its kind to a closed journal: lock, devices, preflight, the run itself, results.
 
-`carry_out` begins a new run; `agent.runs.resume.resume` continues an interrupted one. Both are made of the same parts:
-`run_resources` (lock, journal, clock, supervisor), `open_rig`, and a `RunSession` that collects what the run reaches
-and turns it into a `RunResult`.
+`carry_out` begins a new run; `agent.runs.resume.resume` continues an interrupted one. Both use `run_resources` (lock,
+journal, clock, supervisor), `open_rig`, and a `RunSession`, which turns the progress of the run into a `RunResult`.
 """
 
 from __future__ import annotations
@@ -39,14 +38,14 @@ from twin.units import S_PER_MIN
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of a run. `error`: the first cause if the run did not complete."""
+    """Result of a run. `error`: first error if the run did not complete, otherwise None."""
 
     outcome: Outcome
     error: VolcalError | None
 
 
 def new_run_id() -> str:
-    """Return an identity such as ``20261121T012233Z-3f2a``: it sorts by time, and two runs in one second differ."""
+    """Return an identity such as ``20261121T012233Z-3f2a``, which sorts by time and differs within one second."""
     stamp = utc_timestamp().split(".", maxsplit=1)[0].replace("-", "").replace(":", "")
     return f"{stamp}Z-{secrets.token_hex(2)}"
 
@@ -62,11 +61,11 @@ def carry_out(
 ) -> RunResult:
     """Carry out a new run.
 
-    `base`: directory at which relative paths of the settings start. `run_id`: by default a new one. `asked`: who asked
-    for the run, and for what; journaled with it.
+    `base`: directory to which relative paths in the settings refer. `run_id`: None for a new one. `asked`: source and
+    content of the request; journaled with the run.
 
-    Raises while no run exists yet (lock, link, configuration); afterwards every end, good or bad, is a `RunResult`, and
-    the journal is closed.
+    Raises an error only if the run cannot be created (lock, configuration, journal). Once it exists, every end, good or
+    bad, is a `RunResult`.
     """
     hooks, run_id, settings = hooks or RunHooks(), run_id or new_run_id(), job.settings
     with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
@@ -92,7 +91,7 @@ def carry_out(
 
 @dataclass(frozen=True)
 class RunResources:
-    """Resources of one run, held until it has ended. `began_s`: wall-clock seconds at its begin."""
+    """Resources of one run, kept until its end. `began_s`: wall-clock seconds at its beginning."""
 
     journal: Journal
     clock: Clock
@@ -100,7 +99,10 @@ class RunResources:
     began_s: float
 
     def interruptible(self, clock: Clock) -> Clock:
-        """Return `clock`, based on the run's, with waits that the supervisor can interrupt."""
+        """Return a clock with the time of `clock` and with waits that the supervisor can interrupt.
+
+        `clock`: the clock of these resources, or one based on it.
+        """
         return InterruptibleClock(clock, self.supervisor.check, longest_wait_s(self.clock))
 
 
@@ -108,7 +110,7 @@ class RunResources:
 def run_resources(
     state_directory: Path, clock_settings: ClockSettings, run_id: str, hooks: RunHooks
 ) -> Iterator[RunResources]:
-    """Lock the machine, open the journal, make the clock, and attach the supervisor; closed in the reverse order."""
+    """Lock the machine, open the journal and create clock and supervisor for the block, then release them."""
     began_s = wall_seconds()
     with (
         hooks.lock(state_directory, run_id),
@@ -122,7 +124,7 @@ def run_resources(
 
 @contextmanager
 def open_rig(context: RunContext) -> Iterator[None]:
-    """Open the rig for the block and let the supervisor hold it; complaints on closing become notes."""
+    """Open the rig for the block and let the supervisor hold and resume it. Errors on closing are recorded as notes."""
     rig, tracker = context.rig, context.tracker
 
     def hold() -> None:
@@ -146,7 +148,7 @@ class RunSession:
     """Plan, progress and result of one run, new or resumed."""
 
     def __init__(self, context: RunContext, steps: StepProgress, job: Job, kind: Kind, began_s: float) -> None:
-        """`began_s`: wall-clock seconds at the begin of the run."""
+        """`began_s`: wall-clock seconds at the beginning of the run."""
         self._context = context
         self._steps = steps
         self._job = job
@@ -157,7 +159,7 @@ class RunSession:
         self.progress = RunProgress()
 
     def plan(self, start: StartConditions) -> PlannedRun:
-        """Run the preflight from `start`, and have it permitted. Raises PlanRefused or UserError."""
+        """Plan the run from `start` and call the hook `preflight_passed`. Raises PlanRefused or UserError."""
         context = self._context
         planned = self._kind.plan(self._job, start, context.supervisor.check_stop_request)
         context.hooks.preflight_passed(planned.job, planned.preflight)
@@ -172,7 +174,10 @@ class RunSession:
 
     @contextmanager
     def ended_by_errors(self) -> Iterator[None]:
-        """End the run if an error leaves the block: nothing has moved, since a run under way ends its errors itself."""
+        """End the run if the block raises a `VolcalError`.
+
+        Nothing has moved then, because a run that has begun handles its errors itself.
+        """
         try:
             yield
         except VolcalError as error:
@@ -189,7 +194,7 @@ class RunSession:
         enter(RunState.REFUSED if refused else RunState.FAULTED, reason)
 
     def result(self) -> RunResult:
-        """Journal the outcome and write the result files, if wanted."""
+        """Journal the outcome, write the result files if the hooks require it, and return the result."""
         context, progress = self._context, self.progress
         outcome = self._outcome()
         attempt("record the outcome", lambda: record_outcome(context.journal, outcome))
@@ -205,8 +210,8 @@ class RunSession:
         return self.progress.job or planned
 
     def _feed_history(self) -> None:
-        """Feed the history. The machine is as it should be and the journal complete, so a database that cannot be
-        reached is worth only a note."""
+        """Update the history of runs. If its database cannot be reached, journal only a note, because the machine and
+        the journal are complete without it."""
         from agent.history.feed import update_history  # noqa: PLC0415  a database's client, needed once a run
 
         complaint = update_history(self._measured_job.settings, self._context.journal.run_id)
@@ -214,8 +219,10 @@ class RunSession:
             self._note(complaint)
 
     def _report(self) -> Mapping[str, str | bytes]:
-        """Return the files of the report. Empty if the run was not planned, or if the report failed; `volcal report`
-        makes it at any time."""
+        """Return the files of the report; empty if the run was not planned or the report could not be rendered.
+
+        `volcal report` can render it later.
+        """
         if self._planned is None:
             return {}
         try:

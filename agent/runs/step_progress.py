@@ -1,4 +1,4 @@
-"""Progress of a run, seen from its steps."""
+"""Progress of a run, determined from its steps."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from twin.units import S_PER_MIN
 
 
 class StepProgress:
-    """Observer that counts touches and balls and announces progress on the time scale of the preflight."""
+    """Observer that counts touches and balls, and announces progress by the times predicted in the preflight."""
 
     def __init__(self, tracker: RunStateTracker, further: Observer) -> None:
-        """`further`: another observer, called first with every step."""
+        """`further`: another observer, which receives every step first."""
         self._tracker = tracker
         self._further = further
         self.preflight: PreflightResult | None = None
@@ -35,7 +35,7 @@ class StepProgress:
             self._announce_progress(step.key, self.preflight)
 
     def _announce_progress(self, key: str, preflight: PreflightResult) -> None:
-        """Announce the share of machine time spent and the minutes left, both according to the preflight."""
+        """Announce the fraction of machine time used and the minutes left, both according to the preflight."""
         done_s = preflight.timeline.get(key)
         if done_s is not None:
             left_s = preflight.machine_seconds - done_s

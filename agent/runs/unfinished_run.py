@@ -1,4 +1,4 @@
-"""Interrupted last run of the journal, and the reason if it cannot be resumed; nothing is changed."""
+"""Search for an interrupted run at the end of the journal, and for the reason if it cannot be resumed."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from agent.execution.states import FINAL, RunState
 RESUMABLE_FAULTS = frozenset(
     {"LinkError", "LinkLost", "LinkTimeout", "ProtocolError", "PermissionMissing", "JournalFailed", "Interrupted"}
 )
-"""Errors from outside the measurement: results measured before them stay valid. After any other fault an assumption
-about machine, artefact or procedure does not hold."""
+"""Errors that do not come from the measurement, so that results measured before them remain valid. Any other fault
+means that an assumption about machine, artefact or procedure is wrong."""
 
 
 @dataclass(frozen=True)
 class UnfinishedRun:
-    """The last run of the journal that did anything, if it was interrupted.
+    """Interrupted run after which no other run has done anything.
 
-    `refusal`: why it cannot be resumed, empty if it can; `state`: the last one it entered; `started`: UTC;
-    `balls`: number of stored centres; `last_step`: key of the last step that began.
+    `started`: UTC; `state`: last state entered; `balls`: number of stored ball centres; `last_step`: key of the last
+    step that began; `refusal`: reason why the run cannot be resumed, empty if it can.
     """
 
     run: int
@@ -39,9 +39,10 @@ class UnfinishedRun:
 
 
 def unfinished_run(state_directory: Path) -> UnfinishedRun | None:
-    """Return the interrupted run that has not been followed by another; None if the last one ended regularly.
+    """Return the last run if it was interrupted; None if it ended regularly or there is none.
 
-    For the owner of the machine only: a run in progress looks the same. Raise InputError if the journal cannot be read.
+    Only the owner of the machine may call this, because a run in progress looks like an interrupted one. Raise
+    InputError if the journal cannot be read.
     """
     if not has_journal(state_directory):
         return None
@@ -82,7 +83,7 @@ def _refusal(reader: JournalReader, run: int, state: RunState) -> str:
 
 
 def _fault(reader: JournalReader, run: int) -> str:
-    """Return the class of the error that ended the run: the first fault since it began or was last resumed."""
+    """Return the class name of the first fault since the run began or was last resumed; empty if there is none."""
     first = ""
     for event in reader.events(run, ("fault", "state")):
         if event.kind == "state" and event.record["state"] == RunState.RESUMING.value:

@@ -1,1 +1,1 @@
-"""Resume or abandon an interrupted run."""
+"""Resumption and abandonment of an interrupted run."""

@@ -1,4 +1,4 @@
-"""Abandonment of an unfinished run: the former table is reactivated, and the journal records it."""
+"""Abandonment of an unfinished run: the former table is reactivated if necessary, and the run ends as aborted."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from agent.runs.reconcile_result import ReconcileAction, Reconciliation
 
 
 def abandon(rig: Rig, state_directory: Path, reason: str) -> Reconciliation:
-    """Restore the former table if necessary, then end the run as aborted. If the former table cannot be reactivated,
-    the run stays unfinished. `rig` is open; nothing moves. Raises as `reconcile`."""
+    """Reactivate the former table if necessary, then set the unfinished run to ABORTED in the journal.
+
+    If the compensation is left unrepaired, the run remains unfinished. `rig` must be open; nothing moves. Raises the
+    errors of `reconcile`.
+    """
     result = reconcile(rig, state_directory)
     run = result.unfinished
     if run is not None and result.action is not ReconcileAction.LEFT:

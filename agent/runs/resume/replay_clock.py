@@ -1,4 +1,4 @@
-"""Clock of a resumed run: recorded instants during the replay, then running time."""
+"""Clock of a resumed run. It returns recorded instants during the replay and running time after it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from drivers.clock import Clock
 
 
 class ResumedClock:
-    """Machine seconds of the run as if it had never been interrupted: decisions made by the clock are repeated by the
-    recorded one, and the time lost in between counts."""
+    """Clock that gives the machine seconds of a run as if it had not been interrupted.
+
+    During the replay it returns recorded times, so that decisions that depend on time are repeated. After the replay it
+    continues from the time passed to `start_running`.
+    """
 
     def __init__(self, inner: Clock, begun_s: float) -> None:
         self._inner = inner
@@ -21,12 +24,12 @@ class ResumedClock:
         self._inner.sleep(duration_s)
 
     def advance_to(self, instant_s: float) -> None:
-        """Advance to the instant at which a recorded step finished."""
+        """Advance to `instant_s`, at which a recorded step finished; no effect after `start_running`."""
         if self._recorded_s is not None:
             self._recorded_s = max(self._recorded_s, instant_s)
 
     def start_running(self, at_least_s: float) -> None:
-        """Let time pass from now on, from no earlier than `at_least_s`. Only the first call has an effect."""
+        """Start running time at the later of the recorded time and `at_least_s`. Only the first call has an effect."""
         if self._recorded_s is not None:
             self._ahead_s = max(self._recorded_s, at_least_s) - self._inner.now()
             self._recorded_s = None

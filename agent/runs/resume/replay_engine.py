@@ -17,22 +17,27 @@ from drivers.roles import TableImage
 
 
 class Return(Protocol):
-    """Return of the machine to the state in which the first step without a record can be carried out."""
+    """Return of compensation and machine to the state in which the first step without a record can be carried out."""
 
     @property
     def complete(self) -> bool:
-        """Compensation and machine are as they were."""
+        """True if compensation and machine are as they were before the interruption."""
         ...
 
     def before(self, following: Step) -> bool:
-        """Return as far as `following`, a step without a record, needs it. True if `following` has taken effect
-        already."""
+        """Restore compensation and machine as far as the next step, `following`, needs them.
+
+        Return True if `following`, which has no recorded result, took effect before the interruption.
+        """
         ...
 
 
 class Replay:
-    """Records of an interrupted run, compared with the steps of the rebuilt plan. `interrupted_step`: the step that
-    began and did not end; it follows the last one replayed."""
+    """Comparison of the records of an interrupted run with the steps of the rebuilt plan.
+
+    `interrupted_step`: the step that began and did not end, after the last step with a recorded result; None if there
+    is none.
+    """
 
     def __init__(self, recorded: ReplayLog, clock: ResumedClock, trace: StepTrace) -> None:
         self._recorded = recorded
@@ -45,7 +50,7 @@ class Replay:
         return not self._recorded.steps
 
     def next(self, step: Step) -> RecordedStep:
-        """Return the record of `step`. PlanDiverged if the next record is of another step."""
+        """Return the record of `step`. Raise PlanDiverged if the next record belongs to another step."""
         recorded = self._recorded.steps.popleft()
         _require_same(recorded, step)
         if recorded.finished_s is not None:
@@ -53,14 +58,17 @@ class Replay:
         return recorded
 
     def end(self, step: Step) -> None:
-        """End the replay before `step`. PlanDiverged if another step was interrupted."""
+        """End the replay before `step`. Raise PlanDiverged if another step was interrupted."""
         interrupted, self.interrupted_step = self.interrupted_step, None
         if interrupted is not None:
             _require_same(interrupted, step)
 
 
 class ReplayingEngine(Engine):
-    """Engine that replays. `stored` looks up a table that journal or controller still have, by bank and CRC-32."""
+    """Engine that answers steps from the records, then carries out the remaining ones.
+
+    `stored` returns a table from the journal or the controller by bank and CRC-32.
+    """
 
     def __init__(
         self,
@@ -77,7 +85,7 @@ class ReplayingEngine(Engine):
         self._return: Return | None = None
 
     def set_return(self, return_: Return) -> None:
-        """Set how the machine returns once the replay is over; without a return it is assumed to be where it was."""
+        """Set the return to be carried out after the replay. Without one, the machine is assumed to be where it was."""
         self._return = return_
 
     def _do_durably(self, step: Step) -> Any:
@@ -106,7 +114,7 @@ class ReplayingEngine(Engine):
         return result
 
     def _has_taken_effect(self, step: Step) -> bool:
-        """Return the machine as far as `step` needs it. True if `step` took effect before the interruption."""
+        """Carry out the return as far as `step` needs it. Return True if `step` took effect before the interruption."""
         if self._return is None or self._return.complete:
             return False
         self._replay.end(step)
@@ -127,7 +135,7 @@ def _require_same(recorded: RecordedStep, step: Step) -> None:
 
 
 def require_crc(image: TableImage | None, bank: int, crc32: int) -> TableImage:
-    """Return `image`. PlanDiverged if a bank does not hold the table that it held."""
+    """Return `image`, the table in `bank`. Raise PlanDiverged if its CRC-32 is not `crc32`."""
     if image is None or table_digest(image) != crc32:
         raise PlanDiverged(
             f"bank {bank} does not hold the table any more that it held when the run read it",

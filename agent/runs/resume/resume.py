@@ -1,4 +1,4 @@
-"""Resume of the interrupted run: counterpart of `agent.runs.session.carry_out`, with the same results."""
+"""Resumption of an interrupted run; counterpart of `agent.runs.session.carry_out` with the same result type."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from drivers.roles import TableImage
 def resume(
     state_directory: Path, hooks: RunHooks | None = None, *, asked: Mapping[str, object] | None = None
 ) -> RunResult:
-    """Resume the unfinished run of `state_directory`, with the settings, kind and files it began with.
+    """Resume the unfinished run of `state_directory` with the settings, kind and files of its start.
 
-    The run is planned again from the conditions it began with; its recorded steps are answered from the journal, the
-    machine is brought back to where it was, and the remaining steps are done. `asked`: who asked for it; journaled.
+    The run is planned again from its start conditions. Its recorded steps are answered from the journal, the machine
+    returns to where it was, and the remaining steps are carried out. `asked`: source of the request; journaled.
 
-    Raises InputError if there is nothing to resume, PlanDiverged if a file has changed, and as `carry_out` until the
-    run is active again; afterwards every end is a `RunResult`.
+    Raises InputError if there is nothing to resume, PlanDiverged if a file has changed, and, before the run is
+    continued, the errors of `carry_out`. After that every end is a `RunResult`.
     """
     hooks = hooks or RunHooks()
     origin = resumable_origin(state_directory)
@@ -72,8 +72,8 @@ def resume(
 def resumable_origin(state_directory: Path) -> Origin:
     """Return the origin of the unfinished run.
 
-    Raises InputError, with the reason, if there is none, it cannot be resumed, or the journal cannot be read;
-    PlanDiverged if a file has changed since the run began.
+    Raises InputError, with the reason, if there is no such run, if it cannot be resumed, or if the journal cannot be
+    read; PlanDiverged if a file has changed since the run began.
     """
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)
@@ -88,9 +88,9 @@ def resumable_origin(state_directory: Path) -> Origin:
 
 
 def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableImage]:
-    """Return a lookup of tables by bank and CRC-32: in the journal, otherwise in the controller.
+    """Return a function that returns a table by bank and CRC-32, from the journal or else from the controller.
 
-    The lookup raises PlanDiverged if the bank does not hold that table any more.
+    The function raises PlanDiverged if the bank no longer contains that table.
     """
 
     def stored(bank: int, crc32: int) -> TableImage:
@@ -100,9 +100,9 @@ def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableIm
 
 
 def continuation_time_s(origin: Origin) -> float:
-    """Return the machine seconds at which the run continues.
+    """Return the time, in machine seconds, at which the run continues.
 
-    If machine time is wall time, the interruption has passed for the run as well: the time counts for its slot.
+    If machine time is wall time, the duration of the interruption is included, so that it counts for the run's slot.
     """
     if origin.settings.clock.kind != "real":
         return origin.begun_s
@@ -111,9 +111,10 @@ def continuation_time_s(origin: Origin) -> float:
 
 
 def _note_compensation(rig: Rig, origin: Origin, note: Callable[[str], None]) -> None:
-    """Compare the compensation with the journal after an error, and restore it if necessary.
+    """Compare the compensation with the journal after an error, restore it if necessary, and note the result.
 
-    The run's own exit path knows only what the replay has reached; a new table may be active that it never reached.
+    The run's own exit path does not suffice: if the replay stopped early, a new table may be active that it had not yet
+    reached in the records.
     """
     try:
         found = reconcile(rig, origin.settings.state_directory, of_run=origin.start.run)

@@ -1,7 +1,8 @@
 """Return path of an interrupted run, from any position to the one at which its next step can be carried out.
 
-The probe is first withdrawn along the stylus; then the mount is turned back, the last ball is measured again, and every
-axis approaches its position from the side from which it had come, so that the play of the axes is the same as before.
+The probe is first withdrawn along the stylus. Then the mount is turned back and the last ball is measured again.
+Finally every axis approaches its position from the same side as before, so that its play is taken up in the same
+direction.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class ReturnPath:
-    """Return path of the machine. `prefix` begins every key; `tolerance_mm` of the datum ball."""
+    """Return path of the machine.
+
+    `prefix`: beginning of every step key; `tolerance_mm`: largest displacement permitted for the datum ball.
+    """
 
     prefix: str
     trace: StepTrace
@@ -40,7 +44,7 @@ class ReturnPath:
     tolerance_mm: float
 
     def plan(self, following: Step) -> Plan[None]:
-        """Move to where `following` began. Raises MeasurementFault if the artefact is not where it was."""
+        """Move to the position at which `following` begins. Raises MeasurementFault if the artefact has moved."""
         trace, rules = self.trace, self.rules
         if not trace.moved:
             return
@@ -55,13 +59,13 @@ class ReturnPath:
             yield from self._approach(np.array(trace.at_mm))
 
     def _turn_mount_back(self, pose: OrientTo) -> Plan[None]:
-        """Turn the mount back: without power it may have sunk, and it may have been in the middle of a turn."""
+        """Turn the mount back to `pose`: it may have sunk without power, or its turn may have been interrupted."""
         here = np.array((yield ReadPosition(f"{self.prefix}/here")))
         yield MoveTo(f"{self.prefix}/park", point(self.rules.retreat.park_location(here, pose.station)))
         yield OrientTo(f"{self.prefix}/orient", pose.station, pose.azimuth_deg, pose.elevation_deg)
 
     def _datum(self, expected: Array) -> Plan[None]:
-        """Measure the last ball centre found in this pose again."""
+        """Measure again, as the datum, the last ball whose centre was found in this pose."""
         probing, retreat = self.rules.probing, self.rules.retreat
         key = f"{self.prefix}/datum"
         above = retreat.withdrawn_from(expected, probing)
@@ -84,7 +88,7 @@ class ReturnPath:
         )
 
     def _approach(self, goal: Array) -> Plan[None]:
-        """Move across at the retreat plane, then along the stylus; each axis approaches from its former side."""
+        """Move across at the retreat plane, then along the stylus. Each axis approaches from its former side."""
         retreat, axes = self.rules.retreat, self.trace.axes
         along = retreat.retreat_axis
         across = [axis for axis in range(3) if axis != along]
@@ -98,9 +102,9 @@ class ReturnPath:
             yield from self._move_in(along, side, goal)
 
     def _move_in(self, along: int, here: Array, goal: Array) -> Plan[None]:
-        """Move in along the run's own exit path.
+        """Move along the retreat axis from the retreat plane to `goal`, approaching from the same side as before.
 
-        On the retreat plane itself no approach direction matters: moving in from there takes up the play.
+        If `goal` is on the retreat plane, nothing moves: the next move in from there takes up the play anyway.
         """
         moves = self.trace.axes[along]
         inwards = np.sign(goal[along] - here[along])
@@ -112,7 +116,7 @@ class ReturnPath:
         yield from self._axis(along, here, moves, goal[along])
 
     def _axis(self, axis: int, here: Array, moves: list[AxisMove], goal: float) -> Plan[None]:
-        """Repeat the last moves of one axis; `here` is updated."""
+        """Repeat the last moves of one axis up to `goal`; `here` is updated."""
         for number, move in enumerate(moves):
             here[axis] = goal if move is moves[-1] else move.end_mm
             yield Retrace(f"{self.prefix}/{'xyz'[axis]}-{number}", point(here), move.key, WITHDRAW_FEED_MM_PER_S)

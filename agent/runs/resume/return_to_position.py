@@ -1,4 +1,4 @@
-"""Return of a resumed run between its last recorded step and its first new one."""
+"""Return of compensation and machine, between the last recorded step of a resumed run and its first new one."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from agent.runs.run_context import RunContext
 from drivers.roles import Activation
 
 WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
-"""Steps of the compensation store: the machine need not be where it was for them."""
+"""Types of steps that use only the compensation store, so that the machine need not return for them."""
 
 
 class ReturnToPosition:
-    """Return of a resumed run: the compensation before the first new step, the machine before the first that needs
-    it."""
+    """Return of a resumed run. The compensation returns before the first new step, and the machine before the first
+    new step that is not one of `WRITING`."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class ReturnToPosition:
         clock: ResumedClock,
         time_s: float,
     ) -> None:
-        """`prefix` begins the keys of all steps; `time_s`: machine seconds at which the run continues."""
+        """`prefix`: beginning of the keys of all steps; `time_s`: machine seconds at which the run continues."""
         self._prefix = prefix
         self._run = run
         self._rig = context.rig
@@ -64,13 +64,13 @@ class ReturnToPosition:
         return taken_effect
 
     def _return_compensation(self, following: Step) -> bool:
-        """Activate the bank that was active; nothing moves. True if `following` has taken effect already."""
+        """Carry out `reactivation`; nothing moves. Return True if `following` has already taken effect."""
         self._clock.start_running(self._time_s)
         prefix = f"{self._prefix}/compensation"
         return self._aside.run(reactivation(prefix, self._trace, following, self._activation))
 
     def _return_machine(self, following: Step) -> None:
-        """Withdraw, and return to where `following` began."""
+        """Withdraw the probe, and return to the position at which `following` begins."""
         self._await_rest()
         refusal = self._run.too_late(following)
         if refusal is not None:
@@ -84,8 +84,11 @@ class ReturnToPosition:
         self._tracker.announce_again()
 
     def _await_rest(self) -> None:
-        """Stop and wait until nothing moves. A motion of the process that died may still go on: a controller takes a
-        second to notice that its client is gone, and turning drives do not notice at all."""
+        """Stop all devices and wait until the axes stand still.
+
+        A motion of the interrupted process may still continue: a controller needs a second to notice that its client is
+        gone, and the rotary drives do not notice it at all.
+        """
         complaints = self._rig.stop()
         if complaints:
             self._tracker.note(f"stopping what may still move: {'; '.join(complaints)}")
@@ -93,9 +96,10 @@ class ReturnToPosition:
 
 
 def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Activation) -> Plan[bool]:
-    """Make the bank active again that was, and restore the contents of the bank that was written, as far as needed.
+    """Reactivate the formerly active bank, and restore the contents of the bank that was written, as far as needed.
 
-    True if `following` is an interrupted activation that has taken effect nevertheless.
+    Return True if `following` is an interrupted activation that took effect nevertheless. Raises PlanDiverged if a bank
+    no longer contains the table of the run.
     """
     expected = trace.active_bank
     if expected is None or isinstance(following, AwaitActive):
@@ -120,7 +124,10 @@ def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Act
 
 
 def _restage(prefix: str, staged: StageTable) -> Plan[None]:
-    """Write the bank again if it has lost its contents. PlanDiverged if it is active, since then it is not written."""
+    """Write the staged table again if its bank has lost it.
+
+    Raises PlanDiverged if that bank is active, because an active bank is never written.
+    """
     held = yield ReadTable(f"{prefix}/staged", staged.bank)
     if held is not None and held.same_as(staged.table):
         return

@@ -1,4 +1,4 @@
-"""Trace of the recorded steps of a run: position of the machine, its approach, and the active compensation."""
+"""Trace of the steps of a run: position of the machine, directions of approach, and active compensation."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from agent.execution.tip_trace import LastMotion
 from drivers.roles import Miss, TableImage, Touch
 
 LONG_MM = 1.0
-"""Travel of one axis that certainly takes up its play: earlier motion has no effect after it."""
+"""Travel of one axis that certainly takes up its play, so that earlier motion no longer has an effect."""
 CLEAR_MM = 1.0
-"""Largest distance from its start to which a touch is repeated on the return: short of the surface."""
+"""Largest part of a touch that the return repeats, measured from its start; it ends short of the surface."""
 
 
 @dataclass(frozen=True)
 class AxisMove:
-    """Motion of one axis to `end_mm` in step `key`."""
+    """Motion of one axis from `start_mm` to `end_mm` in step `key`."""
 
     key: str
     start_mm: float
@@ -44,15 +44,19 @@ class AxisMove:
 
     @property
     def beside_mm(self) -> float:
-        """Coordinate from which the end is approached as this move did; the move has passed it."""
+        """Coordinate in mm, on the path of this move, from which its end can be approached in the same direction."""
         return self.end_mm - self.sign * min(2.0 * LONG_MM, abs(self.end_mm - self.start_mm))
 
 
 @dataclass
 class StepTrace:
-    """State of a run after its steps so far. `at_mm`: axis positions, None until read; `pose`: the last finished turn
-    of the mount; `datum_mm`: the last ball centre found in this pose with the active table; `contents`: bank →
-    CRC-32."""
+    """State of a run after its steps so far.
+
+    `at_mm`: axis positions, None until read. `axes`: last moves of each axis, which determine its play. `moved`: True
+    after the first motion. `pose`: last finished turn of the mount. `datum_mm`, `datum_key`: last ball centre found in
+    this pose with the active table, and its key. `contents`: bank → CRC-32 of its table. `staged`: last step that wrote
+    a bank.
+    """
 
     at_mm: Point | None = None
     axes: tuple[list[AxisMove], list[AxisMove], list[AxisMove]] = field(default_factory=lambda: ([], [], []))
@@ -66,7 +70,7 @@ class StepTrace:
     staged: StageTable | None = None
 
     def add(self, step: Step, result: object) -> None:
-        """Add a finished step."""
+        """Update the state by a finished step and its result."""
         match step:
             case MoveTo():
                 self.last_motion.begin(step.target_mm, touch=False)
@@ -105,7 +109,7 @@ class StepTrace:
             moves.append(AxisMove(key, before, after))
 
     def _add_touch(self, step: TouchTowards, result: object) -> None:
-        """Add a touch as a motion that ends short of the surface: that position is as good as the end of the touch."""
+        """Add a touch as a motion that ends short of the surface, where the next step can begin just as well."""
         if self.at_mm is None or not isinstance(result, (Touch, Miss)):
             return
         self.last_motion.begin(step.target_mm, touch=True)
