@@ -108,10 +108,10 @@ def ball_bar(
 
 
 def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: float) -> Array:
-    """Return ball centres (balls, 3) mm; each ball is one holder length off the bar axis.
+    """Return ball centres (balls, 3) mm, equally spaced along X.
 
-    Holders tilted by θ displace successive balls by the holder length times sin θ, in turn up (+Z), out (-Y), down (-Z)
-    and in (+Y).
+    A holder without tilt places its ball one holder length from the bar axis, along -Y. Holders tilted by θ displace
+    successive balls from there by the holder length times sin θ, in turn up (+Z), out (-Y), down (-Z) and in (+Y).
     """
     if balls < 2:
         raise DataError(f"a ball bar needs at least two balls, got {balls}")

@@ -27,7 +27,7 @@ RINGS: dict[int, tuple[Ring, ...]] = {
 }
 
 QUALIFYING_RINGS: tuple[Ring, ...] = ((60.0, 8, 0.0), (30.0, 8, 22.5), (0.0, 8, 0.0))
-"""Rings for stylus qualification on one free-standing ball.
+"""Rings of touches for the qualification of a stylus on a free-standing ball.
 
 Rings of eight touches distinguish lobed pretravel from a shift of the centre. Rings of four do not, because on four
 points the third harmonic looks like the first.

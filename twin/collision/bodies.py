@@ -1,7 +1,7 @@
 """Collision bodies: probe and ram on one side, artefact, mount and table on the other.
 
-Moving bodies are given relative to the stylus tip centre, with the probe along +Y like the ram; machine axes only
-translate, so the bodies never rotate. Stationary bodies are given in the workpiece frame.
+Moving bodies are given relative to the stylus tip centre; probe and ram point along +Y. The machine axes only
+translate, so these bodies never rotate. Stationary bodies are given in the workpiece frame.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def post_name(index: int) -> str:
 
 
 def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> tuple[Body, ...]:
-    """Return balls, posts and bar at `pose`.
+    """Return balls, posts and bar of the artefact at `pose`, in the workpiece frame.
 
     The bar is divided into pieces from post to post. Boxes around short pieces of an oblique bar are tighter, which
     makes the box test more selective.

@@ -23,7 +23,7 @@ from twin.collision.motion_law import travel_times
 from twin.collision.sphere_prefilter import SceneSpheres, SpherePrefilter
 
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
-"""Retract distances of the candidates in mm, measured from the end that is nearer to the ram."""
+"""Retract distances of the candidates in mm, measured from whichever of start and end is nearer to the ram."""
 CORNER_FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
 """Positions of the corner of one-corner candidates, as fractions of the distance from start to end."""
 _SHARES = np.array(CORNER_FRACTIONS)[:, None, None]

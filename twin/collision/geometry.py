@@ -90,7 +90,9 @@ def translate_point(p: Point, q: Point) -> Point:
 
 
 def separation(first: Shape, second: Shape) -> Separation:
-    """Return the distance of the surfaces in mm and the unit vector from the second body to the first."""
+    """Return the distance of the surfaces in mm (negative inside) and the unit vector from the second body to the
+    first.
+    """
     return _separation_at(first, _ORIGIN, second)
 
 

@@ -85,12 +85,12 @@ class MotionLaw:
         return self.end_s
 
     def truncated_at(self, instant_s: float) -> MotionLaw:
-        """Return the law stopped instantly at `instant_s`, as in a collision."""
+        """Return the law in which the motion stops instantly at `instant_s`, as in a collision."""
         kept = self._until(instant_s)
         return MotionLaw(kept or (Phase(instant_s, 0.0, self.distance_at(instant_s), 0.0, 0.0),))
 
     def braked_from(self, instant_s: float, deceleration: float) -> MotionLaw:
-        """Return the law unchanged until `instant_s` and then decelerated to rest."""
+        """Return the law that is unchanged until `instant_s` and then decelerates to rest."""
         speed = self.speed_at(instant_s)
         brake = Phase(instant_s, speed / deceleration, self.distance_at(instant_s), speed, -deceleration)
         return MotionLaw((*self._until(instant_s), brake))

@@ -1,11 +1,13 @@
 """Parameters of a machine model and their relation to the 18 error motions at an axis position.
 
-Names are those of ISO 230-1: E, direction of the error (X, Y, Z displacement, A, B, C rotation), axis in motion. Each
-of the 18 error motions is a Legendre series on the axis range normalised to [-1, 1]. Terms that are only a rigid motion
-or only a squareness are left out by construction: all constants (order 0) and the slope of a straightness (order 1).
+The names are those of ISO 230-1: the letter E, the direction of the error (X, Y, Z for a displacement, A, B, C for a
+rotation) and the moving axis. Each of the 18 error motions is a Legendre series in the axis position normalised to [-1,
+1]. Terms that are only a rigid motion or only a squareness are left out by construction: all constants (order 0) and
+the slope of a straightness (order 1).
 
-The sign of squareness is defined here and nowhere else: rotation of the direction of travel of the second-named axis
-about the lettered axis, right-handed, from the nominal direction. To first order
+The sign of squareness is defined here and nowhere else. In A0Z, for example, Z is the axis whose direction of travel is
+rotated from its nominal direction, and A means that the rotation is about X (B about Y, C about Z). The rotation is
+right-handed, so the deviation d at the axis position y or z is, to first order,
 
     A0Z  z-travel, about X:  d = (0, -A0Z z, 0)
     B0Z  z-travel, about Y:  d = (B0Z z, 0, 0)
@@ -13,14 +15,15 @@ about the lettered axis, right-handed, from the nominal direction. To first orde
 
 A squareness rotates only the direction of travel, not the parts that the carriage carries.
 
-Cross-effect of column and ram (the ram's weight bends the column), with v = (y - y0)/Ly and w = (z - z0)/Lz from the
-lower end and length of the ranges of Y and Z, added to EYZ and EAZ:
+The cross-effect of column and ram (the ram's weight bends the column) is added to EYZ and EAZ. With v = (y - y0)/Ly and
+w = (z - z0)/Lz, where y0, z0 are the lower ends and Ly, Lz the lengths of the ranges of Y and Z, it is
 
     E_YZ(y, z) = (b0 + b1 w + b2 w²) v     b in mm
     E_AZ(y, z) = (c0 + c1 w) v             c in rad
 
 b0 is off by default because b0 v is a scale error of Y (EYY[1]); c0 is off because c0 v gives a vertical displacement
-that EZY[2] and A0Z already describe. Both statements hold up to a rigid motion, for a ram that carries the tool.
+that EZY[2] and A0Z already describe. Both statements hold apart from a rigid motion, and for a machine whose ram
+carries the tool.
 """
 
 from __future__ import annotations
@@ -143,12 +146,12 @@ class ErrorModel:
         return table
 
     def squareness(self, values: Array) -> tuple[float, float, float]:
-        """Return A0Z, B0Z, C0Y in rad."""
+        """Return the squareness parameters A0Z, B0Z, C0Y in rad from a parameter vector (p,)."""
         start = self.block[ERROR_MOTIONS[-1]].stop
         return float(values[start]), float(values[start + 1]), float(values[start + 2])
 
     def cross_terms(self, values: Array) -> Mapping[str, float]:
-        """Return b0, b1, b2 (mm) and c0, c1 (rad); terms not in use are zero."""
+        """Return b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect; terms that are not active are zero."""
         terms = dict.fromkeys(CROSS_TERMS, 0.0)
         terms.update(zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True))
         return terms

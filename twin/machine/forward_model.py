@@ -5,9 +5,9 @@ plus tool offset), in mm along the machine axes.
 
 From the workpiece to the tool the exact model is a product of homogeneous transforms. An axis q on the tool side
 contributes `Trans(q u) Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA)`, where u is its direction of travel rotated by the
-squareness. An axis on the workpiece side carries the workpiece. Its errors, too, are those of the tool relative to the
-workpiece, but they act in a frame that travels with the carriage, hence `Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA) Trans(q
-u)`: the lever arm of its rotations contains its own travel.
+squareness. An axis on the workpiece side carries the workpiece. Its errors are also those of the tool relative to the
+workpiece, but they apply in a frame that travels with the carriage. It therefore contributes `Trans(EX, EY, EZ) Rz(EC)
+Ry(EB) Rx(EA) Trans(q u)`: the lever arm of its rotations contains its own travel.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ LOSSES = ("curvature between points that are farther apart than those of the tab
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write `points.csv` (number, position, counts) and `parameters.txt`."""
+    """Write `points.csv` (number, position and counts of each point) and `parameters.txt`."""
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")
     steps = even_steps(table)
@@ -52,7 +52,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
 
 
 def _points(table: CompensationTable, counts: CountArray) -> str:
-    """List the points, numbered from 1, X fastest, then Y, then Z."""
+    """Return the CSV list of the points, numbered from 1, with X fastest, then Y, then Z."""
     lines = ["number,x_mm,y_mm,z_mm,x_counts,y_counts,z_counts"]
     shape = table.corrections.shape[:3]
     for number, index in enumerate(np.ndindex(shape[::-1]), start=1):

@@ -24,7 +24,7 @@ LOSSES = (
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write `x.comp`, `y.comp`, `z.comp` and the lines for the INI file."""
+    """Write `x.comp`, `y.comp` and `z.comp`, and the lines for the INI file of LinuxCNC."""
     table = source.table
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a COMP_FILE")
     profiles = [

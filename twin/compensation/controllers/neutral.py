@@ -1,7 +1,8 @@
 """One self-explanatory CSV file, for controllers whose own format is not public, and for spreadsheets.
 
-`x_mm,y_mm,z_mm,dx_um,dy_um,dz_um,extrapolated`: axis position, correction added to the command there, and 1 if the node
-is outside the measured region. Full grid, x slowest, z fastest.
+The columns are `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um,extrapolated`: the axis position of a node, the correction that is
+added to the command there, and 1 if the node is outside the measured region, else 0. The rows contain the full grid, x
+slowest, z fastest.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Interpreter of a part program: modal state and programmed axis positions, block by block.
 
-Within a block the order is that of RS-274/NGC (NISTIR 6556, table 8): feed mode, tool, plane, units, tool length,
-coordinate system, distance mode, then the codes that use the axis words, then stops.
+The codes of a block are executed in the order of RS-274/NGC (NISTIR 6556, table 8): feed mode, tool, plane, units, tool
+length, coordinate system, distance mode, then the codes that use the axis words, then stops.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class Interpreter:
         self._flowing = self._may_flow
 
     def _set_modes(self, block: Block) -> None:
-        """Set all modes except motion, in the order of the standard."""
+        """Set all modes except the motion mode, in the order of RS-274/NGC."""
         modal, codes = self.modal, block.g
         if "T" in block.values:
             modal.tool_called = int(block.values["T"])

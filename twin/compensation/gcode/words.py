@@ -97,7 +97,7 @@ def code_number(number: str) -> int:
 
 
 def is_program_number(block: Block) -> bool:
-    """Return True if the line contains only the program number of Fanuc-like programs, `O1234`."""
+    """Return True if the line contains only a program number, such as `O1234` in Fanuc-like programs."""
     words = "".join(letter + number for letter, number, _ in block.tokens)
     return _PROGRAM_NUMBER.match(words) is not None
 
