@@ -21,8 +21,8 @@ SECONDS_A_MINUTE = 60.0
 def checked_plan(
     plan: s.Plan[T], procedure: ProcedureSettings, stations: StationSettings, *, carried: bool
 ) -> s.Plan[T]:
-    """Return the result of `plan`, with each step checked before it is yielded. Raises PlanRefused with the step's key
-    if a step breaks a rule.
+    """Return a plan with the steps and the result of `plan` that checks each step before it is executed. The plan
+    raises PlanRefused with the step's key if a step breaks a rule.
 
     `carried`: True if one mount and its artefact are carried from station to station.
     """

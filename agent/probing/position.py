@@ -79,8 +79,8 @@ class MeasuredBall:
 
 @dataclass(frozen=True)
 class MeasuredPosition:
-    """Result of one position. `again`: first ball measured again at the end, None if it was lost. `drift_mm` (3,): its
-    displacement, NaN if it was lost. `lost`: number of lost balls."""
+    """Result of one position. `again`: first ball measured again at the end, None if it was lost then. `drift_mm` (3,):
+    displacement of that ball, NaN if it was lost. `lost`: number of lost balls."""
 
     balls: tuple[MeasuredBall, ...]
     lost: int

@@ -1,6 +1,6 @@
 """Chunks of items that a worker processes together, and errors that name the failed item.
 
-This module contains only what a worker process executes.
+This module contains only code that a worker process executes.
 """
 
 from __future__ import annotations

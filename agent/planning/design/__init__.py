@@ -1,1 +1,1 @@
-"""`volcal design`: from a job to a position file, with its machine minutes and its value."""
+"""Design of a position set for a job, with its machine minutes and its valuation (`volcal design`)."""

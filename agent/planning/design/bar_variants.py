@@ -1,4 +1,5 @@
-"""Variants of the case's ball bar, with another number of balls or another tilt of the holders."""
+"""Variants of the case's ball bar: another number of balls or another tilt of the holders, and all other properties as
+in its certificate."""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ class Bar:
         return float(np.sqrt(np.diagonal(self.certified.covariance).mean()))
 
     def with_(self, balls: int | None = None, tilt_deg: float | None = None) -> Artefact:
-        """Return a nominal bar of the same length with another number of balls or another tilt of the holders."""
+        """Return a nominal bar of the same length with another number of balls or another tilt of the holders; None
+        keeps the value of the certified bar."""
         count = self.certified.count if balls is None else balls
         tilt = self.tilt_deg if tilt_deg is None else tilt_deg
         artefact = self.certified

@@ -1,4 +1,4 @@
-"""Valuation of any set of positions, before anything moves."""
+"""Valuation of any set of positions without a measurement."""
 
 from __future__ import annotations
 
