@@ -1,7 +1,8 @@
 """Machine time for simulators that run as a separate process.
 
 In lockstep the agent controls time (`drivers.clock.LockstepClock`): the line ``advance SECONDS`` advances the world to
-that machine time and is then answered with ``ok``. Otherwise a ticker advances the world with the wall clock.
+that instant of the agent's clock and is then answered with ``ok``. Otherwise a ticker advances the world with the wall
+clock.
 """
 
 from __future__ import annotations

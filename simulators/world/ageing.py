@@ -46,9 +46,9 @@ def scenario_of_night(scenario: Scenario, night: int) -> Scenario:
 
 
 def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
-    """Return the (p,) change of the model parameters since night 0.
+    """Return the change (p,) of the model parameters by seasonal scale errors since night 0.
 
-    A scale error s over a travel L equals the order-1 coefficient s L / 2.
+    A scale error s over a travel L corresponds to a Legendre coefficient of order 1 of s L / 2.
     """
     change = np.zeros(model.size)
     for axis, amplitude, phase_deg, (low, high) in zip(
@@ -62,9 +62,9 @@ def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
 
 
 def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
-    """Return the (p,) parameter change caused by one collision.
+    """Return the change (p,) of the model parameters caused by one collision. `jumps` is in µm or µrad, by error name.
 
-    An error motion given without an order changes by its lowest coefficient.
+    If an error motion is given without a Legendre order, its coefficient of the lowest order changes.
     """
     change = np.zeros(model.size)
     for name, jump in jumps.items():
@@ -76,7 +76,10 @@ def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
 def _random_walk_change(
     model: ErrorModel, description: MachineDescription, tool_offset: Array, ageing: AgeingSettings
 ) -> Array:
-    """Return the (p,) sum of independent nightly steps; each night's step depends only on the seed and the night."""
+    """Return the change (p,) of the model parameters by a random walk, the sum of independent nightly steps.
+
+    The step of a night depends only on the seed and the night.
+    """
     if not (ageing.walk_um and ageing.night):
         return np.zeros(model.size)
     family = family_from_amplitudes(model, description.amplitudes)

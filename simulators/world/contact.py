@@ -1,7 +1,7 @@
 """First contact of the stylus tip with a ball on a straight path, including the machine's deviation.
 
 The intersection of a ray with a sphere has a closed form. The deviation field changes by less than 0.1 µm per mm, so
-one iteration with the field at the first solution leaves an error far below a nanometre.
+one further iteration, with the field at the first solution, leaves an error far below a nanometre.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from twin.collision.geometry import Point, translate_point
 from twin.collision.motion_law import StraightPath, entry_distance
 
 _ROUNDING_MM = 1e-6
-"""Distance beyond the end of a path within which balls are still checked exactly."""
+"""Distance beyond the end of a path up to which balls are included in the exact intersection test."""
 
 
 class Contact(NamedTuple):
@@ -29,8 +29,9 @@ class Contact(NamedTuple):
 
 
 class ContactSolver:
-    """Finds contacts of one tip. `reach` is the distance between the centres at contact: tip radius
-    plus ball radius.
+    """Finds contacts of one tip with balls.
+
+    `reach` is the distance in mm between the centres of tip and ball at contact (tip radius plus ball radius).
     """
 
     def __init__(self, tool_offset: Point, reach: float, shift: TipShift) -> None:
@@ -41,8 +42,8 @@ class ContactSolver:
         self._last: tuple[Point, TableField | None, Point] | None = None
 
     def first(self, path: StraightPath, snapshot: WorkpieceSnapshot, resting: int | None) -> Contact | None:
-        """Return the first ball met along `path`, or None; the ball `resting` against the tip at
-        the start is ignored.
+        """Return the first contact along `path`, or None. The ball with number `resting`, which touches the tip at the
+        start, is ignored.
         """
         first: Contact | None = None
         start = translate_point(path.start, self._shift.rigid)
@@ -57,7 +58,10 @@ class ContactSolver:
         return self._refine(first, path, snapshot) if first and self._shift.has_field else first
 
     def tip(self, axis_position: Point) -> Point:
-        """Return the tip centre in the workpiece frame. The last result is cached, because an axis often rests."""
+        """Return the tip centre in the workpiece frame.
+
+        The last result is cached, because the axes are often at rest.
+        """
         last = self._last
         if last is None or last[0] != axis_position or last[1] is not self._shift.table:
             field = self._shift.field_at(axis_position)
@@ -77,12 +81,13 @@ class ContactSolver:
         return _closing(self.tip(path.start), path.direction, centre) < 0.0
 
     def deeper(self, path: StraightPath, centre: Point, overtravel: float) -> float | None:
-        """Return the path distance at which the tip is pressed in by more than the overtravel, or None."""
+        """Return the path distance in mm at which the tip is deflected by more than `overtravel`, or None."""
         return entry_distance(self.tip(path.start), path, centre, self._reach - overtravel)
 
     def leaving(self, path: StraightPath, centre: Point) -> float:
-        """Return the path distance at which a tip that starts in contact separates; infinite if the
-        path ends before.
+        """Return the path distance in mm at which a tip that starts in contact separates from the ball at `centre`.
+
+        Returns infinity if the path ends before.
         """
         tip = self.tip(path.start)
         closing = _closing(tip, path.direction, centre)
@@ -99,9 +104,11 @@ class ContactSolver:
         return None if distance is None else Contact(distance, contact.ball)
 
     def _apparent(self, snapshot: WorkpieceSnapshot) -> Sequence[Point]:
-        """Return the displayed axis positions at which the tip would be at each ball centre, excluding the rigid shift.
+        """Return, for each ball, the displayed axis position at which the tip centre would be at the ball centre.
 
-        Cached until the pose or the table changes.
+        The rigid shift of the tip is not included.
+
+        The positions are cached until the pose or the table changes.
         """
         cached = self._near
         if cached is None or cached[0] is not snapshot or cached[1] is not self._shift.table:

@@ -1,7 +1,7 @@
 """Controller of the simulated machine: executes commands, tracks the axes and latches the touch.
 
-Every event between two calls of `advance_to` is already known when a motion begins, so time may advance in steps of any
-size and each event still has its exact instant.
+All events of a motion are computed when it begins. Time may therefore advance in steps of any size, and each event
+still has its exact instant.
 """
 
 from __future__ import annotations
@@ -110,18 +110,21 @@ class Controller:
 
     @property
     def motion_ends_s(self) -> float | None:
-        """Instant in s at which the current motion ends if nothing intervenes."""
+        """Instant in s at which the current motion ends if nothing intervenes; None if nothing moves."""
         return None if self._motion is None else self._motion.forecast.end_s
 
     @property
     def probe_free_s(self) -> float | None:
-        """Instant in s at which the probe, deflected at the start of the current motion, separates; None if it was
-        free.
+        """Instant in s at which a probe that was deflected at the start of the current motion separates.
+
+        None if the probe is not deflected or nothing moves.
         """
         return self._motion.forecast.free_s if self._motion is not None and self._deflected else None
 
     def displayed_at(self, instant_s: float) -> Point:
-        """Return the axis positions at an instant not before now, if nothing intervenes."""
+        """Return the axis positions in mm that will be displayed at `instant_s` (not in the past) if nothing
+        intervenes.
+        """
         if self._motion is None:
             return self._position
         return self._motion.command.path.at(self._motion.forecast.law.distance_at(instant_s))
@@ -147,12 +150,13 @@ class Controller:
     # ------------------------------------------------------------------ motion commands
 
     def trace(self, tag: int) -> None:
-        """Assign the following motions to step `tag` of a procedure; 0 assigns them to none."""
+        """Assign the following motions to step `tag` of a procedure, or to no step if `tag` is 0."""
         self._tag = tag
 
     def begin_move(self, target: ArrayLike, feed_mm_per_s: float | None, guarded: bool) -> None:
-        """Start a straight move, at rapid speed if no feed is given. A guarded move that trips the probe ends in a
-        fault.
+        """Start a straight move, at rapid speed if no feed is given.
+
+        A guarded move ends in a fault if the probe trips.
         """
         self._begin(MoveKind.GUARDED if guarded else MoveKind.POSITIONING, target, feed_mm_per_s)
 
@@ -164,7 +168,7 @@ class Controller:
         self._begin(MoveKind.TOUCH, target, feed_mm_per_s)
 
     def hold(self) -> None:
-        """Brake on the path and store the rest of the command for `resume`."""
+        """Brake on the path, and store the command so that `resume` can complete it."""
         if self._motion is not None and self._motion.ends_in is MotionState.IDLE:
             self._held = self._motion.command
             self._brake(MotionState.HELD)
@@ -176,7 +180,7 @@ class Controller:
             self._begin(command.kind, command.target, command.speed)
 
     def halt(self) -> None:
-        """Brake and discard the command. A fault stays a fault."""
+        """Brake and discard the command. Does not clear a fault."""
         self._held = None
         if self._motion is not None and self._motion.ends_in is not MotionState.FAULT:
             self._brake(MotionState.IDLE)
@@ -184,7 +188,10 @@ class Controller:
             self._state = MotionState.IDLE
 
     def fail(self, reason: str) -> None:
-        """Brake into a fault, as an emergency stop or a lost heartbeat does. The first reason is retained."""
+        """Brake and enter the fault state, as after an emergency stop or a lost heartbeat.
+
+        The first `reason` is retained.
+        """
         if self._motion is not None:
             self._brake(MotionState.FAULT, reason)
         else:
@@ -274,7 +281,7 @@ class Controller:
                 raise CommandRejected(f"{axis} {value:.3f} mm is outside {low:g} to {high:g} mm", axis=axis)
 
     def _brake(self, ends_in: MotionState, reason: str = "") -> None:
-        """Brake now: forecast events beyond the new stop are dropped, those before it still happen."""
+        """Brake now. Forecast events beyond the new end of the path are dropped; those before it still happen."""
         motion = self._motion
         assert motion is not None  # noqa: S101  checked by the callers
         motion.ends_in, motion.reason = ends_in, motion.reason or reason
@@ -319,7 +326,8 @@ class Controller:
     def _contacted_ball(self, snapshot: WorkpieceSnapshot) -> int | None:
         """Return the ball that deflects the probe, or None.
 
-        Called only for a deflected probe: a bar turned or moved away frees it, a bar turned into it is a collision.
+        Called only if the probe was deflected before. If the bar has turned or moved away since, the probe is free; a
+        bar that turns into the probe is a collision.
         """
         resting = self.contacts.resting_on(self._position, snapshot)
         self._deflected = resting is not None
@@ -327,7 +335,7 @@ class Controller:
 
 
 def axis_limits(machine: MachineDescription) -> AxisLimits:
-    """Return travel and dynamics from the machine file in the controller's units (mm, mm/s, mm/s²)."""
+    """Return travel and dynamics from the machine file, in the controller's units (mm, mm/s, mm/s²)."""
     (x0, x1), (y0, y1), (z0, z1) = machine.limits
     rx, ry, rz = machine.rapid_mm_per_min
     return AxisLimits((x0, y0, z0), (x1, y1, z1), (rx / 60, ry / 60, rz / 60), machine.acceleration_mm_per_s2)

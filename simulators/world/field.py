@@ -1,4 +1,4 @@
-"""Deviation fields evaluated quickly: the compensation table in the controller and the true machine."""
+"""Fast evaluation of the deviation fields of the compensation table in the controller and of the true machine."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from twin.arrays import Array
 from twin.collision.geometry import Point, point, translate_point
 
 FieldOfMany = Callable[[Array], Array]
-"""Deviation field: (n, 3) bare axis positions in mm -> (n, 3) deviations in mm."""
+"""Deviation field: maps uncorrected axis positions (n, 3) in mm to deviations (n, 3) in mm."""
 
 ZERO: Point = (0.0, 0.0, 0.0)
 
 
 class TableField:
-    """Correction that a controller adds to the commanded position: trilinear between nodes, border value outside."""
+    """Correction that a controller adds to the commanded position, trilinear between nodes and constant outside the
+    grid.
+    """
 
     def __init__(self, image: TableImage) -> None:
         self._origin = image.origin_mm
@@ -26,7 +28,7 @@ class TableField:
         self._values = np.asarray(image.counts, dtype=np.float64) * image.resolution_mm
 
     def at_many(self, axis_positions: Array) -> Array:
-        """Return the corrections (n, 3) in mm at the displayed axis positions (n, 3)."""
+        """Return the corrections (n, 3) at the displayed axis positions (n, 3), both in mm."""
         # Trilinear interpolation: sum over the 8 cell corners of node value times product of the axis weights.
         cell, share = self._located(axis_positions)
         total = np.zeros_like(axis_positions)
@@ -47,9 +49,9 @@ class TableField:
 class TipShift:
     """Offset of the tip centre from (displayed axis position + tool offset), in mm.
 
-    The drives go to the bare position X + table(X), where the true machine adds its deviation; the `field` is the sum
-    of both and of the `thermal` field. Thermal `drift` and the `play` left by the last motion (backlash, repeatability)
-    shift the whole field.
+    X is the displayed axis position. The drives go to X + table(X), where the true machine adds its deviation; the
+    position-dependent field is the sum of both and of the `thermal` field. Thermal `drift` and the `play` left by the
+    last motion (backlash, repeatability) shift this field as a whole.
     """
 
     def __init__(self, machine: FieldOfMany | None) -> None:
@@ -72,7 +74,7 @@ class TipShift:
         return point(self.field_at_many(np.array([axis_position]))[0]) if self.has_field else ZERO
 
     def field_at_many(self, axis_positions: Array) -> Array:
-        """Return the field (n, 3) in mm at the displayed axis positions (n, 3)."""
+        """Return the position-dependent field (n, 3) at the displayed axis positions (n, 3), both in mm."""
         shift = np.zeros_like(axis_positions)
         if self.table is not None:
             shift += self.table.at_many(axis_positions)

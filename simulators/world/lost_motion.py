@@ -8,14 +8,14 @@ from simulators.world.noise import NoiseSource
 from twin.collision.geometry import Point, point
 
 STILL_MM = 1e-4
-"""Smallest change of an axis target that counts as a move; drives do not resolve less."""
+"""Smallest change of an axis target that counts as a move; drives do not resolve smaller changes."""
 
 
 class PlayOperator:
-    """Play (backlash) operator for each axis: the slide lags its drive by half the backlash.
+    """Play operator for the backlash of each axis: the slide lags its drive by half the backlash.
 
-    The slide stays in place while the drive crosses the play, so a short reversal leaves part of the lag, and an axis
-    that does not move keeps its lag. The play may grow along the axis' own travel.
+    The slide does not move while the drive crosses the play. After a short reversal part of the lag therefore remains,
+    and the lag of an axis that does not move is unchanged. The play may grow along the axis' own travel.
     """
 
     def __init__(self, behaviour: AxisBehaviour, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""Events along a motion, found when it begins, and the motion law that results from them."""
+"""Events along a motion, computed when it begins, and the resulting motion law."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class MoveKind(Enum):
 
 
 class MotionCommand(NamedTuple):
-    """Motion as commanded. `speed` is along the path in mm/s, already limited to what the axes can do."""
+    """Motion as commanded. `speed` is along the path in mm/s, already limited to what the axes can reach."""
 
     kind: MoveKind
     target: Point
@@ -35,10 +35,10 @@ class Crash(NamedTuple):
 
 
 class PathEvents(NamedTuple):
-    """Events along the path of a command, in mm of path.
+    """Events along the path of a command, with path distances in mm.
 
-    `trip_mm`: the probe trips; `crash`: collision if the motion continued; `free_mm`: a probe deflected at the start
-    separates.
+    `trip_mm`: distance at which the probe trips, or None; `crash`: first collision if the motion continued, or None;
+    `free_mm`: distance at which a probe that is deflected at the start separates, 0 if it is not deflected.
     """
 
     trip_mm: float | None = None
@@ -47,7 +47,7 @@ class PathEvents(NamedTuple):
 
 
 class MotionForecast(NamedTuple):
-    """Motion law as it will be executed, with the instants of its events in s."""
+    """Motion law that will be executed, and the instants in s of the events along it."""
 
     law: MotionLaw
     trip_s: float | None
@@ -57,7 +57,7 @@ class MotionForecast(NamedTuple):
 
 
 def forecast_motion(law: MotionLaw, events: PathEvents, deceleration: float) -> MotionForecast:
-    """Return the forecast of `law`: braked at a trip, cut off at a crash."""
+    """Return the forecast of a motion by `law`, which brakes when the probe trips and ends abruptly at a crash."""
     trip_s = None
     if events.trip_mm is not None and events.trip_mm <= law.end_distance:
         trip_s = law.time_at(events.trip_mm)

@@ -27,7 +27,7 @@ class RotaryAxis:
         self._direction = 1.0
         self._end_deg = start_deg
         self.at_rest_s = -math.inf
-        """Instant in s from which the axis rests, if nothing intervenes."""
+        """Instant in s from which the axis is at rest, if nothing intervenes."""
 
     def position_deg(self, now_s: float) -> float:
         if self._law is None or now_s >= self.at_rest_s:
@@ -53,7 +53,7 @@ class RotaryAxis:
 class MountPhysics:
     """Both axes of one mount.
 
-    `on_turn` is called whenever a motion begins or changes. Mounts with different `name` have different errors.
+    `on_turn` is called whenever a motion begins or changes. Mounts with different `name` have different true errors.
     """
 
     def __init__(
@@ -74,7 +74,10 @@ class MountPhysics:
         self.now_s = 0.0
 
     def begin_turn(self, axis: str, angle_deg: float, speed_deg_per_s: float | None = None) -> None:
-        """Turn towards `angle_deg`, also from a motion in progress. Raises CommandRejected outside the axis limits."""
+        """Start a turn to `angle_deg`, even while the axis moves.
+
+        Raises CommandRejected if the angle is outside the axis limits or the speed is not positive.
+        """
         limit = LIMITS_DEG[axis]
         if not abs(angle_deg) <= limit:
             raise CommandRejected(f"{axis} {angle_deg}° is outside ±{limit}°", device="mount")
@@ -84,7 +87,7 @@ class MountPhysics:
         self._on_turn()
 
     def position_deg(self, axis: str, instant_s: float | None = None) -> float:
-        """Return the encoder reading now, or at `instant_s` if nothing intervenes."""
+        """Return the encoder reading in degrees now, or the one expected at `instant_s` if nothing intervenes."""
         return self._axes[axis].position_deg(self.now_s if instant_s is None else instant_s)
 
     def moving(self, axis: str) -> bool:
@@ -96,12 +99,12 @@ class MountPhysics:
 
     @property
     def max_speed_deg_per_s(self) -> float:
-        """Upper bound of the speed of any part of a turn with both axes moving."""
+        """Upper bound of the angular speed of the artefact with both axes moving, in °/s."""
         return self._fastest
 
     @property
     def settled_s(self) -> float:
-        """Instant in s at which both axes rest if nothing intervenes; now if they already do."""
+        """Instant in s at which both axes will be at rest if nothing intervenes; `now_s` if they already are."""
         return max(self.now_s, *(axis.at_rest_s for axis in self._axes.values()))
 
     def halt(self, axis: str | None = None) -> None:
@@ -111,7 +114,9 @@ class MountPhysics:
         self._on_turn()
 
     def angles_deg(self, instant_s: float | None = None) -> tuple[float, float]:
-        """Return azimuth and elevation read by the encoders, in degrees."""
+        """Return the encoder readings of azimuth and elevation in degrees, now or at `instant_s` if nothing
+        intervenes.
+        """
         instant_s = self.now_s if instant_s is None else instant_s
         return self._axes[AZIMUTH].position_deg(instant_s), self._axes[ELEVATION].position_deg(instant_s)
 
@@ -120,13 +125,14 @@ class MountPhysics:
         return self._errors.angles_rad(azimuth_deg, elevation_deg)
 
     def wobble_mm(self, azimuth_deg: float) -> Array:
-        """Return the (3,) displacement of the azimuth axis in mm."""
+        """Return the displacement (3,) of the azimuth axis by wobble, in mm."""
         return self._errors.wobble_mm(azimuth_deg)
 
 
 class _MountErrors:
-    """Repeatable errors of the mount: index errors with one and two periods per turn, wobble with
-    one period per turn.
+    """Repeatable errors of the mount.
+
+    Index errors have one and two periods per turn, wobble has one period per turn.
     """
 
     def __init__(self, behaviour: MountBehaviour, seed: int, name: str) -> None:

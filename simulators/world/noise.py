@@ -8,7 +8,8 @@ import numpy as np
 
 _BLOCK = 1024
 BY_STEP = 2**40
-"""First counter drawn individually: step tags come in no particular order, so drawing in blocks would not pay."""
+"""First counter value whose numbers are drawn individually. From here on the values are step tags, which come in no
+particular order, so drawing in blocks would not save time."""
 
 
 class NoiseSource:

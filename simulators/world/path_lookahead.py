@@ -1,4 +1,6 @@
-"""Look-ahead along the path of a command before it begins: contacts of the tip and collisions of all other bodies."""
+"""Look-ahead along the path of a command before motion begins, for contacts of the tip and collisions of other
+bodies.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ from twin.collision.geometry import Point, translate_point
 
 
 class PathLookahead:
-    """Finds the events on a path.
+    """Finds the events (contact, trip, collision) along a path.
 
     Contacts of the tip are exact. Collisions are swept along the nominal path of the tip, which is within 0.1 mm of the
     true one.
@@ -27,8 +29,8 @@ class PathLookahead:
     ) -> PathEvents:
         """Return the events on the path of `command`.
 
-        `resting`: the ball that deflects the probe at the start. Raises CommandRejected if a guarded or probing motion
-        would press on.
+        `resting`: number of the ball that deflects the probe at the start, or None. Raises CommandRejected if the probe
+        is deflected before a touch, or if a guarded move would deflect it further.
         """
         free_mm, pressed = self._from_rest(command, snapshot, resting)
         contact = self._contacts.first(command.path, snapshot, resting)
@@ -48,8 +50,8 @@ class PathLookahead:
     def _from_rest(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, resting: int | None
     ) -> tuple[float, Crash | None]:
-        """Return the path distance at which a deflected probe separates, and the crash if it is pressed in too far
-        instead.
+        """Return the path distance in mm at which a deflected probe separates, and the crash, or None, if the motion
+        first deflects it beyond its overtravel.
         """
         if resting is None:
             return 0.0, None
@@ -67,7 +69,7 @@ class PathLookahead:
     def _first_collision(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, until_mm: float | None, touched: int | None
     ) -> Crash | None:
-        """Return the first collision of any bodies except contact of the tip with a ball.
+        """Return the first collision of any two bodies, or None; contact of the tip with a ball does not count.
 
         The stem may touch the ball that the tip touches, because it deflects with the tip.
         """

@@ -41,7 +41,7 @@ class ThermalEffects:
     # ------------------------------------------------------------------ thermometers
 
     def temperatures_c(self, now_s: float) -> dict[str, float]:
-        """Return the temperatures in °C by sensor name, as the sensors read them."""
+        """Return the temperatures in °C by sensor name, including the errors of the sensors."""
         s = self._settings
         then_s = max(now_s - s.sensor_lag_s, 0.0)
         readings = {ARTEFACT: self.state.artefact_c(then_s), MACHINE: self.state.machine_c(then_s)}
@@ -61,7 +61,7 @@ class ThermalEffects:
     # ------------------------------------------------------------------ deformation
 
     def drift_mm(self, now_s: float) -> Point:
-        """Return the (3,) displacement of the tip since the start, in mm."""
+        """Return the thermal displacement (3,) of the tip by growth of spindle and ram since the start, in mm."""
         if self.state.machine_is_constant:
             return ZERO
         warmed = self.state.machine_change_k(now_s)
@@ -69,7 +69,7 @@ class ThermalEffects:
         return x * warmed * 1e-3, y * warmed * 1e-3, z * warmed * 1e-3
 
     def field(self, now_s: float) -> FieldOfMany | None:
-        """Return the change of the machine's field since the start, or None if there is none."""
+        """Return the thermal change of the machine's deviation field since the start, or None if there is none."""
         if self.state.machine_is_constant:
             return None
         s = self._settings
@@ -83,10 +83,11 @@ class ThermalEffects:
 
 @dataclass(frozen=True, eq=False)
 class ThermalField:
-    """Thermal deformation field: scale change `stretch` (3,) about zero, and a column whose top is displaced along Y.
+    """Thermal deformation field: scale changes `stretch` (3,) about zero, and a column whose top is displaced along Y.
 
-    The column is a cantilever heated from one side, displaced by w = bend ((z - z0)/Lz)². Its slope rotates whatever it
-    carries about X, so a tool that extends along Y dips.
+    The column is a cantilever heated from one side. At axis position z its displacement is w = bend ((z - z0)/Lz)²,
+    where z0 is the lower end and Lz the length of the Z travel. Its slope rotates everything that it carries about X,
+    so the tip of a tool that extends along Y is lowered.
     """
 
     stretch: Array
@@ -95,7 +96,7 @@ class ThermalField:
     tool_offset_mm: Point
 
     def __call__(self, axis_positions: Array) -> Array:
-        """Return the deviation (n, 3) in mm at the bare axis positions (n, 3)."""
+        """Return the deviations (n, 3) at the uncorrected axis positions (n, 3), both in mm."""
         change = axis_positions * self.stretch
         low, high = self.ranges_mm[2]
         height = (axis_positions[:, 2] - low) / (high - low)
@@ -114,8 +115,9 @@ def artefact_bow_mm(settings: ThermalSettings, warming: ThermalState, now_s: flo
 
 
 def bend_balls(balls: Array, bow: float) -> Array:
-    """Return the balls (N, 3) of an artefact along X bent to an arc: ends fixed, middle displaced
-    by `bow` mm along Z.
+    """Return the ball centres (N, 3) in mm of an artefact along X that is bent to an arc.
+
+    Its ends are fixed and its middle is displaced by `bow` mm along Z.
     """
     along = balls[:, 0]
     half = 0.5 * float(np.ptp(along))

@@ -1,5 +1,6 @@
-"""Temperatures of ambient, artefact and machine at any instant, in closed form so that time may
-advance in any steps.
+"""Temperatures of ambient, artefact and machine at any instant.
+
+They are computed in closed form, so that time may advance in steps of any size.
 """
 
 from __future__ import annotations
@@ -42,16 +43,18 @@ class ThermalState:
         return self._change_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
 
     def column_change_k(self, now_s: float) -> float:
-        """Return the temperature difference across the column since the start, in K, with its own lag behind the
-        ambient.
+        """Return the change of the temperature difference across the column since the start, in K.
+
+        It lags the machine's thermometer by an additional time constant.
         """
         s = self._settings
         lag_h = None if s.machine_time_constant_h is None else s.machine_time_constant_h + s.bend_time_constant_h
         return self._change_k(now_s, lag_h, s.machine_k_per_h)
 
     def artefact_lag_k(self, now_s: float) -> float:
-        """Return by how many K the ambient has warmed more than the artefact since the start; 0 if the artefact does
-        not follow.
+        """Return the warming of the ambient minus that of the artefact since the start, in K.
+
+        Returns 0 if the artefact does not follow the ambient.
         """
         s = self._settings
         if s.artefact_time_constant_h is None:
@@ -70,7 +73,10 @@ class ThermalState:
 
 
 def first_order_response(hours: float, source_h: float, follower_h: float) -> float:
-    """Return the share of a unit rise 1 - exp(-t/source) taken up by a first-order follower; 0 h means no lag."""
+    """Return the response of a first-order follower to the rise 1 - exp(-t/source), as a fraction from 0 to 1.
+
+    `source_h` and `follower_h` are the time constants in hours; 0 means no lag.
+    """
     if hours <= 0.0:
         return 0.0
     slow, fast = max(source_h, follower_h), min(source_h, follower_h)

@@ -13,7 +13,9 @@ LOBES = 3
 
 
 class Trigger:
-    """Travel from contact to trip in mm for a touch in a given direction; the probe points along +Y."""
+    """Model of the probe's travel from contact to trip as a function of the touch direction; the probe points along
+    +Y.
+    """
 
     def __init__(self, settings: TriggerSettings, seed: int) -> None:
         self._pretravel_mm = settings.pretravel_um * 1e-3
@@ -23,7 +25,7 @@ class Trigger:
         self.overtravel_mm = settings.overtravel_mm
 
     def travel_mm(self, direction: Point, touch: int) -> float:
-        """Return the travel from contact to trip in mm. The noise depends only on the number of the touch, `touch`."""
+        """Return the travel from contact to trip in mm. Its noise depends only on `touch`, the number of the touch."""
         travel = self._pretravel_mm
         if self._lobing_mm:
             # Three-lobed pretravel: amplitude * cos(3 φ), φ the direction about the stylus axis Y.

@@ -18,7 +18,7 @@ class MachineTruth:
     """True error of the machine at its present temperature.
 
     `banks` are the controller's own, not a copy; `warm_field` returns the present thermal field. The growth of spindle
-    and ram is excluded: it shifts the whole field like a new zero point, which no table is meant to correct.
+    and ram is excluded, because it only shifts the whole field, like a new zero point, and a table need not correct it.
     """
 
     def __init__(
@@ -34,8 +34,9 @@ class MachineTruth:
         self._grid = evaluation_grid(nominal.ranges_mm)
 
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """Return the (raw, rigidly aligned) rms in µm on the 60×20×20 grid with the table of `bank`; None or 0: no
-        table.
+        """Return the raw and the rigidly aligned rms error in µm on the 60×20×20 grid, with the table of `bank`.
+
+        If `bank` is None or 0, the errors are those without table.
         """
         displayed = self._grid
         correction = np.zeros_like(displayed)

@@ -1,6 +1,6 @@
-"""Conservative proof that a turn is free of collisions, from spheres around everything that turns.
+"""Conservative test of whether a turn is free of collisions, using spheres around everything that turns.
 
-A failed proof decides nothing: the caller must then check the bodies themselves.
+If the test fails, there may still be no collision; the caller must then check the bodies themselves.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from twin.collision.swept_volume import SphereCover
 INSTANTS = 64
 """Number of samples of a turn, equally spaced in time: about 3° apart for a turn of 180°."""
 SLACK_MM = 1.0
-"""Allowance for wobble and index errors of the mount between two samples, which are far smaller."""
+"""Required clearance. It allows for wobble and index errors of the mount between two samples, which are far smaller."""
 
 
 def is_turn_clear(workpiece: Workpiece, tip: Point, start_s: float, end_s: float) -> bool:
@@ -58,12 +58,14 @@ def _rotate_cover(cover: SphereCover, angles_rad: Array) -> tuple[Array, Array]:
 
 
 def _least_gap(centres: Array, radii: Array, bodies: Iterable[Body]) -> float:
-    """Return the smallest distance in mm between spheres and bodies, each body replaced by its bounding box."""
+    """Return a lower bound in mm of the distance between spheres and bodies, with a bounding box in place of each
+    body.
+    """
     return min(float((_distance(centres, body.shape) - radii).min()) for body in bodies)
 
 
 def _distance(points: Array, shape: Shape) -> Array:
-    """Return a lower bound (...) in mm of the distance of points (..., 3) from `shape`."""
+    """Return a lower bound of the distances of `points` (..., 3) from `shape`, in mm, with shape (...)."""
     radius = shape.radius if isinstance(shape, Capsule) else 0.0
     beyond = np.maximum(
         np.maximum(np.array(shape.lower) + radius - points, points - np.array(shape.upper) + radius), 0.0

@@ -16,7 +16,7 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import Point, point, separation, sphere, swept_contact, translate_point
 
 STEP_MM = 4.0
-"""Smallest motion between two checks: less than half the thinnest relevant body."""
+"""Smallest motion between two checks, in mm; it is less than half the thickness of the thinnest relevant body."""
 _SEARCH_RADIUS_MM = 150.0
 _ORIGIN: Point = (0.0, 0.0, 0.0)
 
@@ -29,7 +29,9 @@ class TurnCrash:
 
 
 def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision of probe or ram with the turning artefact in a time span, if nothing intervenes."""
+    """Return the first collision of probe or ram with the turning artefact between two instants, if nothing
+    intervenes.
+    """
     if _stays_outside(workpiece, controller, start_s):
         return None
     speed = math.radians(workpiece.mount.max_speed_deg_per_s) * workpiece.sweep_radius_mm
@@ -51,9 +53,9 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
 
 
 def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision between what `turning` and `other` carry, whether or not the other mount turns too.
+    """Return the first collision between the bodies on `turning` and on `other`, which may turn too, or None.
 
-    The time between two checks is at most what the fastest parts need to cross the remaining gap.
+    Between two checks the fastest parts move by at most the remaining gap or, if that is larger, by `STEP_MM`.
     """
     apart = np.hypot(*(turning.location_mm - other.location_mm)[:2])
     if apart > turning.sweep_radius_mm + other.sweep_radius_mm:
@@ -72,7 +74,7 @@ def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, 
 def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:
     """Return the smallest distance in mm between any two bodies and their names, searched up to `_SEARCH_RADIUS_MM`.
 
-    The table is excluded, because it carries both.
+    The table is excluded, because it carries both workpieces.
     """
     smallest, pair = _SEARCH_RADIUS_MM, ("", "")
     for i, j in scene.near_pairs(_ORIGIN, _ORIGIN, _SEARCH_RADIUS_MM):
@@ -102,7 +104,7 @@ def _tip(controller: Controller, instant_s: float) -> Point:
 
 
 def _touching(scene: Scene, tip: Point) -> tuple[str, str] | None:
-    """Return the names of the first two bodies that overlap with the tip centre at `tip`, or None."""
+    """Return the names of the first pair of bodies that overlap if the tip centre is at `tip`, or None."""
     for i, j in scene.near_pairs(tip, tip):
         if separation(scene.moving[i].shape.translated(tip), scene.obstacles[j].shape)[0] < 0.0:
             return scene.moving[i].name, scene.obstacles[j].name

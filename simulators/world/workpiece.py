@@ -1,4 +1,4 @@
-"""Objects at one mount on the table: the mount and, if it carries one, the true artefact as the operator placed it."""
+"""Objects at one station: the mount and, if it carries an artefact, the true artefact as placed by the operator."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from twin.collision.swept_volume import SphereCover, cover_turning_bodies
 
 @dataclass(frozen=True, eq=False)
 class WorkpieceSnapshot:
-    """State that a motion needs at one instant: true ball centres, the balls' body names, and all bodies around.
+    """State of the workpiece at one instant: true ball centres, the balls' body names, and all surrounding bodies.
 
     `pose`: pose of the (first) artefact's mount; `allowed_contacts`: pairs of bodies that may touch.
     """
@@ -42,8 +42,8 @@ class WorkpieceSnapshot:
 class Workpiece:
     """True pose of the artefact for given mount angles and temperature.
 
-    Recomputed only when one of them changes, the temperature by 1 mK (17 nm on a long bar). `name_suffix` is appended
-    to its body names if there are several workpieces.
+    The pose is recomputed only if the angles change, or the temperature by at least 1 mK (17 nm on a long bar).
+    `name_suffix` is appended to the names of its bodies if there are several workpieces.
     """
 
     def __init__(
@@ -66,14 +66,16 @@ class Workpiece:
         self._yaw_rad = 0.0
 
     def place(self, station: int, rng: np.random.Generator) -> None:
-        """Place it at `station` as an operator does: never exactly at the nominal location, and slightly rotated."""
+        """Place the mount at `station` as an operator does: not exactly at the nominal location, and slightly
+        rotated.
+        """
         self.station = station
         self._location_mm = np.add(self._places[station - 1], _placement_error(self._behaviour, rng))
         self._yaw_rad = math.radians(self._behaviour.place_error_deg) * float(rng.uniform(-1.0, 1.0))
         self._cached = None
 
     def shift(self, by_mm: Point, turn_deg: float) -> None:
-        """Displace and rotate it, as after a knock or a careless placement."""
+        """Displace and rotate the mount, as after a knock or a careless placement."""
         self._location_mm = np.add(self._location_mm, by_mm)
         self._yaw_rad += math.radians(turn_deg)
         self._cached = None
@@ -85,7 +87,7 @@ class Workpiece:
 
     @property
     def artefact(self) -> Artefact:
-        """True artefact. Must not be read for a bare mount."""
+        """True artefact. Must not be read if the mount carries none."""
         assert self._artefact is not None  # noqa: S101  callers know which mount has the artefact
         return self._artefact
 
@@ -151,8 +153,9 @@ class Workpiece:
 
 
 def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: str = "artefact") -> Artefact:
-    """Return an artefact that deviates from its certificate within the stated uncertainty; `name` selects the random
-    draw.
+    """Return an artefact whose deviations from its certificate are drawn from the stated uncertainties.
+
+    `name` selects the random draw.
     """
     rng = generator(settings.seed, name)
     values, vectors = np.linalg.eigh(certified.covariance)
@@ -166,5 +169,8 @@ def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: st
 
 
 def _placement_error(behaviour: MountBehaviour, rng: np.random.Generator) -> Array:
-    """Return the (3,) placement error in mm; the table supports the mount, so its height is ten times more certain."""
+    """Return the placement error (3,) in mm.
+
+    The error in height is ten times smaller, because the mount is on the table.
+    """
     return np.asarray(behaviour.place_error_mm * rng.uniform(-1.0, 1.0, 3) * (1.0, 1.0, 0.1))

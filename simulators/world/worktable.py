@@ -1,4 +1,4 @@
-"""Everything on the table: one mount that is moved with its artefact, or one mount at every station."""
+"""All workpieces on the table: one mount that is moved with its artefact, or one mount at every station."""
 
 from __future__ import annotations
 
@@ -74,7 +74,10 @@ class Worktable:
         self._place(piece, station)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
-        """Return all balls and bodies at an instant; cached while nothing turns, moves or warms."""
+        """Return all balls and bodies on the table at an instant.
+
+        The result is cached while nothing turns, moves or warms.
+        """
         if len(self._pieces) == 1:
             return self._pieces[0].snapshot(now_s)
         parts = tuple(piece.snapshot(now_s) for piece in self._pieces)

@@ -34,7 +34,7 @@ def mount_name(station: int) -> str:
 
 
 class World:
-    """Physics without sockets, threads or its own time: the owner of the clock calls `advance_to`."""
+    """Physics of the machine. It has no clock of its own: the owner of the clock calls `advance_to`."""
 
     def __init__(self, scenario: Scenario) -> None:
         settings = scenario.settings
@@ -75,7 +75,7 @@ class World:
 
     @property
     def turn_crash(self) -> TurnCrash | None:
-        """First collision of the turning mounts if nothing intervenes.
+        """First collision of a turning mount if nothing intervenes, or None.
 
         Computed on first access after a change: motions that begin at one instant (say both axes of a mount) are
         considered together.
@@ -100,8 +100,9 @@ class World:
         return self.mounts[mount_name(station)]
 
     def place_artefact(self, station: int) -> None:
-        """Move the artefact to `station` (from 1), as the operator does. Raises CommandRejected if that is not
-        possible.
+        """Move the artefact to `station` (numbered from 1), as the operator does.
+
+        Raises CommandRejected if that is not possible.
         """
         self.table.place_artefact(station)
         self._expect_change()
@@ -128,8 +129,9 @@ class World:
         self._looked_ahead = False
 
     def _look_ahead(self) -> TurnCrash | None:
-        """Return the first collision of a turning mount with the probe or with another mount; mounts at rest are
-        skipped.
+        """Return the first collision of a turning mount with the probe or with another mount, or None.
+
+        Mounts at rest are skipped.
         """
         crashes: list[TurnCrash] = []
         pieces = self.table.pieces
