@@ -1,4 +1,4 @@
-"""Estimate read back from the journal for a report."""
+"""Reconstruction of an estimate from the journal, for a report."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from twin.machine.error_model import ErrorModel
 
 @dataclass(frozen=True, eq=False)
 class JournalEstimate:
-    """Estimate from the journal; implements `agent.reports.page.ReportedEstimate`. `misfit`: None if it was
-    disabled."""
+    """Estimate from the journal; implements `agent.reports.page.ReportedEstimate`.
+
+    `misfit`: None if no misfit was estimated.
+    """
 
     model: ErrorModel
     formulation: str
@@ -33,13 +35,16 @@ class JournalEstimate:
 
     @property
     def standard_uncertainty(self) -> Array:
-        """(p,) standard uncertainty of each parameter."""
+        """Standard uncertainty of each parameter, (p,) in mm or rad."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
 
 def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEstimate:
-    """Return the estimate. `unresolved_mm2`: variance per direction of the misfit that is too short in space for its
-    modes."""
+    """Return the estimate.
+
+    `unresolved_mm2`: variance, per direction, of the part of the misfit that varies over distances too short for the
+    misfit modes.
+    """
     document = stored.document
     return JournalEstimate(
         model=stored.model,

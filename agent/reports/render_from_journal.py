@@ -1,4 +1,4 @@
-"""Rendering of a report from the journal, with the trend of the runs up to that one."""
+"""Rendering of the report of a run from the journal, with the trend of all runs up to that run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST_TRENDS = 4
 
 
 def render_from_journal(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
-    """Return `report.html`, and `report.pdf` if `pdf`, of a run in the journal of the state directory `directory`.
+    """Return the report of a run in the state directory `directory` as `report.html` and, if `pdf`, `report.pdf`.
 
     Raise InputError if there is no such run or its record is not sufficient for a report.
     """
@@ -46,7 +46,7 @@ def _trend_figure(directory: Path, record: RunRecord) -> str:
 
 
 def _select_trends(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
-    """Return the volumetric errors, then series with a tolerance, that have at least `MIN_RUNS` values."""
+    """Return the trends with at least `MIN_RUNS` values: volumetric errors, then others that have a tolerance."""
     trends = [trend for trend in trends_of(runs, settings) if len(trend.series.values) >= MIN_RUNS]
     first = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     held = [trend for trend in trends if trend.series.tolerance is not None and trend not in first]

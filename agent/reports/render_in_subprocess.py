@@ -1,6 +1,6 @@
 """Rendering of a report in a subprocess, so that the memory for drawing is released and a measurement is not delayed.
 
-``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]`` is that subprocess.
+The subprocess is ``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]``.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from drivers.errors import InputError, VolcalError
 
 TIMEOUT_S = 300.0
 EXIT_REPORTED = 2
-"""Exit code if the last line on stderr states what is wrong with the run."""
+"""Exit code if the last line on stderr states the reason for the failure."""
 HINT = "render it with `volcal report`"
 TEXT_SUFFIXES = frozenset({".html"})
 
 
 def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
-    """Return the files as `agent.reports.render_from_journal.render_from_journal`, rendered in a subprocess."""
+    """Return the files of `agent.reports.render_from_journal.render_from_journal`, rendered in a subprocess.
+
+    Raise InputError if that fails.
+    """
     with tempfile.TemporaryDirectory(prefix="volcal-report-") as folder:
         command = [sys.executable, "-P", "-m", "agent.reports.render_in_subprocess", str(directory), run_id, folder]
         _run([*command, "--pdf"] if pdf else command, run_id)
@@ -31,7 +34,7 @@ def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str
 
 
 def render_html_in_subprocess(directory: Path, run_id: str) -> dict[str, str | bytes]:
-    """Return the HTML report; the `ReportRenderer` of the service."""
+    """Return the HTML report, rendered in a subprocess; used by the service as its `ReportRenderer`."""
     return render_in_subprocess(directory, run_id, pdf=False)
 
 

@@ -1,4 +1,4 @@
-"""Interface of functions that render the files of a report."""
+"""Interface of functions that render the files of a report, and the function used by default."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 ReportRenderer = Callable[[Path, str], Mapping[str, str | bytes]]
-"""State directory and identity of the run → name and content of its files."""
+"""Function that maps a state directory and the identity of a run to the files of the report, name → content."""
 
 
 def render_in_process(directory: Path, run_id: str) -> Mapping[str, str | bytes]:

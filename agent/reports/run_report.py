@@ -1,6 +1,6 @@
 """Report data of a run, from its record in the journal.
 
-Values on which decisions were based are not recomputed: estimate, residuals and figures are those recorded by the run.
+Values on which decisions were based are not recomputed; estimate, residuals and figures are taken from the record.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Nigh
 
 
 def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> ReportData:
-    """Return the report data of a run that has ended or was interrupted; `trend`: SVG of the runs up to this one.
+    """Return the report data of a run that has ended or was interrupted.
 
-    Raise InputError for a run of a version that did not record the data needed.
+    `trend`: SVG of the trends of all runs up to this one. Raise InputError if the run did not record its inputs.
     """
     inputs = record.decision(INPUTS)
     if inputs is None:
@@ -106,7 +106,7 @@ def _found(record: RunRecord) -> IdentificationData | None:
 
 
 def measured_positions(record: RunRecord) -> tuple[Position, ...]:
-    """Return the positions that the observations of the run's estimate index; empty without an estimate."""
+    """Return the positions to which the position numbers in the run's estimate refer; empty if it has no estimate."""
     return tuple(Position(*place) for place in (record.decision(IDENTIFIED) or {"positions": ()})["positions"])
 
 
@@ -115,7 +115,7 @@ def _stored(record: RunRecord) -> StoredEstimate:
 
 
 def _gates(record: RunRecord) -> tuple[Gate, ...]:
-    """Return the last verdict of each gate, in the order of first evaluation."""
+    """Return each gate with its last verdict, in the order in which the gates were first evaluated."""
     gates = {note.record["name"]: Gate(**note.record) for note in record.decisions if note.kind == "gate"}
     return tuple(gates.values())
 
@@ -153,7 +153,7 @@ def _readable_time(stamp: str) -> str:
 
 
 def _banks(record: RunRecord, outcome: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    """Return rows on the previous table, the table written and the bank active at the end."""
+    """Return rows (name, text) on the previous table, the table written, and the bank active at the end."""
     rows = []
     for role, name in (("backup", "Previous table"), ("staged", "Table written")):
         table = record.table(role)

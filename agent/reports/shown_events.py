@@ -1,7 +1,7 @@
 """Selection and wording of the events in a report.
 
-Regular events of every position (the first ball found again within its limit) are counted in one line; every event that
-required a decision is listed.
+The displacements of the first ball, which are recorded in every position, are summarised in one line if they are within
+their limit. Every event that required a decision is listed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
 
 
 def drifts_um(record: RunRecord) -> tuple[float, ...]:
-    """Return the displacement of the first ball of each position at its end in µm, in the order measured."""
+    """Return, for each position in the order measured, the displacement of its first ball at the end in µm."""
     found = (_drift_um(note) for note in record.events)
     return tuple(one for one in found if one is not None)
 
@@ -47,7 +47,7 @@ def _drift_um(note: EventRow) -> float | None:
 
 
 def _line(note: EventRow) -> str:
-    """Return a change of state by its name, everything else in words."""
+    """Return the text of an event: the name of the new state and the reason, or the record in words."""
     if note.kind == "state":
         reason = note.record.get("reason")
         return f"{note.record['state']}: {reason}" if reason else str(note.record["state"])
@@ -58,7 +58,7 @@ def _line(note: EventRow) -> str:
 
 
 def record_in_words(record: Mapping[str, Any]) -> str:
-    """Return a record as `name value, name value`: numbers to four digits, empty values left out."""
+    """Return a record as `name value, name value`, with floats to four significant digits and without empty values."""
     return ", ".join(f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None))
 
 

@@ -1,4 +1,4 @@
-"""Figure of the geometric error functions: axes in rows, the six errors of ISO 230-1 in columns, on common scales."""
+"""Figures of the geometric error functions (axes in rows, the six errors of ISO 230-1 in columns) and cross-effect."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.machine.kinematic_chain import AXES
 
 COLUMNS = ("EX", "EY", "EZ", "EA", "EB", "EC")
 DISPLACEMENTS = 3
-"""The first three columns are displacements, the others rotations."""
+"""Number of columns with displacements; the other columns are rotations."""
 
 
 def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
@@ -35,7 +35,7 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
 
 
 def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
-    """Return an SVG of the ram–column terms at full overhang over the height."""
+    """Return an SVG of the cross-effect terms of ram and column at full overhang as functions of height."""
     drawing = Drawing("cross-effect", 5.6, 1.9)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.35)

@@ -1,7 +1,7 @@
 """Data of a report.
 
-An offline identification fills the first block only; a run on a machine adds decisions, verification and events.
-Sections whose value is None or empty are omitted.
+An identification from files leaves `ReportData.run` empty; a run on a machine adds decisions, verification and events.
+Sections whose value is None or empty are omitted from the page.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from twin.identification import Estimate, FieldKnowledge, Scales
 
 
 class ReportedEstimate(FieldKnowledge, Protocol):
-    """Part of an estimate shown in a report, whether just identified or read back from the journal."""
+    """Part of an estimate that a report shows; the estimate is new or read from the journal."""
 
     @property
     def formulation(self) -> str: ...
@@ -45,7 +45,7 @@ class ReportedEstimate(FieldKnowledge, Protocol):
 
 @dataclass(frozen=True)
 class Header:
-    """Title and identity of the report. `timestamp`: ISO 8601 UTC; `state`: run state."""
+    """Title and identity of the report. `timestamp`: ISO 8601 UTC; `state`: state of the run."""
 
     title: str
     run_id: str
@@ -58,7 +58,7 @@ class Header:
 
 @dataclass(frozen=True)
 class VerifiedPosition:
-    """Held-out position: rms of its ball deviations in µm, and the standard uncertainty predicted for that rms."""
+    """Held-out position: rms residual of its balls before and after activation of the table, and predicted rms, µm."""
 
     label: str
     before_um: float | None
@@ -68,7 +68,10 @@ class VerifiedPosition:
 
 @dataclass(frozen=True)
 class VerificationFacts:
-    """Verification by new measurements with the new table active; µm."""
+    """Verification by held-out positions before and after activation of the new table.
+
+    `before`, `after`: rms residual per ball; `predicted_um`: predicted rms after activation.
+    """
 
     accepted: bool
     verdict: str
@@ -96,7 +99,8 @@ class EventLine:
 
 @dataclass(frozen=True)
 class QuestionFacts:
-    """Question to a person, the machine time in minutes, and the answer (None: no answer)."""
+    """Question to the operator. `minute`: machine time since the start of the run; `yes`: the answer, None if there was
+    none."""
 
     minute: float
     text: str
@@ -106,7 +110,10 @@ class QuestionFacts:
 
 @dataclass(frozen=True)
 class NightFacts:
-    """Decision of a verification or night, `since` the last accepted run, with the rows that justify it."""
+    """Decision of a night or verification.
+
+    `since`: run of the last accepted night; `rows`: name and text of the values on which the decision is based.
+    """
 
     decision: str
     good: bool
@@ -118,7 +125,7 @@ class NightFacts:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of a run: `started_by`; name and SHA-256 of each input file; SHA-256 of the complete settings."""
+    """Origin of a run. `started_by`: source of the request; `files`: name and SHA-256 of each input file."""
 
     started_by: str
     files: tuple[tuple[str, str], ...]
@@ -127,8 +134,9 @@ class Provenance:
 
 @dataclass(frozen=True)
 class RunFacts:
-    """Data of a run on a machine. `times`: rows on start and end; `banks`: rows on the tables before, written and at
-    the end; `trend`: SVG of all runs up to this one; `drifts_um`: displacement of the first ball of each position."""
+    """Data of a run on a machine. `times`: rows on start and end; `banks`: rows on the former table, the
+    table written and the bank active at the end; `trend`: SVG of the trends of all runs up to this one; `drifts_um`:
+    displacement of the first ball of each position at its end."""
 
     touches: int | None = None
     machine_minutes: float | None = None
@@ -173,7 +181,7 @@ class IdentificationData:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Complete data of a report. `tool_offset`: (3,) mm, to which the table and all volumetric errors refer.
+    """Complete data of a report. `tool_offset`: offset (3,) in mm to which the table and all volumetric errors refer.
     `identification`: None if the run has no estimate. `gates_enforced`: False if the gates are informative only.
     """
 

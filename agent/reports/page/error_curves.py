@@ -16,7 +16,7 @@ SAMPLES = 81
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """Error function with its standard uncertainty, (n,) each; `unit`: µm or µrad."""
+    """Error function with its standard uncertainty at axis positions, (n,) each; `unit`: µm or µrad."""
 
     name: str
     argument: str
@@ -27,7 +27,7 @@ class ErrorCurve:
 
     @property
     def reach(self) -> float:
-        """Largest absolute value of the ±2σ band."""
+        """Largest absolute value of the ±2σ band, in `unit`."""
         return float(np.max(np.abs(self.value) + 2.0 * self.sigma))
 
 
@@ -58,8 +58,10 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
 
 
 def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """Return the contribution of the cross-effect to EYZ and EAZ at full overhang (v = 1) over z; empty if not
-    modelled."""
+    """Return the contributions of the cross-effect to EYZ and EAZ at full overhang, as functions of Z.
+
+    Empty if the model has no cross-effect.
+    """
     place = np.linspace(*model.ranges_mm[2], SAMPLES)
     w = (place - place[0]) / (place[-1] - place[0])
     curves = []

@@ -16,7 +16,7 @@ from twin.arrays import Array
 
 
 def report_figures(data: ReportData) -> dict[str, str]:
-    """Return SVG by figure name in the template; an empty text if there is nothing to draw."""
+    """Return figure name in the template → SVG, which is empty if there is nothing to draw."""
     traces, probe, identification = data.run.temperatures, data.run.probe, data.identification
     figures = {
         "qualification": draw_qualification(probe) if probe and probe.rings else "",
@@ -48,7 +48,7 @@ def _of_estimate(identification: IdentificationData, tool_offset: Array) -> dict
 
 
 def ball_residuals(identification: IdentificationData) -> BallResiduals:
-    """Return residuals in µm and in standard deviations, with accepted balls and the first position of each station."""
+    """Return the residuals of all balls; the positions are those of the identification."""
     seen, estimate = identification.observations, identification.estimate
     rejected = set(estimate.rejected)
     keys = zip(seen.position.tolist(), seen.ball.tolist(), seen.tool.tolist(), strict=True)
@@ -65,7 +65,10 @@ def ball_residuals(identification: IdentificationData) -> BallResiduals:
 
 
 def _expected_spread(identification: IdentificationData, accepted: int) -> Array:
-    """Return the expected standard deviation of the residuals, (n, 3) mm: estimated touch noise, reduced by the degrees
-    of freedom used by poses and parameters."""
+    """Return the expected standard deviation of the residuals, (n, 3) in mm.
+
+    It is the estimated touch noise, reduced for the degrees of freedom used by poses and parameters. `accepted`: number
+    of accepted balls.
+    """
     sigma = np.sqrt(np.einsum("nii->ni", identification.observations.covariance)) * identification.estimate.scales.noise
     return np.asarray(sigma * np.sqrt(identification.estimate.degrees_of_freedom / (3.0 * accepted)))

@@ -1,4 +1,4 @@
-"""Sections on the identification: before and after, squareness, residuals, fit, null space, table, parameters."""
+"""Report sections on the identification: summary, squareness, residuals, fit, null space, table, parameters."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def table_rows(identification: IdentificationData) -> Rows | None:
 
 
 def parameters(identification: IdentificationData) -> list[list[tuple[str, str, str, str]]]:
-    """Return three columns of rows of name, value, σ and unit."""
+    """Return the parameters in three columns; each row has name, value, σ and unit."""
     estimate = identification.estimate
     sigma = estimate.standard_uncertainty
     rows = []

@@ -1,4 +1,4 @@
-"""Maps of the workspace: the length of a deviation over XY planes at several heights."""
+"""Figure with maps of the workspace: length of a deviation over XY planes at several heights."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _draw(panel: Axes, plane: PlaneMap, top: float, dots: bool) -> AxesImage:
 
 
 def _panel_size(planes: Sequence[PlaneMap]) -> tuple[float, float]:
-    """Return width and height of one panel in inches that fill the page with equal scales on both axes."""
+    """Return the width and height in inches with which panels of equal X and Y scale fill the page."""
     plane = planes[0]
     ratio = float(np.ptp(plane.y_mm) / np.ptp(plane.x_mm))
     width = (WIDTH_IN - ROOM.left - ROOM.right - BAR_IN) / len(planes) - GAP_IN

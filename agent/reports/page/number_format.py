@@ -18,8 +18,10 @@ MINUS = "\N{MINUS SIGN}"
 
 @dataclass(frozen=True)
 class Table:
-    """Table of ready texts: column heads, rows, and the columns with numbers, in fine print, and without line
-    breaks."""
+    """Table of formatted texts.
+
+    `numeric`, `fine`, `code`: heads of the columns with numbers, in fine print, and without line breaks.
+    """
 
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -29,8 +31,10 @@ class Table:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return the value with `digits` significant digits, without exponent unless it is very small, and a real minus
-    sign."""
+    """Return the value with `digits` significant digits and a typographic minus sign.
+
+    An exponent is used only for very small values.
+    """
     if value == 0.0:
         return "0"
     text = f"{value:.{digits}g}"
@@ -44,7 +48,7 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def micrometres(quantity: Quantity | None) -> str:
-    """Return `12.3 ± 0.8 µm` with expanded uncertainty; a dash if unknown."""
+    """Return a text such as `12.3 ± 0.8 µm` with the expanded uncertainty; a dash if `quantity` is None."""
     if quantity is None:
         return "–"
     decimals = 1 if quantity.value_um >= 10.0 else 2

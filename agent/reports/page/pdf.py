@@ -1,7 +1,7 @@
 """PDF of the report: the same page on A4, with running header and page numbers.
 
-WeasyPrint renders SVG figures separately, without the CSS variables and `currentColor` of the page: both are replaced
-by the colours for print.
+WeasyPrint renders SVG figures without the CSS variables and the `currentColor` of the page; both are therefore replaced
+by print colours.
 """
 
 from __future__ import annotations

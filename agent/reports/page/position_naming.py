@@ -1,4 +1,4 @@
-"""Name of a list of positions from the standard position sets that it consists of."""
+"""Naming of a list of positions by the standard position sets of which it consists."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SAME_ANGLE_DEG = 0.01
 
 
 def name_of_positions(positions: Sequence[Position]) -> str:
-    """Return e.g. `S3, 4 stations` if every station has all orientations of S3, otherwise the number of positions."""
+    """Return e.g. `S3, 4 stations` if every station has the orientations of S3, else the number of positions."""
     stations: dict[int, set[tuple[float, float]]] = {}
     for position in positions:
         stations.setdefault(position.station, set()).add((position.azimuth_deg, position.elevation_deg))

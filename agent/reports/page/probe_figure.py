@@ -1,4 +1,4 @@
-"""Figure of the probe qualification: residual of every touch around the stylus, and the pretravel map."""
+"""Figure of the probe qualification: residuals of all touches over the angle about the stylus, and pretravel map."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ RING_LOOK = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
 
 
 def draw_qualification(probe: ProbeFacts) -> str:
-    """Return an SVG with one colour per latitude; points are touches, lines the pretravel map subtracted from them."""
+    """Return an SVG with one colour per latitude: points for touches, lines for the pretravel map subtracted."""
     drawing = Drawing("qualification", 10.4, 2.4, Margins(right=1.9))
     with drawing as figure:
         panel = figure.subplots()

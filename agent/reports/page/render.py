@@ -14,8 +14,7 @@ from agent.reports.page.texts import ENGLISH, Texts
 
 
 def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
-    """Return the HTML of the whole report. Takes a few seconds at most; uses no clock and no device, so the same data
-    give the same bytes."""
+    """Return the HTML of the whole report; takes a few seconds at most. The same data always give the same bytes."""
     environment = Environment(
         loader=PackageLoader("agent.reports.page", package_path=""),
         autoescape=select_autoescape(["html"]),

@@ -20,7 +20,11 @@ COMPONENTS = (("x", BLUE, "o"), ("y", ORANGE, "s"), ("z", GREEN, "^"))
 
 @dataclass(frozen=True)
 class BallResiduals:
-    """Residuals: (n,) position and ball indices from 0, (n, 3) in µm and in standard deviations, (n,) accepted."""
+    """Residuals of n measured balls.
+
+    `position`, `ball`: indices (n,) from 0. `residual_um`: (n, 3); `standardised`: (n, 3) in standard deviations.
+    `accepted`: (n,), False for rejected balls. `station_starts`: first position of each station but the first.
+    """
 
     position: Indices
     ball: Indices
@@ -31,14 +35,15 @@ class BallResiduals:
 
     @property
     def rms_per_ball(self) -> tuple[Indices, Array]:
-        """Indices (b,) of the balls accepted at least once, and rms (b, 3) by component in µm."""
+        """Indices (b,) of the balls accepted at least once, and the rms (b, 3) of their residual components in µm."""
         balls = np.unique(self.ball[self.accepted])
         rows = [self.residual_um[self.accepted & (self.ball == ball)] for ball in balls]
         return balls, np.array([np.sqrt(np.mean(row**2, axis=0)) for row in rows]).reshape(-1, 3)
 
 
 def draw_by_position(residuals: BallResiduals) -> str:
-    """Return an SVG of the residuals over the positions, balls of a position side by side, rejected balls circled."""
+    """Return an SVG of the residuals over the positions, with the balls of a position side by side and rejected balls
+    circled."""
     drawing = Drawing("residuals-by-position", 10.4, 2.9)
     with drawing as figure:
         panel = figure.subplots()

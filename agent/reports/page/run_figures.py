@@ -15,7 +15,7 @@ SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
 
 def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[float] = ()) -> str:
-    """Return an SVG of the temperatures; beside it, if known, the displacement of the first ball of each position."""
+    """Return an SVG of the temperatures and, if known, of the displacement of the first ball of each position."""
     drawing = Drawing("temperatures", 10.4, 2.2)
     with drawing as figure:
         if len(drifts_um):
@@ -49,7 +49,7 @@ def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) 
 
 
 def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
-    """Return an SVG of each held-out position: before, after, and the prediction (2σ)."""
+    """Return an SVG with the rms of each held-out position before and after, and twice its predicted rms."""
     drawing = Drawing("verification", 10.4, 2.6, Margins(bottom=0.72, left=0.7))
     with drawing as figure:
         panel = figure.subplots()

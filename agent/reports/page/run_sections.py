@@ -1,4 +1,4 @@
-"""Sections on a run on a machine: verification, night, gates, questions, inputs, events."""
+"""Report sections on a run on a machine: verification, night, gates, questions, inputs, events, signatures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Deviation and predicted uncertainty over XY planes of the workspace, with the best rigid motion taken out."""
+"""Deviation and its uncertainty over XY planes of the workspace, after removal of the best rigid motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ PLANE_SHAPE = (49, 25)
 
 @dataclass(frozen=True)
 class PlaneMap:
-    """Lengths in µm, (nx, ny), over x and y in mm at height `z_mm`; `measured`: (m, 2) x, y of the balls near it."""
+    """Map of an XY plane. `length_um`: (nx, ny) over `x_mm` and `y_mm`; `measured`: (m, 2) in mm, x and y of the balls
+    nearest to this plane."""
 
     z_mm: float
     x_mm: Array
@@ -33,8 +34,10 @@ class WorkspaceMaps:
 
 
 def workspace_maps(estimate: ReportedEstimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
-    """Return maps at the lower end, middle and upper end of Z; `measured`: (n, 3) axis positions, assigned to the
-    nearest plane."""
+    """Return maps at the lower end, the middle and the upper end of Z.
+
+    `measured`: axis positions (n, 3) in mm of the balls, each shown on the nearest plane.
+    """
     heights = np.linspace(*estimate.model.ranges_mm[2], 3)
     planes = [_plane(estimate, float(height)) for height in heights]
     points = np.concatenate([plane_points for _, _, plane_points in planes])

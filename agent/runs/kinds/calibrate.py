@@ -1,4 +1,4 @@
-"""Kind `calibrate`: the whole position set, a new table, and its proof."""
+"""Kind `calibrate`: measurement of the whole position set, a new table, and its proof."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ from agent.runs.reference_state import ReferenceState, reference_for
 
 @dataclass(frozen=True)
 class FullCalibration:
-    """Kind that measures the whole set. `nights` since the last accepted night; None: by the calendar. `consent` to a
-    machine that has changed."""
+    """Kind of run that measures the whole position set and writes a new table.
+
+    `nights`: nights since the last accepted one, None: from the date. `consent`: consent to write a table although the
+    machine has changed.
+    """
 
     nights: float | None = None
     consent: Consent = Consent.ASK
@@ -34,7 +37,7 @@ class FullCalibration:
 
 
 def nights_since(reference: ReferenceState | None, stated: float | None, at: str) -> float:
-    """Return the nights since the last accepted one: as `stated`, otherwise by the calendar."""
+    """Return the number of nights since the last accepted one: `stated` unless None, else from the date `at` (UTC)."""
     if stated is not None:
         return stated
     return 0.0 if reference is None else reference.nights_until(at)

@@ -1,4 +1,4 @@
-"""Check measurement, common to verification and night: the active table must be the one last accepted, and the ball
+"""Check measurement of verifications and nights: the active table must be the one last accepted, and the measured ball
 centres are compared with their prediction."""
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from twin.artefact.position_set import Position
 
 
 def require_table_of(reference: ReferenceState, found: ActiveCompensation) -> None:
-    """Raise GateRefused if another table is active than the one last accepted."""
+    """Raise GateRefused if the active table is not the one last accepted."""
     if found.table is None or table_digest(found.table) != reference.table.crc32:
         raise GateRefused(
             f"bank {found.bank} is active, and it does not hold the table accepted in run {reference.run_id}",
@@ -38,13 +38,13 @@ def measure(
     rules: PositionRules,
     mount_poses: Mapping[int, MountPoseEstimate] | None = None,
 ) -> MeasuredPositions:
-    """Measure some of a night's positions, with keys that begin with `prefix`."""
+    """Measure some positions of a night; the keys of all steps begin with `prefix`."""
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, mount_poses))
 
 
 def judge_measurement(
     judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction
 ) -> Judgement:
-    """Judge all balls `measured`, held-out ones included, against the last accepted night."""
+    """Judge all measured balls, including those of held-out positions, against the last accepted night."""
     held_out = job.balls_of(measured, held_out=True)
     return judge.judge_balls(plan.station, [*held_out, *job.balls_of(measured, held_out=False)], held_out, correction)

@@ -1,4 +1,4 @@
-"""Comparison of a machine with the prediction of the last accepted night, and diagnosis of a change."""
+"""Comparison of a machine with its prediction from the last accepted night, and diagnosis of a change."""
 
 from __future__ import annotations
 
@@ -30,8 +30,11 @@ _LIKELIEST = 5
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Judgement of a night. `report` for people and the journal, its reason empty if all is within limits; `found`: the
-    statistics it rests on."""
+    """Judgement of a night.
+
+    `report`: result for people and the journal; its reason is empty if everything is within limits. `found`: statistics
+    on which the report is based.
+    """
 
     report: NightReport
     found: Innovation
@@ -51,7 +54,7 @@ class Judge:
 
     @cached_property
     def prior(self) -> CarriedOverPrior:
-        """Knowledge of the machine before tonight."""
+        """Prior of this night: the estimate of the last accepted night, widened by the drift since."""
         return prior_tonight(self.job, self.reference, self.nights)
 
     @cached_property
@@ -66,19 +69,20 @@ class Judge:
 
     @property
     def before_um(self) -> float:
-        """VE with the active table, as the last accepted night left it, in µm."""
+        """Expected VE with the active table at the end of the last accepted night, aligned, in µm."""
         estimate = self.reference.estimate
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, self.reference.table.written).aligned_um
 
     def expected_ve_um(self, estimate: Estimate, written: Array) -> float:
-        """Return the VE in µm that an estimate expects with these parameters (p,) in the table."""
+        """Return the aligned VE in µm expected from `estimate` with a table of the parameters `written` (p,)."""
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, written).aligned_um
 
     def judge_balls(
         self, station: int, balls: Sequence[MeasuredBall], held_out: Sequence[MeasuredBall], correction: Correction
     ) -> Judgement:
-        """Judge `balls`, all measured with the active table; `held_out`: the held-out ones of them; `correction`: of
-        the table.
+        """Judge `balls`, all measured with the active table.
+
+        `held_out`: those of `balls` in held-out positions; `correction`: correction added by the active table.
 
         Raises MeasurementFault if too few balls were found for a judgement.
         """
@@ -110,7 +114,7 @@ class Judge:
         return Judgement(report, found)
 
     def _held_out(self, held_out: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
-        """Return the rms of a held-out ball as the controller displays it and its expected value, in µm."""
+        """Return the rms residual of the held-out balls at displayed positions, and its expected value, in µm."""
         offset, artefact, prior = self.job.tool_offset_mm, self.job.artefact, self.prior
         displayed, bare = (observations_of(held_out, offset, shift) for shift in (no_correction, correction))
         result = held_out_residuals(displayed, displayed.axis_positions + offset, artefact)
@@ -122,7 +126,7 @@ class Judge:
         return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_mm
 
     def _reason(self, found: Innovation, jumped: Sequence[SuspectedJump], now_um: float) -> str:
-        """Return why the machine is out of limits; empty if it is within."""
+        """Return the reason why the machine is out of limits; empty if it is within limits."""
         limits = self.job.settings.nightly
         reasons = []
         if jumped:

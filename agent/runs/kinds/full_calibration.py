@@ -1,4 +1,4 @@
-"""Full calibration that an earlier night found necessary: done in a slot that permits it, otherwise awaited."""
+"""Full calibration that an earlier night found necessary; until a slot permits it, nights only verify."""
 
 from __future__ import annotations
 
@@ -24,7 +24,11 @@ from agent.runs.run_context import RunContext
 
 @dataclass(frozen=True)
 class Slot:
-    """Slot of a night. `minutes` of machine time, `reserve` included; `full_allowed`: for a full calibration too."""
+    """Slot of a night.
+
+    `minutes`: machine time, of which `reserve` minutes are to remain unused; `full_allowed`: a full calibration is
+    permitted.
+    """
 
     minutes: float
     full_allowed: bool
@@ -36,7 +40,10 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class PendingCalibration:
-    """Night on which a full calibration of the job `here` is due, since `pending` was decided."""
+    """Night in which a full calibration is due.
+
+    `here`: job with the artefact at `station`; `pending`: the decision that requires the calibration.
+    """
 
     kind: Kind
     here: Job
@@ -46,7 +53,7 @@ class PendingCalibration:
     pending: FullCalibrationNeed
 
     def plan(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        """Plan the full calibration or, if it cannot be done tonight, a verification.
+        """Plan the full calibration or, if the slot does not permit it or is too short for it, a verification.
 
         Raises PlanRefused if the slot is too short even for the verification.
         """
@@ -111,7 +118,7 @@ class FullCalibrationRun(GuardedRun):
 
 
 class CalibrationPendingRun(GuardedRun):
-    """Verification while a full calibration is needed and not permitted: measure, report, write nothing."""
+    """Verification in place of a full calibration that is due but cannot be done in this slot; writes no table."""
 
     def __init__(
         self, job: Job, context: RunContext, judge: Judge, plan: NightPlan, pending: FullCalibrationNeed
@@ -134,7 +141,7 @@ class CalibrationPendingRun(GuardedRun):
 
 
 def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Judge, report: NightReport) -> None:
-    """Continue `run` as a full calibration of `job` with everything it has reached so far.
+    """Continue `run`, with its progress so far, as a full calibration of `job`.
 
     Consent to the change was given with the permission for a full calibration.
     """

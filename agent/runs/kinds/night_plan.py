@@ -1,6 +1,6 @@
-"""Plan of a night, decided and proved by a preflight before anything moves.
+"""Plan of a night, made and checked by a preflight before anything moves.
 
-The choice needs only the covariance of the prior, so that nothing has to be decided during the night.
+The choice of positions depends only on the covariance of the prior, so that it can be made before the night.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from twin.artefact.position_set import Position
 
 VERIFICATION, FURTHER = "look", "further"
 MIN_FUSED_POSITIONS = 2
-"""Fewer positions cannot separate machine errors from artefact errors."""
+"""Smallest number of positions that are fused; fewer cannot separate machine errors from artefact errors."""
 
 _AHEAD = 1.3  # time to choose for, relative to the time left: positions together cost less than one by one
 _MOST_TRIES = 6
@@ -30,8 +30,11 @@ _MOST = 100
 
 @dataclass(frozen=True, eq=False)
 class NightPlan:
-    """Positions of a night at `station`: `held_out` and `check_positions` first (the verification), then `further`,
-    then `held_out` again."""
+    """Positions of a night at `station`.
+
+    The verification measures `held_out` and `check_positions`; then `further` are measured, and finally `held_out`
+    again for the proof.
+    """
 
     station: int
     held_out: tuple[Position, ...]
@@ -43,7 +46,7 @@ class NightPlan:
         return (*self.held_out, *self.check_positions)
 
     def job(self, job: Job) -> Job:
-        """Return the job of the night: positions that are fused and positions that are held out."""
+        """Return `job` with the positions of this night, those to be fused and those held out."""
         return replace(
             job_at_station(job, self.station),
             positions=(*self.check_positions, *self.further),
@@ -57,14 +60,17 @@ class NightPlan:
 
 
 def job_at_station(job: Job, station: int) -> Job:
-    """Return the job with the artefact at `station`, without the reversal of the axes: a slot is too short for it."""
+    """Return the job with the artefact at `station`, without the reversal check of the axes, too long for a slot."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
     preparation = replace(job.preparation, reversal=None)
     return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
 
 
 def station_of(job: Job, named: int | None) -> int:
-    """Return the artefact's station: as `named`, otherwise as the settings say. ConfigurationError if neither does."""
+    """Return the artefact's station: `named` unless None, else from the settings.
+
+    Raise ConfigurationError if neither names one or there is no such station.
+    """
     station = named if named is not None else job.settings.stations.standing_at
     if station is None:
         raise ConfigurationError(
@@ -78,7 +84,7 @@ def station_of(job: Job, named: int | None) -> int:
 
 
 def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
-    """Return the plan of a verification alone."""
+    """Return the plan of a verification without further positions."""
     chosen = chooser.job.settings.nightly
     held_out = _held_out(chooser, chosen.held_out_positions)
     checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
@@ -88,9 +94,9 @@ def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
 def night_plan(
     chooser: PositionChooser, judge: Judge, slot_minutes: float, start_mm: Point, watch: Callable[[], None]
 ) -> tuple[NightPlan, PreflightResult]:
-    """Plan as many positions as fit into the slot less its reserve, timed by the preflight.
+    """Plan as many positions as fit into the slot minus its reserve, according to the time of the preflight.
 
-    Raises PlanRefused if the slot is too short.
+    Return the plan and its preflight. Raises PlanRefused if the slot is too short.
     """
     chosen = chooser.job.settings.nightly
     held_out = _held_out(chooser, chosen.held_out_positions)
@@ -120,7 +126,7 @@ def night_plan(
 
 
 def whole_night(plan: NightPlan) -> Procedure:
-    """Return the procedure of a whole night: verification, further positions and proof."""
+    """Return the procedure of a whole night (verification, further positions, proof), for the preflight."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         prepared = yield from job.preparation_plan()
@@ -137,7 +143,7 @@ def whole_night(plan: NightPlan) -> Procedure:
 
 
 def verification_only(plan: NightPlan) -> Procedure:
-    """Return the procedure of a verification alone, which judges by its own measurements."""
+    """Return the procedure of a verification; its measurements are also returned in place of a proof."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         prepared = yield from job.preparation_plan()
@@ -148,7 +154,7 @@ def verification_only(plan: NightPlan) -> Procedure:
 
 
 def additional_positions(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
-    """Return the procedure of additional positions, without another probe check."""
+    """Return the procedure that measures additional positions without checking the probe again."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         measured = yield from measure_positions(plan.order(prefix, positions), job.layout, job.rules)

@@ -1,4 +1,4 @@
-"""Kind `nightly`: verify, use the rest of the slot to measure what is least known, and fuse it with earlier nights."""
+"""Kind `nightly`: verification, then positions that reduce the uncertainty most, and fusion with earlier nights."""
 
 from __future__ import annotations
 
@@ -51,15 +51,16 @@ from twin.units import S_PER_MIN
 
 DIAGNOSIS = "diagnosis"
 SUSPECTS = 8
-"""Number of suspected errors that a diagnosis discriminates between."""
+"""Largest number of suspected errors between which a diagnosis discriminates."""
 
 
 @dataclass(frozen=True)
 class Night:
-    """Kind that verifies and improves. `slot_minutes`, `full_allowed`: None as the settings say; the rest as for a
-    `Verification`.
+    """Kind of run that verifies the machine and improves the estimate.
 
-    `full_allowed`: a person carries the artefact tonight and consents to a machine that has changed.
+    `slot_minutes`: length of the slot; None: from the settings. `full_allowed`: True if a person moves the artefact
+    between stations in this night and consents to a table for a changed machine; None: from the settings. `station`,
+    `nights`: see `Verification`.
     """
 
     slot_minutes: float | None = None
@@ -95,7 +96,7 @@ class Night:
 
 
 class NightlyRun(CalibrationRun):
-    """Verification, further positions in the rest of the slot, fusion, and proof."""
+    """Run of a night: verification, further positions in the rest of the slot, fusion, and proof."""
 
     def __init__(
         self,
@@ -140,7 +141,7 @@ class NightlyRun(CalibrationRun):
         return measured, self._judged(measured)
 
     def _still_fitting(self) -> tuple[Position, ...]:
-        """Return the further positions for which time is left, the time of the proof reserved."""
+        """Return the further positions for which time is left after reserving the time of the proof."""
         further = list(self._plan.further)
         needed = self._planned_minutes_after(VERIFICATION)
         while further and needed > self._left_minutes:
@@ -148,8 +149,10 @@ class NightlyRun(CalibrationRun):
         return tuple(further)
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """Return why too little of the slot is left: it also passes while a run is interrupted. Measurements of an
-        unfinished verification are useful only if the rest of it can be measured too."""
+        """Return an error if too little of the slot is left, since it continues to pass during an interruption.
+
+        Enough must be left for the rest of the verification, because an incomplete verification is useless.
+        """
         at_s = self._preflight_result.timeline.get(following.key)
         needed = 0.0 if at_s is None else (self._preflight_result.machine_seconds - at_s) / S_PER_MIN
         needed -= self._planned_minutes_after(VERIFICATION)
@@ -162,7 +165,7 @@ class NightlyRun(CalibrationRun):
         return None
 
     def _planned_minutes_after(self, prefix: str) -> float:
-        """Return the minutes from the end of a part of the night to its whole end, according to the preflight."""
+        """Return the minutes from the last ball with keys under `prefix` to the end of the night, by the preflight."""
         done = [seconds for key, seconds in self._preflight_result.timeline.items() if key.startswith(f"{prefix}/")]
         return (self._preflight_result.machine_seconds - max(done, default=0.0)) / S_PER_MIN
 
@@ -186,7 +189,7 @@ class NightlyRun(CalibrationRun):
     # ------------------------------------------------------------------ out of limits
 
     def _out_of_limits(self, measured: MeasuredPositions, judgement: Judgement) -> None:
-        """Calibrate in full if that is permitted and fits; otherwise diagnose the change and request a calibration."""
+        """Calibrate in full if permitted and time is left; else diagnose the change and request a calibration."""
         full = job_at_station(self._judge.job, self._plan.station)
         if self._slot.full_allowed and self._minutes_of(full) <= self._left_minutes:
             report = replace(judgement.report, decision=Decision.FULL_DONE)
@@ -200,7 +203,7 @@ class NightlyRun(CalibrationRun):
         raise refusal_until_full(report.reason)
 
     def _diagnosed(self, measured: MeasuredPositions, judgement: Judgement) -> NightReport:
-        """Use the rest of the slot for positions that discriminate between the suspected errors."""
+        """Use the rest of the slot for positions that discriminate between the suspected errors; return the report."""
         done, report = positions_in(measured), judgement.report
         chosen = list(
             self._chooser.discriminating(
@@ -221,7 +224,7 @@ class NightlyRun(CalibrationRun):
         return again.report if not again.within else replace(again.report, reason=report.reason)
 
     def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
-        """Return the machine minutes of a procedure by a preflight; an abort interrupts it."""
+        """Return the machine minutes of a procedure, from a preflight that an abort interrupts."""
         return run_preflight(job, procedure=procedure, watch=self._supervisor.check_stop_request).machine_minutes
 
     # ------------------------------------------------------------------ fusion

@@ -1,4 +1,4 @@
-"""Choice of a night's positions: those that lower the predicted uncertainty most, given the prior."""
+"""Choice of a night's positions: to reduce the predicted uncertainty, or to detect and diagnose jumps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from twin.monitoring.step_detection import SuspectedJump
 
 @dataclass(frozen=True, eq=False)
 class PositionChooser:
-    """Chooser of positions at one `station`, where the artefact stays."""
+    """Chooser of positions at one `station`, where the artefact stands during the whole night."""
 
     job: Job
     station: int
@@ -39,7 +39,7 @@ class PositionChooser:
         return sum(self.feasibility.minutes(position) for position in positions)
 
     def held_out(self, count: int) -> tuple[Position, ...]:
-        """Return the first orientations of the verification that can be measured here, at most `count`."""
+        """Return the first verification positions of the settings that can be measured here, at most `count`."""
         candidates = [
             Position(self.station, azimuth, elevation)
             for azimuth, elevation in self.job.settings.verification.positions_deg
@@ -55,10 +55,10 @@ class PositionChooser:
         measured: Sequence[Position] = (),
         left_out: Sequence[Position] = (),
     ) -> Iterator[Position]:
-        """Yield positions one by one, by gain per minute, until there are `most` or no other fits into `minutes`.
+        """Yield positions in the order of their gain per minute, at most `most`, as long as they fit into `minutes`.
 
-        The gain is relative to `prior` and to the positions that will have been `measured`; those `left_out` are never
-        chosen.
+        The gain is the reduction of uncertainty beyond that of `prior` and the positions `measured`. Positions in
+        `left_out` are never chosen.
         """
         offered = [position for position in self._offered() if position not in left_out]
         search, places = self._search(prior, [*measured, *offered])
@@ -75,7 +75,7 @@ class PositionChooser:
     def detecting_jumps(
         self, prior: CarriedOverPrior, count: int, measured: Sequence[Position]
     ) -> tuple[Position, ...]:
-        """Return the `count` positions that best detect a jump of any error, in addition to those `measured` anyway."""
+        """Return the `count` positions that, together with those `measured`, best detect a jump of any error."""
         ranked = self._ranked(prior, JumpQuestions.any_jump(prior.unknowns), measured)
         return tuple(islice(ranked, count))
 
@@ -87,8 +87,8 @@ class PositionChooser:
         minutes: float,
         measured: Sequence[Position],
     ) -> tuple[Position, ...]:
-        """Return positions that discriminate between the `suspects`, as many as fit into `minutes`; none of those
-        already `measured`."""
+        """Return the positions that best discriminate between the `suspects`, as many as fit into `minutes`, without
+        those already `measured`."""
         names, scale = prior.unknowns.model.names, prior.unknowns.scale
         jumps = np.zeros((len(suspects), prior.unknowns.blocks.size))
         for row, suspect in zip(jumps, suspects, strict=True):
@@ -113,7 +113,7 @@ class PositionChooser:
                 yield candidates.positions[index]
 
     def _search(self, prior: CarriedOverPrior, positions: Sequence[Position]) -> tuple[ExchangeSearch, list[int]]:
-        """Return the search over the candidates, and the index of each of the `positions` among them."""
+        """Return the search over those `positions` that can be candidates, and the indices of these candidates."""
         job = self.job
         machine = job.machine.with_model(prior.unknowns.model)
         options = Options(carried_over=prior, estimate_scales=False, outliers="none")

@@ -37,14 +37,17 @@ class Restoration:
     name: str = "restore"
 
     def plan(self, job: Job, start: StartConditions, _: Callable[[], None]) -> PlannedRun:
-        """Return the planned run. Raise InputError if the journal has no such table."""
+        """Return the planned run. Raise InputError if the journal does not contain the table."""
         image = stored_table(job.settings.state_directory, self.run_id, self.role)
         preflight = PreflightResult(_NOTHING, _NOTHING, {}, (), 0.0, 0.0, 0)
         return PlannedRun(job, self, start, preflight, lambda context: RestorationRun(job, context, image, self))
 
 
 class RestorationRun(GuardedRun):
-    """Stage, read back, activate, read back; if that fails, the previous table is reactivated."""
+    """Run that stages the stored table, reads it back, activates it and checks the active bank.
+
+    If that fails, the previous table is reactivated.
+    """
 
     def __init__(self, job: Job, context: RunContext, image: TableImage | None, kind: Restoration) -> None:
         super().__init__(job, context)
@@ -72,7 +75,7 @@ class RestorationRun(GuardedRun):
         self._tracker.enter(RunState.COMPLETE, text)
 
     def _staged(self, active: int) -> int:
-        """Return the bank that now holds the table; bank 0 if no compensation is wanted."""
+        """Stage the table and return its bank; return bank 0 if the restored state is without compensation."""
         if self._image is None:
             return 0
         bank = publish.choose_bank(self._rig.store.store_limits().banks, active)
@@ -81,7 +84,7 @@ class RestorationRun(GuardedRun):
 
 
 def stored_table(directory: Path, run_id: str, role: str) -> TableImage | None:
-    """Return the last table stored by `run_id` with `role`; None if bank 0, no compensation, was active.
+    """Return the last table stored by `run_id` with `role`; None if the role was recorded without compensation.
 
     Raise InputError if the run stored no such table.
     """

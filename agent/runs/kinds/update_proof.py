@@ -1,8 +1,8 @@
-"""Proof of a table that updates the last one, by the held-out positions of one night.
+"""Proof, by the held-out positions of one night, of a table that updates the last one.
 
-A full calibration removes most of the error, and its proof requires that. From one night to the next a table changes by
-less than the repeatability of the touches; here the held-out balls must therefore not have become worse than their
-noise explains, and they must be as predicted.
+A full calibration removes most of the error, and its proof requires that. From one night to the next, however, a table
+changes by less than the repeatability of the touches. The proof of an update therefore requires only that the residuals
+of the held-out balls are as predicted and have not increased by more than their noise explains.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ _COVERAGE = 3.0
 def prove_update(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
-    """Return the proof from held-out balls `before` and `after` the activation of the new table. Raise MeasurementFault
-    if there are none."""
+    """Return the proof from the held-out balls measured before and after the activation of the new table.
+
+    Raise MeasurementFault if there are none, or too few.
+    """
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:
             raise MeasurementFault(f"no ball of a held-out position was measured {when}")
@@ -64,9 +66,10 @@ def prove_update(
 
 
 def _deviation(result: HeldOutResiduals, observed: Observations, scale: float) -> float:
-    """Return the standard deviation (mm²) of the mean square of a ball's residual, from touch noise σ alone.
+    """Return the standard deviation (mm²) of the mean squared residual of a ball that is due to touch noise alone.
 
-    |s + n|² has the variance 4 |s|² σ² + 2 f σ⁴ about its mean for f independent components of the noise n.
+    For a systematic part s of the residuals and noise n with f independent components of standard deviation σ,
+    |s + n|² has the variance 4 |s|² σ² + 2 f σ⁴. `scale`: factor of the stated noise.
     """
     variance = scale**2 * float(np.einsum("nii->n", observed.covariance).mean()) / 3.0
     freedom = result.freedom

@@ -1,4 +1,7 @@
-"""Kind `verify`: compare a few positions, compensation active, with the last accepted night; nothing is written."""
+"""Kind `verify`: comparison of a few positions, measured with the compensation active, with the last accepted night.
+
+No table is written.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +31,11 @@ from agent.runs.run_context import RunContext
 
 @dataclass(frozen=True)
 class Verification:
-    """Kind that only verifies. `station` at which the artefact stands, None: as the settings say; `nights` since the
-    last accepted one, None: by the calendar."""
+    """Kind of run that only verifies.
+
+    `station`: station of the artefact, None: from the settings. `nights`: nights since the last accepted one, None:
+    from the date.
+    """
 
     station: int | None = None
     nights: float | None = None
@@ -46,7 +52,7 @@ class Verification:
 
 
 class VerifyRun(GuardedRun):
-    """Run that measures and judges, and leaves everything as it was."""
+    """Run that measures and judges; the compensation is not changed."""
 
     def __init__(self, job: Job, context: RunContext, judge: Judge, plan: NightPlan) -> None:
         super().__init__(job, context)
