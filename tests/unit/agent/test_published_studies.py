@@ -144,7 +144,7 @@ class TestBar:
 
     def test_another_artefact_is_refused_with_a_hint(self) -> None:
         plate = replace(job().artefact, balls=job().artefact.balls[:, [1, 0, 2]])
-        with pytest.raises(DataError, match="no bar of equally pitched balls") as caught:
+        with pytest.raises(DataError, match="not a bar of equally spaced balls") as caught:
             Bar.of(plate)
         assert "ball-bar-1500" in (caught.value.hint or "")
 
@@ -339,5 +339,5 @@ def test_an_artefact_that_is_no_bar_is_told_before_any_work() -> None:
         cte_standard_uncertainty_per_k=0.0,
         covariance=np.zeros((9, 9)),
     )
-    with pytest.raises(DataError, match="'plate' is no bar"):
+    with pytest.raises(DataError, match="'plate' is not a bar"):
         ball_count.run(case(job=replace(job(2), artefact=plate)))
