@@ -57,7 +57,10 @@ class ScaledClock:
 
 
 class VirtualClock:
-    """Clock that advances only by `sleep` and `advance_to`; listeners (a simulated world, wire servers) follow it."""
+    """Clock that advances only by `sleep` and `advance_to`.
+
+    Listeners (a simulated world, wire servers) are called after every advance.
+    """
 
     def __init__(self) -> None:
         self._now = 0.0
@@ -171,7 +174,7 @@ class InterruptibleClock:
 def without_interrupts(clock: Clock) -> Clock:
     """Return the clock beneath an `InterruptibleClock`, or `clock` itself.
 
-    Use it for waits between a request and its answer: such a wait must not be interrupted, and hold and STOP themselves
+    Use it for waits between a request and its answer. Such a wait must not be interrupted, and hold and STOP themselves
     send requests while the run is interrupted.
     """
     return clock.inner if isinstance(clock, InterruptibleClock) else clock

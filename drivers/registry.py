@@ -27,7 +27,7 @@ ENTRY_POINT_GROUP = "volcal.drivers"
 
 @dataclass(frozen=True)
 class DeviceContext:
-    """Inputs to a driver besides its settings: its configured name, its clock, and the base of relative paths."""
+    """Inputs to a driver besides its settings: configured name, clock, and the base directory of relative paths."""
 
     name: str
     clock: Clock

@@ -70,7 +70,7 @@ class ProbeStatus:
 
 @dataclass(frozen=True)
 class Touch:
-    """Probe trip. `position_mm` is the position latched at the trip, never the position where the axes stopped."""
+    """Result of a probe trip. `position_mm` is the position latched at the trip, not where the axes stopped."""
 
     position_mm: tuple[float, float, float]
 
@@ -172,7 +172,7 @@ class StepTracing(Protocol):
     """Device that reports to the controller's own log which step of the procedure a motion belongs to."""
 
     def trace(self, tag: int) -> None:
-        """Assign all further motions to the step with this tag (32 bits, not 0)."""
+        """Assign all further motions to the step with this tag, a 32-bit number other than 0."""
         ...
 
 
@@ -229,7 +229,7 @@ class CompensationStore(Protocol):
         """Write a table to an inactive bank and commit it with its CRC-32. Raises StoreError for the active bank."""
 
     def activate(self, bank: int) -> None:
-        """Activate in two steps, arm and confirm; return once the controller reports `bank` as active."""
+        """Activate `bank` in two steps, arm and confirm; return once the controller reports it as active."""
 
 
 @runtime_checkable

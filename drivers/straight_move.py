@@ -42,7 +42,7 @@ def move_duration_s(
 
 
 def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -> float:
-    """Return the distance in mm of a point, shape (3,), from the line segment between two others."""
+    """Return the distance in mm of a point from the line segment between two other points, each of shape (3,)."""
     along = end_mm - start_mm
     square = float(along @ along)
     # Foot of the perpendicular, as a fraction of the segment: t = (p - a)·(b - a) / |b - a|², limited to 0 ... 1.
@@ -53,6 +53,7 @@ def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -
 def limit_along_direction(components: Sequence[float], per_axis: Sequence[float]) -> float:
     """Return the largest speed or acceleration along a direction at which no axis exceeds its own limit.
 
-    `components` are the absolute components of the unit direction vector: min over the axes of limit_i / |d_i|.
+    `components` are the absolute components |d_i| of the unit direction vector. The result is the minimum over the axes
+    of limit_i / |d_i|.
     """
     return min(limit / part for part, limit in zip(components, per_axis, strict=True) if part > 0.0)

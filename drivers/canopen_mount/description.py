@@ -1,4 +1,4 @@
-"""Optional EDS file (CiA 306) of a drive: reading of the identity, and a check for the required objects."""
+"""Reader of the optional EDS file (CiA 306) of a drive: reads the identity and checks for the required objects."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ HANDSHAKE_S = 1.0
 MAX_TRANSITIONS = 8
 """Largest number of transitions to *operation enabled*.
 
-At most seven are needed, so a drive not enabled after eight is repeating states.
+At most seven are needed, so a drive that is not enabled after eight transitions is repeating states.
 """
 
 _log = structlog.get_logger("canopen_mount")
@@ -39,7 +39,7 @@ _log = structlog.get_logger("canopen_mount")
 class Drive:
     """Drive of one axis; angles are mount angles in degrees.
 
-    Every wait is bounded. After an exception the mount stops the drives, not this class, because both axes must stop.
+    Every wait is bounded. After an exception, the mount and not this class stops the drives, because both must stop.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Drive:
         self._prepared = False
 
     def verify(self) -> None:
-        """Verify that identity and units of the drive match the settings, and store its software limits.
+        """Verify that the drive's identity and units match the settings, and store its software limits.
 
         Raises ProtocolError if the identity differs, ConfigurationError if the units differ. Writes nothing unless
         `units.write` is set; then differing units are written to the drive.
@@ -117,7 +117,10 @@ class Drive:
             )
 
     def prepare(self) -> None:
-        """Set the node's heartbeat time and start it by NMT; required at opening and after a restart. Moves nothing."""
+        """Set the node's heartbeat time and start the node by NMT. Moves nothing.
+
+        The mount must call this when it opens and after a restart of the node.
+        """
         self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)
         self.node.start()
         self._mode = None
@@ -128,7 +131,8 @@ class Drive:
     def enable(self) -> None:
         """Bring the drive to *operation enabled* by the transitions in `ENABLE_TRANSITIONS`.
 
-        A drive that is already enabled at the first query is stopped first. A fault met on the way is reset.
+        A drive that is already enabled at the first query is stopped first. A fault that occurs
+        during the transitions is reset.
         """
         if not self._prepared:
             self.prepare()
@@ -185,7 +189,7 @@ class Drive:
         return bool(self._statusword_in_motion() & states.TARGET_REACHED)
 
     def describe_unreached_target(self) -> str:
-        """Return position, blocking limit and following error as text, for a drive that has not reached its target."""
+        """Return a text that explains why the target was not reached: position, blocking limit and following error."""
         return describe_unreached_target(self.node, self._scale, self._target, self._direction)
 
     def start_homing(self, homing: HomingSettings) -> None:
@@ -198,7 +202,7 @@ class Drive:
         self.node.write(objects.CONTROLWORD, states.START_HOMING)
 
     def homing_ended(self) -> bool:
-        """Poll once and return True if homing is attained (bit 12) and the axis at rest (bit 10).
+        """Poll once and return True if homing is attained (bit 12) and the axis is at rest (bit 10).
 
         Raises MotionFault for a homing error.
         """
@@ -210,7 +214,7 @@ class Drive:
         return done
 
     def quick_stop(self) -> None:
-        """Command a quick stop, without sleeping: it must also work after the clock has aborted a wait.
+        """Command a quick stop without sleeping, since it must also work after the clock has aborted a wait.
 
         Raises MotionFault if the drive ignores the command.
         """

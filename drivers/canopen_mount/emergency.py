@@ -1,6 +1,6 @@
 """Texts of the error codes in EMCY messages and in object 0x603F (CiA 301 table 26, CiA 402-2 annex).
 
-A code missing in the table gets the text of its most specific class.
+A code that is missing in the table has the text of the most specific error class that contains it.
 """
 
 from __future__ import annotations

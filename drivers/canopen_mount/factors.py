@@ -90,7 +90,7 @@ def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
 
 
 def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
-    """Return the diagnosis of one factor: True if it agrees or is not in the drive, and a text. Reads only."""
+    """Return True if the factor agrees or the drive does not have it, and a text for the diagnosis. Reads only."""
     found = read_factor(node, factor)
     if found is None:
         return True, f"{factor}: the drive has no such object, not compared"

@@ -1,4 +1,4 @@
-"""Limits that stop a drive: limit switches (0x60FD), its own software limits (0x607D), following error."""
+"""Limits that stop a drive: limit switches (0x60FD), its own software limits (0x607D) and the following error."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
 
 
 def describe_unreached_target(node: DriveNode, scale: AxisScale, target: int, direction: int) -> str:
-    """Return position, blocking limit and following error of a drive that has not reached its target, as text."""
+    """Return a text that explains why the target was not reached: position, blocking limit and following error."""
     parts = [f"at {scale.angle_deg(node.read(objects.POSITION)):.4f} of {scale.angle_deg(target):.4f} degrees"]
     if reason := blocking_limit(node, target, direction):
         parts.append(reason)

@@ -37,7 +37,7 @@ class CanopenMount:
         self._drives: tuple[Drive, ...] = ()
 
     def open(self) -> None:
-        """Connect, verify identity and units of both drives, start them and their heartbeats; moves nothing."""
+        """Connect, verify the identity and units of both drives, and start them and their heartbeats. Moves nothing."""
         if self._link is not None:
             return
         self._connect()
@@ -110,7 +110,7 @@ class CanopenMount:
         return Orientation(azimuth.angle_deg(), elevation.angle_deg())
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Diagnose adapter and drives; reads only. If the mount is closed, connect for the diagnosis only."""
+        """Diagnose the adapter and the drives. Reads only. If the mount is closed, connect for the diagnosis only."""
         was_open = self._link is not None
         try:
             if not was_open:

@@ -113,7 +113,7 @@ class DriveNode:
         self.read(STATUSWORD)
 
     def take_boot_up(self) -> bool:
-        """Return True if the node has announced a boot-up since the last call."""
+        """Return True if the node has announced a boot-up since the last call of this method."""
         with self._seen:
             booted, self._booted = self._booted, False
         return booted

@@ -1,4 +1,4 @@
-"""Conversion between mount angles in degrees and encoder counts, and the duration of a turn. Pure arithmetic.
+"""Pure arithmetic: conversion between mount angles in degrees and encoder counts, and the duration of a turn.
 
 counts = direction * (angle - offset) * counts_per_degree, with
 counts_per_degree = encoder counts per motor turn * motor turns / (shaft turns * 360).
@@ -53,7 +53,7 @@ class AxisScale:
 def turn_duration_s(distance_deg: float, speed_deg_per_s: float, acceleration_deg_per_s2: float) -> float:
     """Return the duration of a turn from rest to rest with trapezoidal velocity, in s.
 
-    It is d/v + v/a, or 2*sqrt(d/a) if the speed v is not reached.
+    For the distance d, the speed v and the acceleration a it is d/v + v/a, or 2*sqrt(d/a) if v is not reached.
     """
     distance = abs(distance_deg)
     if distance * acceleration_deg_per_s2 >= speed_deg_per_s**2:

@@ -36,7 +36,7 @@ class ConsoleOperator:
         self._sink = sink
 
     def open(self) -> None:
-        """Do nothing: there is nothing to connect, and the terminal is checked only when it is needed."""
+        """Do nothing, since there is nothing to connect. The terminal is checked only when a question is asked."""
 
     def close(self) -> None:
         """Do nothing: the terminal belongs to the process that started volcal."""

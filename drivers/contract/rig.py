@@ -51,7 +51,7 @@ class ContractRig(ABC):
     thermometer: Thermometer
 
     start_mm: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
-    """Position from which the path along +X is free for 1000 mm."""
+    """Position from which the path along +X is free of obstacles for 1000 mm."""
 
     free_mm: ClassVar[tuple[float, float, float]] = (123.456, 0.0, 78.9)
     """Another free position; the straight path from `start_mm` to it is free as well."""

@@ -3,8 +3,8 @@
 Defects of python-can 4.6 that this module works around:
 
 * The ``socketcand`` client retries a refused connection in a busy loop for ten seconds, and if the server
-  goes away it spins on an empty read for ever. We avoid the first by a connection attempt with a time limit
-  beforehand, the second by checking for the end of the stream before each read.
+  goes away it spins on an empty read for ever. We avoid the busy loop by a connection attempt with a time limit
+  beforehand, and the empty reads by checking for the end of the stream before each read.
 * The ``slcan`` interface reads its serial port byte by byte and falls behind in a burst; it ignores every
   refusal (BELL) of the adapter; and it writes without a time limit, so that a dead adapter blocks the caller.
 """
@@ -134,7 +134,7 @@ class SlcanBus(slcanBus):
             self._claim.close()
 
     def status_flags(self, within_s: float) -> int | None:
-        """Query the adapter's status flags; None if it does not answer within `within_s`.
+        """Query and return the adapter's status flags; None if it does not answer within `within_s`.
 
         The receiving thread must be running, because it reads the answer.
         """

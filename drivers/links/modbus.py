@@ -95,16 +95,17 @@ class ModbusLink:
         return self._registers(self._checked(request, register, idempotent=True), count, register)
 
     def write(self, register: int, data: bytes, *, idempotent: bool) -> None:
-        """Write `data` to consecutive registers, the first of them `register`, with function 16."""
+        """Write `data` to consecutive registers, starting at `register`, with function 16."""
         head = struct.pack(">HH", register, self._writable_count(register, data))
         request = bytes((WRITE,)) + head + bytes((len(data),)) + data
         if self._checked(request, register, idempotent=idempotent) != head:
             raise ProtocolError("the answer to a write names other registers", register=register, **self.where)
 
     def exchange(self, register: int, data: bytes, read: int, count: int, *, idempotent: bool) -> bytes:
-        """Write `data` from `register` on, then read and return `count` registers from `read` on, with function 23.
+        """Write `data` starting at `register`, then read and return `count` registers starting at `read`.
 
-        Both take one round trip. If the server does not support function 23, functions 16 and 3 are used from then on.
+        Function 23 does both in one round trip. If the server does not support it, functions 16 and 3 are used from
+        then on.
         """
         if self._combined:
             written = self._writable_count(register, data)

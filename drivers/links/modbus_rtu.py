@@ -4,7 +4,7 @@ This is our own transport because pymodbus searches for a frame anywhere in the 
 answer of another unit, and reports a garbled answer as a timeout, so that a bad line looks like a dead controller.
 
 RTU has no transaction number. Bytes that have arrived are discarded before each request; after a failure, bytes are
-read and discarded until the line is quiet. A late answer that arrives even later is accepted as the answer to the next
+read and discarded until the line is quiet. A late answer that arrives after that is accepted as the answer to the next
 request if its form is right. Numbers in the register map (sequence, block, latch) reveal such stale contents.
 
 A request takes at least its transmission time on the device's clock. If the transfer itself is faster (pseudo-terminal,
@@ -189,7 +189,7 @@ class RtuTransport:
         )
 
     def _read_some(self, port: serial.Serial, within_s: float, at_most: int) -> bytes:
-        """Return up to `at_most` bytes as soon as any are received; b"" if none come within `within_s` of wall time."""
+        """Return up to `at_most` bytes as soon as any arrive; b"" if none arrive within `within_s` of wall time."""
         ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))
         return bytes(port.read(at_most)) if ready else b""
 

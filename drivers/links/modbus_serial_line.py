@@ -55,7 +55,8 @@ class SerialLine(DriverOptions):
     def exchange_s(self, request: int, answer: int) -> float:
         """Return the transmission time in s of a request and its answer, each preceded by a gap.
 
-        `request` and `answer` are their lengths in bytes from the function code up to, not including, the CRC.
+        `request` and `answer` are their lengths in bytes, counted from the function code to the last
+        byte before the CRC.
         """
         characters = request + answer + 2 * ADDRESS_AND_CRC
         return 2.0 * self.gap_s + characters * self.character_s

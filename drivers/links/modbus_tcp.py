@@ -128,7 +128,7 @@ class _WriteAndReadResponse(_Response):
 
 
 class _Client(Protocol):
-    """Type annotations, missing in pymodbus, for the client methods used here."""
+    """Type annotations for the client methods used here, which pymodbus does not annotate."""
 
     @property
     def connected(self) -> bool: ...

@@ -86,7 +86,7 @@ class SerialPort:
             raise self._lost(error) from error
 
     def read(self, within_s: float) -> bytes:
-        """Return the bytes received as soon as there are any; empty if none come within `within_s` of wall time."""
+        """Return received bytes as soon as there are any; b"" if none arrive within `within_s` of wall time."""
         port = self._require_port()
         try:
             ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))

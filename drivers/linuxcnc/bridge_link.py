@@ -26,7 +26,7 @@ Answer = dict[str, Any]
 
 
 class _Bridge(NamedTuple):
-    """Bridge process, and its standard error; the last line of it is reported if the process ends unexpectedly."""
+    """Bridge process. If it ends unexpectedly, the last line of its standard error is reported."""
 
     process: subprocess.Popen[bytes]
     stderr: IO[bytes]
@@ -95,7 +95,10 @@ class BridgeLink:
                 _ended(process)  # bounded: an abort by a new bridge must not wait for this one
 
     def ask(self, what: str, **fields: object) -> Answer:
-        """Send a request and return the answer. Raises CommandRejected if LinuxCNC refuses, LinkLost, LinkTimeout."""
+        """Send a request and return the answer.
+
+        Raises LinkLost or LinkTimeout, and CommandRejected if LinuxCNC refuses the request.
+        """
         with self._lock:
             self._number += 1
             self._send({"id": self._number, "do": what, **fields})
@@ -106,7 +109,7 @@ class BridgeLink:
         raise self._refusal(answer)
 
     def abort(self) -> None:
-        """Stop any motion, through a new bridge if the old one has ended or does not answer."""
+        """Stop any motion. If the bridge has ended or does not answer, a new bridge is started for the stop."""
         with self._lock:
             if self._unresponsive or not self.connected:
                 self.open()

@@ -108,7 +108,7 @@ class LinuxCnc:
         self._open.motion.reset()
 
     def stop(self) -> None:
-        """Abort the motion, through a new bridge if the old one has ended. Does nothing if the device is closed."""
+        """Abort the motion; if the bridge has ended, start a new one for it. Does nothing if the device is closed."""
         if self._parts is not None:
             self._parts.motion.stop()
 

@@ -24,7 +24,7 @@ from drivers.roles import MotionState, Permission, Vector
 from drivers.straight_move import move_duration_s
 
 DURATION_FACTOR = 1.5
-"""Factor on the predicted duration of a motion in its time limit; `motion_margin_s` is added."""
+"""Ratio of a motion's time limit to its predicted duration, before `motion_margin_s` is added."""
 LIMIT_TOLERANCE_MM = 1e-6
 REACHED_TOLERANCE_MM = 1e-4
 """Largest distance in mm from the target at the end of a motion.
@@ -73,7 +73,7 @@ class LinuxCncMotion:
         self._modal_before: tuple[float, ...] | None = None
         self._approach_direction: Triple | None = None  # path of the last motion begun with a free probe
         self.tag = 0
-        """Tag of the step to which the motions belong; appended to the MDI line as a comment."""
+        """Tag of the step to which the motions belong. It is appended to the MDI line as a comment."""
 
     def run(self, kind: MdiMotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> LinuxCncMotionResult:
         """Move until the target is reached or, in a touch, until the probe trips; raise an error for any other end."""
@@ -241,8 +241,9 @@ class LinuxCncMotion:
     ) -> tuple[Snapshot, tuple[str, ...]]:
         """Wait for the end of a motion; return a snapshot and LinuxCNC's messages during the motion.
 
-        In the snapshot the axes are at rest or the machine is off. Its outcome is that of the first snapshot after the
-        motion command had ended, since after a trip LinuxCNC ends the command while the axes are still braking.
+        In the returned snapshot the axes are at rest or the machine is off. Its outcome is copied from the first
+        snapshot after the end of the motion command, since after a trip LinuxCNC ends the command while the axes are
+        still braking.
         """
         session, clock, settings = self._session, self._session.clock, self._session.settings
         allowed_s = self._allowed_s(before, target, feed_mm_per_s)
@@ -268,7 +269,10 @@ class LinuxCncMotion:
             clock.sleep(settings.poll_interval_s)
 
     def _late_messages(self, ended: Snapshot, messages: tuple[str, ...]) -> tuple[str, ...]:
-        """Return messages that arrive up to one poll after an error; none if there was no error or `messages` exist."""
+        """Return the messages that arrive up to one poll after an error.
+
+        Returns none if there was no error, or if `messages` is not empty.
+        """
         if ended.outcome != "error" or messages:
             return ()
         self._session.clock.sleep(self._session.settings.poll_interval_s)

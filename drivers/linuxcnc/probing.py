@@ -50,7 +50,7 @@ class LinuxCncProbing:
 
         The delay is that of the probe signal plus the time to the servo cycle that reads it, half a cycle on average.
         Overshoot = direction · v · delay. The speed v is the smallest of the programmed feed times its override, the
-        limit of the axes along the path, and √(2 a s), which acceleration a reaches after the path s from the start.
+        limit of the axes along the path, and √(2 a s): the speed after the distance s from the start at acceleration a.
         """
         properties, settings = self._session.properties, self._session.settings
         path = np.subtract(target, ended.start)

@@ -64,7 +64,10 @@ class LinuxCncSession:
         return parse_snapshot(self.link.ask("status", pins=self._pins), self.properties.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
-        """Return the permissions from LinuxCNC's own state; one with a configured HAL pin requires that pin as well."""
+        """Return the permissions given by LinuxCNC's own state.
+
+        A permission for which a HAL pin is configured requires that this pin is true as well.
+        """
         on = snapshot.task_state == ON
         given = dict.fromkeys(Permission, True) | {
             Permission.AUTOMATIC: on,

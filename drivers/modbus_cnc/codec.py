@@ -20,9 +20,10 @@ _REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
 class NumberFormat:
     """Transmission format of values with type f64 in the register map.
 
-    Such a value has four registers. They hold a float64 or, in the first two, an int32 that gives the value if
-    multiplied by `scale`. `word_order` is the order of the registers of a value, `byte_order` the order of the two
-    bytes in each of them. Both apply to all values of more than one register; u16 are always big-endian.
+    Such a value occupies four registers. They hold either a float64 or, in the first two registers, an int32; the value
+    is then this integer times `scale`. `word_order` is the order of the registers of a value, and `byte_order`
+    is the order of the two bytes in each register. Both apply to all values of more than one
+    register; u16 values are always big-endian.
     """
 
     kind: Literal["float64", "int32"] = "float64"

@@ -32,9 +32,9 @@ END_MARGIN_S = 0.001
 """Time in s between the predicted end and the poll for it; a poll exactly at that end would often be too early."""
 
 DURATION_FACTOR = 1.5
-"""Factor on the predicted duration in the time limit of a motion, which allows for feed override and look-ahead.
+"""Ratio of a motion's time limit to its predicted duration, before `motion_margin_s` is added.
 
-`motion_margin_s` is added.
+It allows for feed override and look-ahead.
 """
 
 
@@ -56,7 +56,7 @@ class ModbusMotion:
         self._limits = limits
         self._braking = False
         self.tag = 0
-        """Tag of the step to which the motions belong; sent in the CRC field, which motions do not use."""
+        """Tag of the step to which the motions belong. It is sent in the CRC field, which motions do not use."""
 
     def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> ModbusMotionResult:
         """Carry out a motion and return its result.

@@ -12,7 +12,7 @@ def create(settings: ModbusCncSettings, context: DeviceContext) -> ModbusCnc:
 
 
 def claims(settings: ModbusCncSettings) -> dict[str, str]:
-    """Return the claimed resource: the serial port, since a serial line has one master; none over TCP."""
+    """Return the claimed resources: the serial port, since a serial line has only one master. TCP claims none."""
     return {f"serial port {settings.serial.port}": "serial.port"} if settings.serial is not None else {}
 
 

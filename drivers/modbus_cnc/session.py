@@ -53,7 +53,7 @@ class ModbusSession:
     def open(self) -> StatusImage:
         """Connect, verify protocol and version, and continue from the controller's current sequence number.
 
-        Clears the controller's fault if it is only that the heartbeat of an earlier session was lost.
+        Clears the controller's fault if its only cause is the lost heartbeat of an earlier session.
         """
         self.link.open()
         status = self.read_status_unchecked()
@@ -95,7 +95,10 @@ class ModbusSession:
         return self.start(command, within_s=within_s)[1]
 
     def start(self, command: CommandBlock, *, within_s: float | None = None) -> tuple[int, StatusImage]:
-        """Send a command as `command` does; return its sequence number (which identifies the outcome) and status."""
+        """Send a command as `command` does; return its sequence number and the status.
+
+        The sequence number identifies the outcome of the command.
+        """
         sequence = self._next_sequence()
         status = self._send(command, sequence)
         allowed_s = within_s or self.settings.acknowledge_timeout_s

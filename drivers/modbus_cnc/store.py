@@ -75,7 +75,7 @@ class ModbusStore:
     def stage(self, bank: int, table: TableImage) -> None:
         """Transfer a table, commit it and read it back; the active bank is not touched.
 
-        Raises ChecksumMismatch, ReadBackMismatch.
+        Raises ChecksumMismatch or ReadBackMismatch.
         """
         self._require_stageable(bank, table)
         data = table_bytes(table)
@@ -90,9 +90,9 @@ class ModbusStore:
         self._verify_read_back(bank, descriptor, data)
 
     def activate(self, bank: int) -> None:
-        """Read the table, arm the bank with its CRC-32, confirm with the controller's nonce, and wait for the bank.
+        """Read the table, arm the bank with the table's CRC-32, and confirm with the controller's nonce.
 
-        On return the bank is active, or pending if the controller does not activate it immediately.
+        Returns when the bank is active, or pending if the controller does not activate it immediately.
         """
         crc = 0
         if bank != 0:

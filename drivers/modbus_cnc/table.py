@@ -15,7 +15,10 @@ BLOCK_BYTES = 240
 
 
 def table_bytes(table: TableImage) -> bytes:
-    """Return all counts as big-endian int32: x slowest, z fastest, dx dy dz within a node (map, section 8)."""
+    """Return all counts as big-endian int32. The node index varies fastest along z and slowest along x.
+
+    Each node has its counts in the order dx, dy, dz (register map, section 8).
+    """
     return table.counts.astype(">i4").tobytes(order="C")
 
 

@@ -1,6 +1,6 @@
 """Table files: one for each bank, and one that names the active bank.
 
-After a power cut each of them has its complete old or new contents.
+After a power cut, each file has its complete old or its complete new contents.
 """
 
 from __future__ import annotations

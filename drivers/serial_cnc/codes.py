@@ -94,7 +94,10 @@ def error_text(code: int) -> str:
 
 
 def alarm_text(code: int | None) -> str:
-    """Return the text of an alarm code; None means that the controller is locked and has not given the reason."""
+    """Return the text of an alarm code.
+
+    A `code` of None means that the controller is locked and has not given the reason.
+    """
     if code is None:
         return "alarm lock: not homed since it was switched on or reset"
     return f"{ALARMS.get(code, 'an alarm that is not listed')} (alarm {code})"

@@ -19,8 +19,8 @@ class MotionControl:
     """Hold, resume, stop and reset of the controller.
 
     A stop has two phases. The feed hold is sent at once and does not lose the position. Once the axes are at rest, a
-    later status query sends a soft reset, which discards the rest of the motion; during braking it would lose the
-    position (alarm 3).
+    later call of `read_status` sends a soft reset, which discards the rest of the motion. A soft reset during braking
+    would lose the position (alarm 3).
     """
 
     def __init__(self, conversation: Conversation, tracker: StatusTracker, clock: Clock) -> None:

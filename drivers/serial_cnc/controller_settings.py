@@ -26,7 +26,10 @@ A latched position is a whole number of steps, and it is reported with three dec
 """
 HAL_FIELDS = {1: "machine position", 16: "input pins", 32: "work offset", 128: "probe result"}
 HAL_ORIGIN_AT_HOME = 8
-"""Bit of ``$22`` in grblHAL: machine zero is at the home position (in GRBL a build option, ``Z`` in ``[OPT:``)."""
+"""Bit of ``$22`` in grblHAL that puts machine zero at the home position.
+
+In GRBL this is a build option, reported by ``Z`` in ``[OPT:``.
+"""
 AXES = "XYZ"
 
 
@@ -111,7 +114,7 @@ class ControllerSettings:
         return ""
 
     def findings(self, *, manual_referencing: bool) -> Iterator[DiagnosticFinding]:
-        """Yield one finding for each group of settings; for a bad setting it gives the value to set."""
+        """Yield one finding for each group of settings. If a setting is bad, the finding gives the value to set."""
         fatal = self.fatal()
         if fatal:
             yield DiagnosticFinding("settings", ok=False, text=fatal)

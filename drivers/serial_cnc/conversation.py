@@ -214,7 +214,7 @@ class Conversation:
         self.line.write(character)
 
     def reset(self) -> None:
-        """Send a soft reset and wait for the welcome line. Lines not yet answered are forgotten: they get no answer."""
+        """Send a soft reset and wait for the welcome line. Unanswered lines are discarded: they get no answer."""
         restarts = self.restarts
         self.alarm = None
         self.line.write(SOFT_RESET)

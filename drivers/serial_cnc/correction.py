@@ -1,7 +1,7 @@
 """Application of a table's correction to a point, and its inverse.
 
-Interpolation is the same as in a controller with tables: trilinear between nodes; outside the grid, the correction at
-the nearest point of its border.
+Interpolation is the same as in a controller with tables: trilinear between nodes. Outside the grid, the correction at
+the nearest point of the grid's border applies.
 """
 
 from __future__ import annotations

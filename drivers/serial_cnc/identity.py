@@ -26,7 +26,7 @@ class ControllerIdentity:
 
 
 def await_rest(conversation: Conversation, clock: Clock, within_s: float) -> None:
-    """Wait until a motion left running by a previous user has ended, but at most `within_s` on the clock."""
+    """Wait at most `within_s` on the clock for the end of a motion that a previous user left running."""
     deadline = Deadline.after(clock, within_s)
     while conversation.report().state == MOVING and not deadline.expired:
         clock.sleep(POLL_S)

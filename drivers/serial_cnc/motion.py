@@ -115,7 +115,10 @@ class SerialMotion:
             )
 
     def _await_planned(self, sent: SentLine) -> None:
-        """Wait for the ``ok`` that means planned. If an alarm comes instead, query the status and raise its error."""
+        """Wait for the ``ok`` that means that the motion is planned.
+
+        If an alarm comes instead, query the status and raise the error that corresponds to the alarm.
+        """
         try:
             self._conversation.await_answer(sent)
         except (LinkTimeout, ProtocolError):

@@ -10,9 +10,9 @@ from drivers.serial_cnc.settings import SerialCncSettings
 from drivers.straight_move import move_duration_s
 
 DURATION_FACTOR = 1.5
-"""Factor on the predicted duration in the time limit of a motion, which allows for look-ahead and junctions.
+"""Ratio of a motion's time limit to its predicted duration, before `motion_margin_s` is added.
 
-`motion_margin_s` is added.
+It allows for look-ahead and junctions.
 """
 COARSEST_FINE_S = 0.1
 END_MARGIN_S = 0.001

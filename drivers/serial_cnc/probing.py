@@ -33,7 +33,7 @@ class ProbeCycleResult:
 
 
 class SerialProbing:
-    """Probe cycles. A latched position is accepted only if it is the only one and lies on the path of the cycle."""
+    """Probe cycles. A latched position is accepted only if a cycle reports no other and it lies on the cycle's path."""
 
     def __init__(
         self, conversation: Conversation, tracker: StatusTracker, motion: SerialMotion, frames: CoordinateFrames
@@ -131,7 +131,10 @@ class SerialProbing:
             raise self._error(f"latched position is {off_mm:.3f} mm off the commanded path (allowed {allowed_mm:g} mm)")
 
     def _feed(self, start: Vector, goal: Vector, feed_mm_per_s: float | None) -> float:
-        """Return the feed in mm/s of a probe cycle, which needs one: for a rapid, the speed limit along the path."""
+        """Return the feed in mm/s of a probe cycle; if it is None (rapid), return the speed limit along the path.
+
+        A probe cycle cannot run without a feed.
+        """
         if feed_mm_per_s is not None:
             return feed_mm_per_s
         shares = (np.abs(goal - start) / _distance(goal, start)).tolist()

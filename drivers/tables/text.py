@@ -1,4 +1,4 @@
-r"""Text format of a compensation table, with checksums that reveal truncation, changes and mixed-up parts.
+r"""Text format of a compensation table. Its checksums reveal truncation, changes and parts of different tables.
 
 ::
 
@@ -36,7 +36,10 @@ TRAILER = re.compile(r"file_crc32 ([0-9A-F]{8})\n\Z")
 
 
 def counts_crc32(counts: NDArray[np.int32]) -> int:
-    """Return the CRC-32 of the counts as big-endian int32, x slowest, dx dy dz innermost."""
+    """Return the CRC-32 of the counts as big-endian int32.
+
+    The node index varies slowest along x; each node has its counts in the order dx, dy, dz.
+    """
     return zlib.crc32(counts.astype(">i4").tobytes(order="C"))
 
 

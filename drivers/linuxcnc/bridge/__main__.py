@@ -1,9 +1,10 @@
-"""Bridge to LinuxCNC for a program under another Python: JSON requests on standard input, answers on standard output.
+"""Bridge to LinuxCNC for a program that runs under another Python interpreter.
 
-Requests and answers are one JSON object per line. The distribution's interpreter runs it (`/usr/bin/python3
-drivers/linuxcnc/bridge`), because the modules `linuxcnc` and `hal` are built for that interpreter. It imports nothing
-from volcal. Every request is answered within a few cycles of LinuxCNC's task; no request waits for a motion. The
-machine is stopped when standard input ends, or if no request comes for `watch_s` seconds during a motion started here.
+Requests on standard input and answers on standard output are one JSON object per line. The distribution's
+interpreter runs the bridge (`/usr/bin/python3 drivers/linuxcnc/bridge`), because the modules `linuxcnc` and `hal` are
+built for that interpreter. The bridge imports nothing from volcal. Every request is answered within a few cycles
+of LinuxCNC's task; no request waits for a motion. The machine is stopped when standard input ends, or if no request
+comes for `watch_s` seconds during a motion started here.
 
     {"id": 7, "do": "status"}  ->  {"id": 7, "ok": {...}}  or  {"id": 7, "error": "refused", "text": "..."}
 

@@ -62,9 +62,9 @@ class CompFileStore:
         return table
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Stage a table and its part that depends on each axis alone, the only part that LinuxCNC applies.
+        """Stage the whole table, and its own-axis part: the correction of each axis by its own position only.
 
-        Raises StoreError if the lost remainder is larger than the settings accept.
+        LinuxCNC applies only the own-axis part. Raises StoreError if the remainder is larger than the settings accept.
         """
         self._banks.require_stageable(bank, table, (self.active_bank(), self._selected_bank()))
         part = own_axis_part(table)

@@ -102,7 +102,7 @@ class LiveStore:
     def activate(self, bank: int) -> None:
         """Arm with the CRC-32 of the table, confirm with the loader's nonce, and wait until the bank is active.
 
-        The wait also lasts until the correction has settled, if it is applied.
+        If the correction is being applied to the axes, wait until it has settled as well.
         """
         self._require_alive()
         crc = 0
@@ -148,7 +148,9 @@ class LiveStore:
         return settled and int(self._get("acting-bank")) == bank
 
     def _request(self, name: str, operands: dict[str, int], bank: int) -> None:
-        """Request `name` from the loader, wait until it is done, and raise StoreError or ChecksumMismatch if refused.
+        """Send the request `name` to the loader and wait until it is done.
+
+        Raises StoreError or ChecksumMismatch if the loader refuses the request.
 
         The operands are set first, then a new sequence number; the request is done once the loader shows that number.
         """

@@ -1,4 +1,4 @@
-"""Reduction of a table to a correction of each joint by its own position, and the remainder that is lost."""
+"""Reduction of a table to a correction of each joint as a function of its own position. The remainder is lost."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class TapeError(ValueError):
 
 @dataclass(frozen=True)
 class Word:
-    """Letter and number as written; leading zeros are significant in bit parameters."""
+    """Letter and number of a word, as written on the tape. Leading zeros are significant in bit parameters."""
 
     letter: str
     text: str

@@ -1,8 +1,8 @@
 """Tape transfer in both directions over a punch/read line.
 
-*Punch*: the controller sends DC2, the tape, DC4. *Read*: it sends DC1 when READ is pressed, reads the tape, stops and
-restarts the sender with DC3 and DC1 as its memory fills, and sends DC3 at the end. The operator starts both at the
-controller; this module cannot make it punch or read.
+*Punch*: the controller sends DC2, then the tape, then DC4. *Read*: it sends DC1 when READ is pressed, reads the
+tape, stops and restarts the sender with DC3 and DC1 as its memory fills and empties, and sends DC3 at the end. The
+operator starts both transfers at the controller; this module cannot make it punch or read.
 
 Source: FANUC B-63503EN/02, 5.3: meaning of DC1 to DC4; DC3 stops a sender within ten characters.
 """
@@ -123,7 +123,7 @@ class PunchRead:
     def _next_text(self, held: list[Character], text: str) -> str:
         """Return the text in `held` and clear it; if `held` is empty, wait for characters first.
 
-        `text` is the text received before, by which errors name the block.
+        `text` is the text received before; errors use it to name the block.
         """
         deadline = Deadline.after(self._clock, self._settings.character_timeout_s)
         while not held:
