@@ -1,4 +1,4 @@
-"""Style of report figures, with one set of colours that follows the page's light or dark theme.
+"""Style of report figures, with one set of colours. Text and axes follow the light or dark theme of the page.
 
 Figures are drawn with placeholder colours that are replaced by CSS variables of the page in the finished SVG, so one
 drawing serves a light screen, a dark one and paper. The series colours are those of Okabe and Ito, distinguishable with

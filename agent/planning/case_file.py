@@ -29,7 +29,7 @@ def load_case(
     tool: str | None = None,
 ) -> Job:
     """Return the job of a settings file, optionally with another machine or artefact file, with `stations` stations
-    spaced evenly along X, or with another of the machine's tools.
+    spaced evenly along X, or with another tool of the machine.
 
     Raises ConfigurationError naming file and key.
     """
@@ -49,8 +49,8 @@ def load_case(
 
 
 def _with_stations(settings: Settings, count: int) -> Settings:
-    """Return the settings with `count` stations at the Y and Z of their first station; the outer stations are half a
-    bar length inside the travel."""
+    """Return the settings with `count` stations spaced along X, at the Y and Z of the first station in `settings`. The
+    two outer stations are half a bar length inside the ends of the travel."""
     machine, artefact = load_machine(settings.machine), load_artefact(settings.artefact)
     _, y_mm, z_mm = settings.stations.places_mm[0]
     half_span_mm = artefact.half_length_mm + settings.mount.bar_overhang_mm

@@ -1,7 +1,8 @@
-"""Machine time of a set of positions before anything moves: the plan of the run, executed on an ideal machine.
+"""Machine time of a set of positions before anything moves. The plan of the run is executed on an ideal machine.
 
-No physics is simulated and no device is contacted. Some thousand steps take a fraction of a second, so that designs can
-be compared by their cost. `agent.planning.preflight` simulates the physics too; both use the same `TimeModel`.
+No physics is simulated and no device is contacted. Executing several thousand steps takes a fraction of a second, so
+many designs can be compared by their cost. `agent.planning.preflight` simulates the physics too; both use the same
+`TimeModel`.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ _MOTION = {OrientTo: TURNING, MoveTo: MOVING, TouchTowards: TOUCHING}
 
 @dataclass(frozen=True)
 class TimedStep:
-    """Step with its time. `motion_s`: motion of axes or mount; `overhead_s`: latency of the command, or the operator's
-    time."""
+    """Step with its time in s. `motion_s` is the time of the motion of axes or mount. `overhead_s` is the latency of
+    the command, or the time that the operator takes."""
 
     step: Step
     motion_s: float
@@ -67,7 +68,8 @@ class MachineMinutes:
 
 
 def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
-    """Return the machine time of measuring `positions` in the given order; those of one station must be contiguous.
+    """Return the machine time of measuring `positions` in the given order. Positions at the same station must be
+    contiguous.
 
     The axes start at the lower end of their travel, and the mount at zero. Held-out positions are not added.
     """
@@ -87,8 +89,8 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
 def position_minutes(job: Job, position: Position) -> float:
     """Return the machine minutes that one more position adds at a station.
 
-    With free paths, the time starts with the tip at ball 0 after its measurement with the mount at zero, and ends with
-    the last ball measured. With plain paths, it starts and ends at the park location.
+    With free paths, the time is counted from the end of a measurement of ball 0 with the mount at zero until the last
+    ball of `position` is measured. With plain paths, the tip starts and ends at the park location.
     """
     retreat = job.rules.retreat
     if retreat.path_rules is None:
@@ -122,8 +124,8 @@ def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
 
 
 def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:
-    """Execute `plan` on an ideal machine; return its result and the steps that take time, in order. `start_mm`: axis
-    positions at the start, None for the lower end of the travel."""
+    """Execute `plan` on an ideal machine. Return its result, and the steps that take time, in order. `start_mm` gives
+    the axis positions at the start; if it is None, they are at the lower end of the travel."""
     steps: list[TimedStep] = []
 
     def note(step: Step, motion_s: float, overhead_s: float) -> None:

@@ -1,4 +1,5 @@
-"""Ideal machine, which executes each step at once and reports the time it would take, without physics or device.
+"""Ideal machine, which executes each step at once and reports the time that the step would take. It uses neither
+simulated physics nor a device.
 
 It provides actions for the engine, so that the same plans that a run executes can be timed.
 """
@@ -19,8 +20,8 @@ from twin.collision.motion_law import StraightPath, entry_distance, straight_pat
 
 
 class IdealMachine:
-    """Ideal machine with its axes at `start_mm` and the mount at zero. If every station has its own mount, the mounts
-    start at the angles of their first turn.
+    """Ideal machine whose axes start at `start_mm`. A single mount starts at zero; if every station has its own mount,
+    each mount starts at the angles of its first turn.
 
     `spent(step, motion_s, overhead_s)` is called for every step that takes time. The balls are at their nominal
     locations in `layout`, and the probe trips at contact.

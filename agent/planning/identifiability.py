@@ -30,10 +30,9 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class RankRequest:
-    """Files and choices for `rank`. `position_set`: names of sets joined by +, or a position file; None for the set of
-    the settings. `tools`: names of tools in the machine file; empty for the tool of the settings. `stations`: number of
-    stations spaced evenly along X; None for the stations of the settings. `formulation`: None for that of the
-    settings."""
+    """Files and choices for `rank`. `position_set`: names of sets joined by +, or a position file. `tools`: names of
+    tools in the machine file. `stations`: number of stations spaced evenly along X. `formulation`: formulation of the
+    identification. If a choice is None (`tools`: empty), the value of the settings is used."""
 
     config: Path
     machine: Path | None = None
@@ -47,8 +46,8 @@ class RankRequest:
 
 @dataclass(frozen=True, eq=False)
 class RankResult:
-    """Result of `rank`. `vce`: expected VCE for each field in `seen.fields`, that is, for each tool; `advice`: proposed
-    additions to the procedure, the best first."""
+    """Result of `rank`. `vce` has the expected VCE for each error field in `seen.fields`, that is, for each tool.
+    `advice` has proposed additions to the procedure, the best one first."""
 
     job: Job
     position_set: str
@@ -146,8 +145,8 @@ def _positions(job: Job, question: RankRequest, name: str) -> tuple[Position, ..
 
 
 def _with_tools(positions: Sequence[Position], tools: Sequence[str]) -> tuple[Position, ...]:
-    """Return the positions tool by tool, because tools are changed by hand. Positions that name a tool are measured
-    with it only."""
+    """Return the positions grouped by tool, because tools are changed by hand. A position that names a tool is measured
+    only with that tool."""
     free = [position for position in positions if position.tool is None]
     bound = [position for position in positions if position.tool is not None]
     return (*(replace(position, tool=tool) for tool in tools for position in free), *bound)

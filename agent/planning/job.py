@@ -64,7 +64,7 @@ class Job:
 
     @cached_property
     def measuring_order(self) -> MeasuringOrder:
-        """Measuring order of the position set and the held-out positions, measured before the new table is active."""
+        """Order in which the position set and the held-out positions are measured, before the new table is active."""
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
         standing_at = self.settings.stations.standing_at if carried else None
@@ -90,16 +90,16 @@ class Job:
         return prepare_probe(self.measuring_order, self.layout, self.rules, self.preparation)
 
     def verification_order(self, standing_at: int | None) -> MeasuringOrder:
-        """Return the measuring order of the held-out positions with the new table, starting at the artefact's station
-        if that is verified."""
+        """Return the measuring order of the held-out positions with the new table, starting at the station of the
+        artefact if held-out positions are measured there."""
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         if not self.settings.procedure.optimise_order:
             return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
         return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
 
     def balls_of(self, measured: MeasuredPositions, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
-        """Return the balls of the held-out positions, or of all others, numbered as in `artefact`. `again`: also return
-        the first balls measured again at the end of the positions."""
+        """Return the balls of the held-out positions, or of all others if `held_out` is False, numbered as in
+        `artefact`. If `again` is True, the repeated measurement of the first ball of each position is included."""
         kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
         return [
             replace(ball, ball=ball.ball + self.layout.first_ball(ball.station))
@@ -213,7 +213,8 @@ def _refuse_nothing_reachable(job: Job) -> None:
 def _refuse_unreachable_entry(job: Job) -> None:
     """Raise ConfigurationError if an entry of a position file is out of reach.
 
-    From a named set such positions are left out and counted, but every entry of a position file must be measurable.
+    Unreachable positions of a named set are left out and counted, but every entry of a position file must be
+    measurable.
     """
     for number, position in enumerate(job.positions, start=1):
         reached = _reached(job, position)

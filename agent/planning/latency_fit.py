@@ -23,8 +23,8 @@ _Angles: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class ObservedStep:
-    """Step of a finished run. `motion_s`: time of the motion alone by the motion law; `observed_s`: time taken in the
-    run."""
+    """Step of a finished run, with times in s. `motion_s` is the time of the motion alone, computed with the motion
+    law. `observed_s` is the time that the step took in the run."""
 
     kind: str
     motion_s: float
@@ -34,8 +34,8 @@ class ObservedStep:
 @dataclass(frozen=True)
 class StepKindTiming:
     """Times of all steps of one kind, in seconds. `observed_s`, `predicted_s`: sums over the steps. `latency_s`,
-    `suggested_latency_s`: time of a step beyond its motion (the whole time of an AskOperator), as set and as fitted.
-    `rest_s`: rms of the residuals with the fitted latency."""
+    `suggested_latency_s`: time of a step in excess of its motion (for an AskOperator step, its whole time), from the
+    settings and from the fit. `rest_s`: rms of the residuals with the fitted latency."""
 
     kind: str
     count: int
@@ -56,10 +56,11 @@ def observed_steps(steps: Iterable[StepRow], model: TimeModel) -> list[ObservedS
 
 
 def refit(model: TimeModel, observed: Sequence[ObservedStep]) -> TimeModel:
-    """Fit the latency of each kind of step with unchanged motion; the latencies of kinds not observed are unchanged.
+    """Return `model` with a fitted latency for each kind of step that was observed. Motion times and all other
+    latencies are unchanged.
 
-    The time of a step beyond its motion is its latency, and the least-squares estimate of a constant is the mean. A
-    negative mean (the machine is faster than its file states) is set to zero.
+    The latency of a step is its time minus the time of its motion, and the least-squares estimate of a constant is the
+    mean. A negative mean (the machine is faster than its file states) is set to zero.
     """
     return replace(
         model,

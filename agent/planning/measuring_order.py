@@ -1,8 +1,8 @@
 """Order of stations and positions that takes the least machine time, computed once before a run.
 
 It depends only on the settings, so that a resumed run has the same order. The cost of a change of position is the time
-of the mount's turn and of the paths from the last ball to a point clear of the turning artefact and from there to the
-next ball. The cost of a change of station is the time to carry the artefact.
+of the mount's turn plus the time of two paths: from the last ball to a point clear of the turning artefact, and from
+that point to the next ball. The cost of a change of station is the time to carry the artefact.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Angles = tuple[float, float]
 @dataclass(frozen=True, eq=False)
 class OrderOptimiser:
     """Optimiser of the order of positions in one layout. All plain paths between positions, by way of the retreat
-    plane, take about the same time, so that with them only the mount's turns are counted."""
+    plane, take about the same time, so if paths are plain, only the turns of the mount are counted."""
 
     layout: MeasuringLayout
     rules: PositionRules
@@ -53,8 +53,8 @@ class OrderOptimiser:
         return min(permutations(listed), key=lambda order: self._carrying(order, standing_at, last_at))
 
     def positions(self, positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
-        """Return the positions station by station, those of one station in the fastest order from the mount's previous
-        angles. Positions with too few balls within reach come last at their station."""
+        """Return the positions station by station. At each station they are in the fastest order that starts from the
+        previous angles of the mount; positions with too few balls within reach come last."""
         angles, done = AT_REST_DEG, list[Position]()
         for station in stations:
             here = [position for position in positions if position.station == station]
@@ -85,7 +85,8 @@ class OrderOptimiser:
         return self.times.turn_s(_angles(before), _angles(after))
 
     def _path_seconds(self, begin: Position) -> Callable[[Position, Position], float]:
-        """Return a function that gives the path time in s between two positions, and 0 from `begin`."""
+        """Return a function of two positions that gives the time in s of the path between them. The time from `begin`
+        is 0."""
         path_rules = self.rules.retreat.path_rules
         if path_rules is None:
             return lambda _, __: 0.0

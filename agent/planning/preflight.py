@@ -1,4 +1,4 @@
-"""Preflight: the complete plan on the simulated machine with virtual time, before anything moves.
+"""Preflight: execution of the complete plan on the simulated machine in virtual time, before the real machine moves.
 
 The simulated machine moves like the real one; `agent.planning.time_model` adds the latencies of its commands.
 """
@@ -22,8 +22,8 @@ from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError
 
 Procedure = Callable[[Job], Plan[tuple[MeasuredPositions, MeasuredPositions]]]
-"""Function from a job to the plan of a whole run, which returns the measurements for the estimate and those that verify
-the new table."""
+"""Function that takes a job and returns the plan of a whole run. The plan returns the measurements for the estimate,
+and the measurements that verify the new table."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ def run_preflight(
 ) -> PreflightResult:
     """Run the whole procedure, by default that of a calibration, on a simulated machine without errors.
 
-    `start_mm`: axis positions of the real machine; None for those at which the simulated machine starts. `watch` is
-    called at every step. Raises PlanRefused with the step and, for a collision, the two bodies; ConfigurationError if
-    no held-out position can be measured; and the errors raised by `watch`.
+    `start_mm`: axis positions of the real machine; if None, the simulated machine starts at its own initial positions.
+    `watch` is called at every step. Raises PlanRefused with the step and, for a collision, the two bodies;
+    ConfigurationError if no held-out position can be measured; and the errors raised by `watch`.
     """
     plan = (procedure or whole_procedure)(job)
     began = wall_seconds()

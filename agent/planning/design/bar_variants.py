@@ -1,5 +1,5 @@
-"""Variants of the case's ball bar: another number of balls or another tilt of the holders, and all other properties as
-in its certificate."""
+"""Variants of the ball bar of a case. A variant has another number of balls or another tilt of the ball holders; all
+other properties are those of the certificate."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class Bar:
         return float(np.sqrt(np.diagonal(self.certified.covariance).mean()))
 
     def with_(self, balls: int | None = None, tilt_deg: float | None = None) -> Artefact:
-        """Return a nominal bar of the same length with another number of balls or another tilt of the holders; None
-        keeps the value of the certified bar."""
+        """Return a nominal bar of the same length with another number of balls or another tilt of the holders. If an
+        argument is None, the value of the certified bar is used."""
         count = self.certified.count if balls is None else balls
         tilt = self.tilt_deg if tilt_deg is None else tilt_deg
         artefact = self.certified

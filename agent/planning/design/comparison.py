@@ -1,4 +1,4 @@
-"""Comparison of the designs for several measuring variants, of which the one that meets the goal best is marked."""
+"""Comparison of the designs for several measuring variants. The design that meets the goal best is marked."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class VariantDesign:
 def compare_variants(
     variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say
 ) -> list[VariantDesign]:
-    """Return a design for each variant, the best one marked. Raises the first variant's error if no variant reaches the
-    goal."""
+    """Return a design for each variant, and mark the best one. If no variant reaches the goal, the error of the first
+    variant is raised."""
     choices: list[VariantDesign] = []
     errors: list[UserError] = []
     for variant in variants:

@@ -24,9 +24,9 @@ def check_target(path: Path) -> None:
 
 
 def write_design(found: DesignResult, rivals: Sequence[ReferenceSet], path: Path) -> list[Path]:
-    """Write all files into the folder of `path`, or none; return their paths, the position sets first.
+    """Write all files into the folder of `path`, or none of them. Return their paths, those of the position sets first.
 
-    There is one position file for each tool, because a run uses one tool. `rivals`: sets drawn for comparison.
+    There is one position file for each tool, because a run uses one tool. The sets `rivals` are drawn for comparison.
     """
     contents: dict[str, str | bytes] = {}
     by_tool = list(found.problem.by_tool(found.positions))

@@ -25,8 +25,8 @@ _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost car
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
     """Design problem. `jobs`: tool → job with that tool, the tool of the settings first. `grid_deg`: spacing of the
-    orientations. `refused`: positions refused by a preflight. `feasibility`: checks by tool, kept when further
-    positions are refused."""
+    orientations. `refused`: positions refused by a preflight. `feasibility`: tool → feasibility check; the checks stay
+    valid if further positions are refused."""
 
     jobs: Mapping[str, Job]
     grid_deg: float
@@ -39,8 +39,8 @@ class DesignProblem:
 
     @property
     def options(self) -> Options:
-        """Options of the identification whose expected VCE is minimised: ball centres, with all uncertainties as
-        stated."""
+        """Options of the identification whose expected VCE is minimised. It uses ball centres, and all uncertainties as
+        stated in the files."""
         return Options(estimate_scales=False, outliers="none")
 
     @property
@@ -100,7 +100,8 @@ class DesignProblem:
         return tuple(ordered)
 
     def by_tool(self, chosen: Sequence[Position]) -> Iterator[tuple[Job, tuple[Position, ...]]]:
-        """Yield the job of each tool in use and its positions; these have no tool, because the job has it."""
+        """Yield the job of each tool in use, and the positions measured with that tool. The yielded positions name no
+        tool, because the job names it."""
         for name, job in self.jobs.items():
             tool = None if name == self.job.settings.tool else name
             own = tuple(replace(position, tool=None) for position in chosen if position.tool == tool)

@@ -1,4 +1,4 @@
-"""Finished design: its positions are selected, put in order, timed with the plan of the run, and checked by a
+"""Finished design. Its positions are selected, put in measuring order, timed with the plan of the run, and checked by a
 preflight."""
 
 from __future__ import annotations
@@ -54,11 +54,12 @@ class DesignResult:
 
 
 def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
-    """Return the best set found for `goal`. If the preflight refuses a position, it is excluded and the search
-    repeated.
+    """Return the best set found for `goal`. If the preflight refuses a position, that position is excluded and the
+    search is repeated.
 
-    `verify`: select held-out positions too; `say`: callback with the current activity. Raises InputError if the goal
-    cannot be reached, ConfigurationError if no position is within reach or every attempt is refused.
+    If `verify` is true, held-out positions are selected too. `say` is called with the current activity. Raises
+    InputError if the goal cannot be reached, ConfigurationError if no position is within reach or every attempt is
+    refused.
     """
     for _ in range(_MAX_ATTEMPTS):
         say("candidates")
@@ -126,8 +127,8 @@ def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Se
 
 
 def _refused(problem: DesignProblem, positions: Sequence[Position], held_out: Sequence[Position]) -> Position | None:
-    """Return the position of `positions` at which the preflight is refused; None if it passes. Raises PlanRefused if it
-    is refused at any other step."""
+    """Return the position in `positions` at which the preflight refuses the plan, or None if the preflight passes.
+    Raises PlanRefused if the preflight refuses a step that belongs to none of them."""
     for job, own in problem.by_tool(positions):
         proof = tuple(held_out) or job.held_out
         try:

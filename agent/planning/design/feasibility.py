@@ -34,8 +34,8 @@ _Key = tuple[float, float, float, float, float, bytes]
 
 @dataclass(frozen=True, eq=False)
 class FeasibilityCheck:
-    """Check of the positions of a job. A result at one station also holds at another one if Y, Z, the distance to the
-    park location and the balls within reach are the same, so it is cached."""
+    """Feasibility check of the positions of a job. Results are cached, because a result at one station also holds at
+    every station with the same Y, Z, distance to the park location and balls within reach."""
 
     job: Job
     _minutes: dict[_Key, float] = field(default_factory=dict, init=False, repr=False)

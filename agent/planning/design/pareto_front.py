@@ -18,8 +18,8 @@ FURTHEST = 24
 
 @dataclass(frozen=True)
 class FrontPoint:
-    """Evaluated set. `valuation`: in percent. `best`: True if no other set is as good in less time. `design`: True for
-    the requested design."""
+    """Evaluated set. `valuation` is in percent. `best` is True if no faster set is as good. `design` is True for the
+    requested design."""
 
     positions: int
     minutes: float
@@ -30,8 +30,8 @@ class FrontPoint:
 
 
 def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> tuple[FrontPoint, ...]:
-    """Return the evaluated sets in the order of their minutes: sets grown by the position with the largest gain per
-    minute, and the design with the positions `chosen`, which takes `minutes`."""
+    """Return the evaluated sets, sorted by machine minutes. Each set adds to the one before it the position with the
+    largest gain per minute. The design, with the positions `chosen` and the time `minutes`, is included."""
     candidates = search.candidates
     before = candidates.vce([]).aligned_um
     furthest = max(FURTHEST, len(chosen))

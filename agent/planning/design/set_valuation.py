@@ -14,7 +14,8 @@ from twin.machine.volumetric import evaluation_grid
 
 
 def valuation_of(job: Job, positions: Sequence[Position]) -> Valuation:
-    """Return the valuation of `positions`, measured as in `job` and identified from ball centres with the prior.
+    """Return the valuation of `positions`, if they are measured with the rules of `job`, and the machine is identified
+    from ball centres with the prior.
 
     Raises ConfigurationError if none of the positions is within reach.
     """

@@ -17,8 +17,8 @@ from twin.artefact.artefact import Artefact
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """Measuring variant. `jobs`: tool → job. `made_up`: True if the artefact is a nominal bar instead of the artefact
-    of the settings; `theta_deg`: tilt of its holders, None if not `made_up`."""
+    """Measuring variant. `jobs`: tool → job. `made_up` is True if the artefact is a nominal bar instead of the artefact
+    of the settings. `theta_deg` is the tilt of the ball holders of that bar, or None if `made_up` is False."""
 
     touches: int
     balls: int
@@ -36,7 +36,8 @@ def variants_of(
     balls: Sequence[int] = (),
     thetas_deg: Sequence[float] = (),
 ) -> list[Variant]:
-    """Return the variants for all combinations of the given choices; an omitted choice is that of the job.
+    """Return the variants for all combinations of the given choices; if a choice is omitted, the value of the job is
+    used.
 
     Raises ConfigurationError for an unknown tool, or for an artefact whose balls or tilt cannot be changed."""
     made_up = bool(balls or thetas_deg)

@@ -1,4 +1,4 @@
-"""Artefact in one position: its bodies, and for each ball the reason if it is not accessible."""
+"""Artefact in one position, with its bodies. For each ball that the probe cannot measure, the reason is given."""
 
 from __future__ import annotations
 

@@ -23,8 +23,9 @@ MARGIN_MM = 200.0
 
 
 def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
-    """Return the preview of `job`. `refused`: error by which the preflight refused the plan, None if it passed.
-    `waypoints`: path already computed; None for the path of the whole calibration."""
+    """Return the preview of `job`. `refused` is the error with which the preflight refused the plan, or None if the
+    plan passed. `waypoints` is a path that is already computed; if None, the path of the whole calibration is
+    computed."""
     if waypoints is None:
         waypoints = walk_waypoints(job, refused)
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))

@@ -28,7 +28,7 @@ STEEL = "#8b97a5"
 STATION_COLOURS = (BLUE, AMBER, GREEN, PURPLE, SKY, "#6a51a3", "#7a8a00", "#8c564b")
 ELEVATION_DEG, AZIMUTH_DEG = 28.0, -118.0
 SLAB_MM = 40.0
-"""Drawn thickness of the table, less than the full one to save space."""
+"""Drawn thickness of the table in mm, smaller than the real thickness to save space."""
 
 ROOM_MM = 40.0
 BEHIND_MM = 300.0
@@ -162,8 +162,8 @@ _MEETING: dict[str, Any] = {
 
 
 def _lines(preview: Preview) -> Iterable[tuple[Array, str, float]]:
-    """Yield segments (n, 2, 3), colour and line width of the mounts, of the bars and posts by station, and last, in
-    red, of the colliding bodies."""
+    """Yield segments (n, 2, 3), colour and line width for each group of bodies: the mounts, then the bars and posts of
+    each station, then the colliding bodies in red."""
     yield _segments(preview.placements, ("pedestal",)), STEEL, 4.0
     yield _segments(preview.placements, ("shaft",)), STEEL, 2.0
     for number, station in enumerate(preview.stations):

@@ -46,7 +46,7 @@ class Visit:
     """One measurement of a position, or a position not measured. `placement`: index of the position's placement;
     `first`, `end` (exclusive): range of its waypoints in the path.
 
-    `note`: reason if the position is not measured, else empty.
+    `note` is the reason why the position is not measured; it is empty if the position is measured.
     """
 
     phase: str
