@@ -32,7 +32,8 @@ from twin.formats.estimate_file import format_estimate
 class CalibrationRun(GuardedRun):
     """Calibration of the machine of a `Job`.
 
-    `reference`: last accepted night of this machine, against which the change is judged; `nights`: nights since then.
+    `reference` is the last accepted night of this machine; the change of the machine is judged against it. `nights` is
+    the number of nights since then.
     """
 
     def __init__(
@@ -84,7 +85,10 @@ class CalibrationRun(GuardedRun):
         return (*gates, change_gate(change.found_um, change.expected_um, self._job.gate_limits))
 
     def _pass_gates(self, gates: Sequence[Gate]) -> None:
-        """Journal every gate. Raise GateRefused if one does not pass; consent passes the gate `CHANGE`."""
+        """Journal every gate.
+
+        Raise GateRefused if one does not pass. The gate `CHANGE` also passes if consent is given.
+        """
         self.progress.gates += gates
         given = any(opens_by_consent(gate, self._consent) for gate in gates)
         if given or (self._consent is Consent.ASK and self._engine.run(ask_consent(gates))):

@@ -20,7 +20,10 @@ SCALES = ("EXX[1]", "EYY[1]", "EZZ[1]")
 
 @dataclass(frozen=True)
 class Change:
-    """Change of the machine's error field, found and expected: rms over the workspace, aligned, in µm."""
+    """Estimated and expected change of the machine's error field.
+
+    Both are rms values over the workspace in µm, after removal of the best-fitting rigid motion.
+    """
 
     found_um: float
     expected_um: float
@@ -48,8 +51,9 @@ def change_since(
 ) -> Change:
     """Return the change from the last accepted night to `estimate`.
 
-    `fused`: True if the estimate of that night was the prior of `estimate`. The covariance of the expected difference
-    is then that of the prior minus that of the estimate. If the two are independent, it is the sum of both.
+    `fused` is True if the estimate of that night was the prior of `estimate`. The covariance of the expected difference
+    is then the covariance of the prior minus that of `estimate`. If the two are independent, it is the sum of their
+    covariances.
     """
     offset, old = job.tool_offset_mm, reference.estimate
     grid = evaluation_grid(old.model.ranges_mm)

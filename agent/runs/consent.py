@@ -1,4 +1,7 @@
-"""Consent to write a table although the machine has changed: given with the request, asked for, or refused."""
+"""Consent to write a table although the machine has changed.
+
+The consent is given with the request, or the operator is asked for it.
+"""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ from drivers.roles import Activation
 class RunProgress:
     """Results of a run so far, filled in during the run so that a fault does not lose them.
 
-    `found`: compensation that was active at the start. `job`: job for which `measured` was measured; None if it is the
-    one with which the run began.
+    `found` is the compensation that was active at the start. `job` is the job to which the positions in `measured`
+    belong; it is None if this is the job with which the run began.
     """
 
     found: publish.ActiveCompensation | None = None
@@ -152,7 +152,10 @@ class GuardedRun(ABC):
         )
 
     def _attempt_restore(self) -> list[str]:
-        """Activate the former bank; without journal if the journal fails. Return error texts, empty on success."""
+        """Activate the former bank.
+
+        If the journal fails, this is done without the journal. Return error texts, empty on success.
+        """
         found = self.progress.found
         if found is None or self.progress.active_bank == found.bank:
             return []
@@ -174,8 +177,11 @@ class GuardedRun(ABC):
 
 
 def attempt(what: str, action: Callable[[], None]) -> list[str]:
-    """Carry out `action`. If it fails, return the error text instead of raising, so that it does not replace the first
-    error; empty on success. `what` completes the text "could not …"."""
+    """Carry out `action`.
+
+    If it fails, return a list with its error text instead of raising, so that this error does not replace the first
+    error. Return an empty list on success. `what` completes the text "could not …".
+    """
     try:
         action()
     except VolcalError as failure:

@@ -1,4 +1,4 @@
-"""Identification without a machine: reads ball centres from files; writes estimate, table and report."""
+"""Identification without a machine. It reads ball centres from files and writes an estimate, a table and a report."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE
 class IdentificationRequest:
     """Files and options of an identification.
 
-    `tool`: tool for which the table is made; None: the one with which most balls were measured. `carried_over`: file of
-    an earlier estimate to be used as prior; `process_noise_um`: rms over the workspace, rigidly aligned, by which the
-    error field of the machine may have changed since. `gates`: limits of the gates, the same as for a run.
+    `tool` is the tool for which the table is made; if None, it is the tool with which most balls were measured.
+    `carried_over` is the file of an earlier estimate to be used as prior. `process_noise_um` is the change of the
+    machine's error field that is possible since that estimate, as an rms over the workspace in µm after removal of the
+    best-fitting rigid motion. `gates` contains the limits of the gates, which are the same as for a run.
     """
 
     balls: Path
@@ -73,7 +74,7 @@ class IdentificationResult:
     report: Path
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
-        """Return a JSON object with the keys of a run; None for values that only a run on a machine has."""
+        """Return a JSON object with the same keys as for a run. Values that only a run on a machine has are None."""
         estimate, volumetric = self.estimation.estimate, self.estimation.volumetric
         return {
             "state": "complete",
@@ -103,7 +104,8 @@ class IdentificationResult:
 def identify_files(request: IdentificationRequest, timestamp: str) -> IdentificationResult:
     """Read the files, identify, and write estimate.json, table.csv, table.json and report.html into `request.out`.
 
-    `timestamp`: time of the results, ISO 8601 UTC. Raises UserError for wrong input; nothing is written in that case.
+    `timestamp`: time of the results, ISO 8601 UTC. Raises UserError if the input is wrong; nothing is written in that
+    case.
     """
     check_folder(request.out)
     material = read_material(request)
@@ -123,7 +125,10 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
 
 
 def read_material(request: IdentificationRequest) -> IdentificationInput:
-    """Return the contents of the files. Raises UserError, naming file and key or row, if something cannot be used."""
+    """Return the contents of the files.
+
+    Raises UserError, naming the file and the key or row, if something cannot be used.
+    """
     machine = load_machine(request.machine)
     artefact = load_artefact(request.artefact)
     balls = load_balls(request.balls, machine)
@@ -141,7 +146,7 @@ def read_material(request: IdentificationRequest) -> IdentificationInput:
 
 
 def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOverPrior:
-    """Return the earlier estimate in `path` as prior, widened by the change that is possible since."""
+    """Return the earlier estimate in `path` as prior, widened by the possible change since that estimate."""
     text = read_text(path)
     with translated(InputError, file=str(path)):
         known = parse_estimate(text, str(path)).carried_over()
@@ -150,7 +155,7 @@ def _carried_over(path: Path, machine: MachineDescription, tool: str, process_no
 
 
 def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[EstimationResult, tuple[Gate, ...]]:
-    """Return estimate and table, and the gates that a run would have to pass. Raises TwinError."""
+    """Return the estimate with its table, and the gates that a run would have to pass. Raises TwinError."""
     estimation = estimate_with_table(
         material.machine,
         material.artefact,

@@ -28,8 +28,8 @@ KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
 class Origin:
     """Settings, kind and start conditions of a run that has passed its preflight.
 
-    `base`: directory to which relative paths refer. `files`: path → SHA-256 of each input file. `begun_s`, `begun_at`:
-    machine seconds and UTC at the end of the preflight.
+    `base` is the directory to which relative paths refer. `files` maps the path of each input file to its SHA-256.
+    `begun_s` and `begun_at` are the machine seconds and the UTC time at the end of the preflight.
     """
 
     run_id: str
@@ -86,7 +86,10 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
 
 
 def digests(settings: Settings, base: Path) -> dict[str, str]:
-    """Return path → SHA-256 of the machine file, the artefact file, the files named in them, and the position file."""
+    """Return the SHA-256 of each input file by path.
+
+    The input files are the machine file, the artefact file, the files named in these two, and the position file.
+    """
     paths = list(input_files(settings.machine, settings.artefact))
     if settings.procedure.position_set.endswith(POSITION_FILES):
         paths.append(base / settings.procedure.position_set)

@@ -20,8 +20,8 @@ class StartConditions:
     All decisions that depend on the date, on earlier runs or on the position of the machine are based on these values,
     so that a resumed run makes the same decisions.
 
-    `run`: number of the run in the journal; only runs with lower numbers count as earlier. `at`: UTC, ISO 8601.
-    `start_mm`: axis positions.
+    `run` is the number of the run in the journal; only runs with lower numbers count as earlier. `at` is the UTC time
+    in ISO 8601. `start_mm` contains the axis positions.
     """
 
     run: int
@@ -31,7 +31,7 @@ class StartConditions:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """Run that has passed its preflight. `job`: the job that will be measured; `begin`: creates the run object."""
+    """Run that has passed its preflight. `job` is the job that will be measured. `begin` creates the run object."""
 
     job: Job
     kind: Kind
@@ -47,9 +47,11 @@ class Kind(Protocol):
     def name(self) -> str: ...
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        """Decide what will be measured and run its preflight from `start`; the same `start` gives the same plan.
+        """Decide what will be measured and run its preflight with the start conditions `start`.
 
-        `watch` is called repeatedly meanwhile and may raise to interrupt; it does not influence the plan. Raises
-        PlanRefused or UserError if the run cannot be carried out.
+        The same start conditions give the same plan.
+
+        `watch` is called repeatedly during planning and may raise an error to interrupt it; it does not influence the
+        plan. Raises PlanRefused or UserError if the run cannot be carried out.
         """
         ...

@@ -25,7 +25,7 @@ from drivers.roles import MotionState
 
 @dataclass(frozen=True)
 class RecordedBank:
-    """Bank, and the CRC-32 of its table; None for an empty bank and for bank 0 (no compensation)."""
+    """Bank with the CRC-32 of its table. The CRC-32 is None for an empty bank and for bank 0 (no compensation)."""
 
     number: int
     crc32: int | None
@@ -35,8 +35,8 @@ class RecordedBank:
 class LastCompensation:
     """Compensation left by the last run that read it, according to the journal.
 
-    `former`: bank active before that run; `staged`: bank that it wrote, None if none; `accepted`: True if the written
-    table was accepted.
+    `former` is the bank that was active before that run. `staged` is the bank that the run wrote, or None if it wrote
+    none. `accepted` is True if the written table was accepted.
     """
 
     run: int
@@ -51,11 +51,12 @@ class LastCompensation:
 
 
 def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, restore: bool = True) -> Reconciliation:
-    """Compare the controller's compensation with the journal; if an unproved table is active, reactivate the former.
+    """Compare the controller's compensation with the journal. If an unproved table is active, reactivate the former
+    one.
 
-    The table is reactivated only if `restore` is set and the machine permits it. `rig` is open; nothing moves.
-    `of_run`: number of the run to compare with; None: the last one. Raises DeviceError if the controller cannot be read
-    or refuses, InputError if the journal cannot be read.
+    The former table is reactivated only if `restore` is set and the machine permits it. `rig` must be open; nothing
+    moves. `of_run` is the number of the run to compare with; if None, it is the last run that read the compensation.
+    Raises DeviceError if the controller cannot be read or refuses, InputError if the journal cannot be read.
     """
     last = _last_compensation(state_directory, of_run)
     unfinished = unfinished_run(state_directory) if of_run is None else None

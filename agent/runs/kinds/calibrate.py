@@ -18,8 +18,8 @@ from agent.runs.reference_state import ReferenceState, reference_for
 class FullCalibration:
     """Kind of run that measures the whole position set and writes a new table.
 
-    `nights`: nights since the last accepted one, None: from the date. `consent`: consent to write a table although the
-    machine has changed.
+    `nights` is the number of nights since the last accepted one; if None, it is computed from the date. `consent` is
+    the consent to write a table although the machine has changed.
     """
 
     nights: float | None = None
@@ -37,7 +37,10 @@ class FullCalibration:
 
 
 def nights_since(reference: ReferenceState | None, stated: float | None, at: str) -> float:
-    """Return the number of nights since the last accepted one: `stated` unless None, else from the date `at` (UTC)."""
+    """Return the number of nights since the last accepted one.
+
+    This is `stated`; if `stated` is None, the number is computed from the date `at` (UTC).
+    """
     if stated is not None:
         return stated
     return 0.0 if reference is None else reference.nights_until(at)

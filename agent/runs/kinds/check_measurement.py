@@ -1,5 +1,7 @@
-"""Check measurement of verifications and nights: the active table must be the one last accepted, and the measured ball
-centres are compared with their prediction."""
+"""Check measurement of verifications and nights.
+
+The active table must be the one last accepted. The measured ball centres are compared with their prediction.
+"""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ _LIKELIEST = 5
 class Judgement:
     """Judgement of a night.
 
-    `report`: result for people and the journal; its reason is empty if everything is within limits. `found`: statistics
-    on which the report is based.
+    `report` is the result for people and the journal; its reason is empty if everything is within limits. `found`
+    contains the statistics on which the report is based.
     """
 
     report: NightReport
@@ -69,20 +69,27 @@ class Judge:
 
     @property
     def before_um(self) -> float:
-        """Expected VE with the active table at the end of the last accepted night, aligned, in µm."""
+        """Volumetric error (VE) in µm that was expected with the active table at the end of the last accepted night.
+
+        The best-fitting rigid motion is removed.
+        """
         estimate = self.reference.estimate
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, self.reference.table.written).aligned_um
 
     def expected_ve_um(self, estimate: Estimate, written: Array) -> float:
-        """Return the aligned VE in µm expected from `estimate` with a table of the parameters `written` (p,)."""
+        """Return the VE in µm expected from `estimate` if a table corrects the parameters `written` (p,).
+
+        The best-fitting rigid motion is removed.
+        """
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, written).aligned_um
 
     def judge_balls(
         self, station: int, balls: Sequence[MeasuredBall], held_out: Sequence[MeasuredBall], correction: Correction
     ) -> Judgement:
-        """Judge `balls`, all measured with the active table.
+        """Judge `balls`, all of which were measured with the active table.
 
-        `held_out`: those of `balls` in held-out positions; `correction`: correction added by the active table.
+        `held_out` contains those of `balls` that were measured in held-out positions. `correction` is the correction
+        that the active table adds.
 
         Raises MeasurementFault if too few balls were found for a judgement.
         """
@@ -114,7 +121,8 @@ class Judge:
         return Judgement(report, found)
 
     def _held_out(self, held_out: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
-        """Return the rms residual of the held-out balls at displayed positions, and its expected value, in µm."""
+        """Return the rms residual of the held-out balls at displayed axis positions, and the expected rms, both in
+        µm."""
         offset, artefact, prior = self.job.tool_offset_mm, self.job.artefact, self.prior
         displayed, bare = (observations_of(held_out, offset, shift) for shift in (no_correction, correction))
         result = held_out_residuals(displayed, displayed.axis_positions + offset, artefact)

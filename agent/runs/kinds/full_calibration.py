@@ -1,4 +1,4 @@
-"""Full calibration that an earlier night found necessary; until a slot permits it, nights only verify."""
+"""Full calibration that an earlier night found necessary. Nights only verify until a slot permits the calibration."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from agent.runs.run_context import RunContext
 class Slot:
     """Slot of a night.
 
-    `minutes`: machine time, of which `reserve` minutes are to remain unused; `full_allowed`: a full calibration is
-    permitted.
+    `minutes` is the available machine time; `reserve` minutes of it are to remain unused. `full_allowed` is True if a
+    full calibration is permitted.
     """
 
     minutes: float
@@ -42,7 +42,7 @@ class Slot:
 class PendingCalibration:
     """Night in which a full calibration is due.
 
-    `here`: job with the artefact at `station`; `pending`: the decision that requires the calibration.
+    `here` is the job with the artefact at `station`. `pending` is the decision that requires the calibration.
     """
 
     kind: Kind
@@ -118,7 +118,7 @@ class FullCalibrationRun(GuardedRun):
 
 
 class CalibrationPendingRun(GuardedRun):
-    """Verification in place of a full calibration that is due but cannot be done in this slot; writes no table."""
+    """Verification in place of a full calibration that is due but cannot be done in this slot. It writes no table."""
 
     def __init__(
         self, job: Job, context: RunContext, judge: Judge, plan: NightPlan, pending: FullCalibrationNeed
@@ -141,7 +141,7 @@ class CalibrationPendingRun(GuardedRun):
 
 
 def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Judge, report: NightReport) -> None:
-    """Continue `run`, with its progress so far, as a full calibration of `job`.
+    """Continue `run` as a full calibration of `job`. The progress of `run` so far is kept.
 
     Consent to the change was given with the permission for a full calibration.
     """

@@ -46,7 +46,7 @@ class NightPlan:
         return (*self.held_out, *self.check_positions)
 
     def job(self, job: Job) -> Job:
-        """Return `job` with the positions of this night, those to be fused and those held out."""
+        """Return `job` with the positions of this night: the positions to be fused and the held-out positions."""
         return replace(
             job_at_station(job, self.station),
             positions=(*self.check_positions, *self.further),
@@ -60,16 +60,16 @@ class NightPlan:
 
 
 def job_at_station(job: Job, station: int) -> Job:
-    """Return the job with the artefact at `station`, without the reversal check of the axes, too long for a slot."""
+    """Return the job with the artefact at `station` and without the reversal check, which takes too long for a slot."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
     preparation = replace(job.preparation, reversal=None)
     return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
 
 
 def station_of(job: Job, named: int | None) -> int:
-    """Return the artefact's station: `named` unless None, else from the settings.
+    """Return the artefact's station. This is `named`; if `named` is None, it is taken from the settings.
 
-    Raise ConfigurationError if neither names one or there is no such station.
+    Raise ConfigurationError if neither of them names a station, or if there is no such station.
     """
     station = named if named is not None else job.settings.stations.standing_at
     if station is None:
@@ -94,7 +94,7 @@ def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
 def night_plan(
     chooser: PositionChooser, judge: Judge, slot_minutes: float, start_mm: Point, watch: Callable[[], None]
 ) -> tuple[NightPlan, PreflightResult]:
-    """Plan as many positions as fit into the slot minus its reserve, according to the time of the preflight.
+    """Plan as many positions as fit into the slot minus its reserve. Their duration is taken from a preflight.
 
     Return the plan and its preflight. Raises PlanRefused if the slot is too short.
     """
@@ -143,7 +143,10 @@ def whole_night(plan: NightPlan) -> Procedure:
 
 
 def verification_only(plan: NightPlan) -> Procedure:
-    """Return the procedure of a verification; its measurements are also returned in place of a proof."""
+    """Return the procedure of a verification.
+
+    There is no proof; the procedure returns the measurements of the verification in its place.
+    """
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         prepared = yield from job.preparation_plan()

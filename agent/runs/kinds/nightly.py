@@ -58,9 +58,9 @@ SUSPECTS = 8
 class Night:
     """Kind of run that verifies the machine and improves the estimate.
 
-    `slot_minutes`: length of the slot; None: from the settings. `full_allowed`: True if a person moves the artefact
-    between stations in this night and consents to a table for a changed machine; None: from the settings. `station`,
-    `nights`: see `Verification`.
+    `slot_minutes` is the length of the slot. `full_allowed` is True if a person moves the artefact between stations in
+    this night and consents to a table for a changed machine. If one of these is None, it is taken from the settings.
+    `station` and `nights` have the same meaning as in `Verification`.
     """
 
     slot_minutes: float | None = None
@@ -149,7 +149,7 @@ class NightlyRun(CalibrationRun):
         return tuple(further)
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """Return an error if too little of the slot is left, since it continues to pass during an interruption.
+        """Return an error if too little of the slot is left. The time of the slot also passes during an interruption.
 
         Enough must be left for the rest of the verification, because an incomplete verification is useless.
         """
@@ -165,7 +165,10 @@ class NightlyRun(CalibrationRun):
         return None
 
     def _planned_minutes_after(self, prefix: str) -> float:
-        """Return the minutes from the last ball with keys under `prefix` to the end of the night, by the preflight."""
+        """Return the minutes from the last ball whose keys begin with `prefix` to the end of the night.
+
+        The times are those of the preflight.
+        """
         done = [seconds for key, seconds in self._preflight_result.timeline.items() if key.startswith(f"{prefix}/")]
         return (self._preflight_result.machine_seconds - max(done, default=0.0)) / S_PER_MIN
 
@@ -189,7 +192,10 @@ class NightlyRun(CalibrationRun):
     # ------------------------------------------------------------------ out of limits
 
     def _out_of_limits(self, measured: MeasuredPositions, judgement: Judgement) -> None:
-        """Calibrate in full if permitted and time is left; else diagnose the change and request a calibration."""
+        """Calibrate in full if this is permitted and time is left.
+
+        Otherwise diagnose the change and request a calibration.
+        """
         full = job_at_station(self._judge.job, self._plan.station)
         if self._slot.full_allowed and self._minutes_of(full) <= self._left_minutes:
             report = replace(judgement.report, decision=Decision.FULL_DONE)
@@ -224,7 +230,10 @@ class NightlyRun(CalibrationRun):
         return again.report if not again.within else replace(again.report, reason=report.reason)
 
     def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
-        """Return the machine minutes of a procedure, from a preflight that an abort interrupts."""
+        """Return the machine minutes of a procedure, computed by a preflight.
+
+        An abort request interrupts the preflight.
+        """
         return run_preflight(job, procedure=procedure, watch=self._supervisor.check_stop_request).machine_minutes
 
     # ------------------------------------------------------------------ fusion

@@ -55,10 +55,12 @@ class PositionChooser:
         measured: Sequence[Position] = (),
         left_out: Sequence[Position] = (),
     ) -> Iterator[Position]:
-        """Yield positions in the order of their gain per minute, at most `most`, as long as they fit into `minutes`.
+        """Yield positions in descending order of gain per minute, as long as they fit into `minutes`.
 
-        The gain is the reduction of uncertainty beyond that of `prior` and the positions `measured`. Positions in
-        `left_out` are never chosen.
+        At most `most` positions are returned.
+
+        The gain is the reduction of the uncertainty that remains with `prior` and the positions `measured`. Positions
+        in `left_out` are never chosen.
         """
         offered = [position for position in self._offered() if position not in left_out]
         search, places = self._search(prior, [*measured, *offered])
@@ -87,8 +89,10 @@ class PositionChooser:
         minutes: float,
         measured: Sequence[Position],
     ) -> tuple[Position, ...]:
-        """Return the positions that best discriminate between the `suspects`, as many as fit into `minutes`, without
-        those already `measured`."""
+        """Return the positions that best discriminate between the `suspects`.
+
+        As many positions are returned as fit into `minutes`. Positions already `measured` are not returned.
+        """
         names, scale = prior.unknowns.model.names, prior.unknowns.scale
         jumps = np.zeros((len(suspects), prior.unknowns.blocks.size))
         for row, suspect in zip(jumps, suspects, strict=True):

@@ -84,7 +84,7 @@ class RestorationRun(GuardedRun):
 
 
 def stored_table(directory: Path, run_id: str, role: str) -> TableImage | None:
-    """Return the last table stored by `run_id` with `role`; None if the role was recorded without compensation.
+    """Return the last table stored by `run_id` with `role`; None if the record states that no compensation was active.
 
     Raise InputError if the run stored no such table.
     """

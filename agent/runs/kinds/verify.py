@@ -1,4 +1,4 @@
-"""Kind `verify`: comparison of a few positions, measured with the compensation active, with the last accepted night.
+"""Kind `verify`: a few positions are measured with active compensation and compared with the last accepted night.
 
 No table is written.
 """
@@ -33,8 +33,8 @@ from agent.runs.run_context import RunContext
 class Verification:
     """Kind of run that only verifies.
 
-    `station`: station of the artefact, None: from the settings. `nights`: nights since the last accepted one, None:
-    from the date.
+    `station` is the station of the artefact; if None, it is taken from the settings. `nights` is the number of nights
+    since the last accepted one; if None, it is computed from the date.
     """
 
     station: int | None = None
