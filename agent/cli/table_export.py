@@ -1,5 +1,6 @@
-"""`volcal table export`: export of a table to neutral files, or to the format of a controller with its losses
-stated."""
+"""`volcal table export`: export of a table to neutral files, or to a controller's format with a statement of what that
+format loses.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +52,7 @@ def _points(_: click.Context, __: click.Parameter, text: str | None) -> tuple[in
 
 
 def _click_option(option: FormatOption[object]) -> Callable[[FC], FC]:
-    """Return the command-line option for an option declared by formats. Its value is None if it is not given."""
+    """Return the command-line option for an option that table formats declare. Its value is None if it is not given."""
     flag = "--" + option.key.replace("_", "-")
     match option.domain:
         case WholeNumber(minimum, maximum):

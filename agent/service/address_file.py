@@ -12,7 +12,7 @@ ADDRESS_FILE = "service.json"
 
 
 def write_address(directory: Path, url: str) -> None:
-    """Write `url` to the file, so that commands find the service that runs in this process."""
+    """Write `url` to the address file, so that commands find the service that runs in this process."""
     write_atomically(directory / ADDRESS_FILE, json.dumps({"url": url, "process": os.getpid()}))
 
 
@@ -21,6 +21,7 @@ def remove_address(directory: Path) -> None:
 
 
 def read_address(directory: Path) -> str:
-    """Return the URL of the service. Raise FileNotFoundError if no service runs; OSError, ValueError or KeyError if the
-    file is invalid."""
+    """Return the URL of the service. Raise FileNotFoundError if no service runs, and OSError, ValueError or KeyError if
+    the file is invalid.
+    """
     return str(json.loads((directory / ADDRESS_FILE).read_text(encoding="utf-8"))["url"])

@@ -17,7 +17,9 @@ from drivers import errors
 
 @dataclass(frozen=True)
 class AlarmCode:
-    """Alarm number with its meaning (`text`) and a general `hint`, shown if the error has no hint of its own."""
+    """Alarm number with its meaning (`text`) and a general `hint`, which is shown if the error has no hint of
+    its own.
+    """
 
     code: int
     text: str
@@ -99,7 +101,9 @@ CODES: Final = MappingProxyType(_CODES)
 
 
 def alarm_code(error: BaseException) -> AlarmCode:
-    """Return the code of the error's class or of its nearest listed base class; DEFECT if there is none."""
+    """Return the code of the error's class or of its nearest base class in the list, or DEFECT if the list contains
+    neither.
+    """
     for kind in type(error).__mro__:
         if kind in CODES:
             return CODES[kind]
@@ -107,7 +111,9 @@ def alarm_code(error: BaseException) -> AlarmCode:
 
 
 def alarm_of(error: BaseException) -> Alarm:
-    """Return the error as an alarm with its own text, hint and location, or with the general hint if it has no hint."""
+    """Return an alarm with the error's text, location and hint. If the error has no hint, the alarm has the general
+    hint of its code.
+    """
     found = alarm_code(error)
     if isinstance(error, errors.VolcalError):
         return Alarm(found.code, error.message, error.hint or found.hint, MappingProxyType(dict(error.where)))

@@ -39,8 +39,9 @@ ALLOWED: dict[RunState, frozenset[str]] = {
 
 
 def allowed_in(state: RunState, *, unfinished: bool, question_open: bool) -> frozenset[str]:
-    """Return the requests allowed in `state`. `unfinished`: an interrupted run can be resumed; `question_open`: a
-    question has not been answered yet."""
+    """Return the requests allowed in `state`. `unfinished` is True if an interrupted run can be resumed,
+    `question_open` if a question has not been answered yet.
+    """
     allowed = ALLOWED[state]
     if not unfinished:
         allowed -= {RESUME_RUN}

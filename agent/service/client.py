@@ -1,4 +1,6 @@
-"""HTTP client with which commands use the service; a problem document is raised as the error that it describes."""
+"""HTTP client through which commands use the service. If the service answers with a problem document, the client raises
+the error that the document describes.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,11 @@ from drivers.errors import LinkLost, LinkTimeout, ProtocolError, VolcalError
 Document = dict[str, Any]
 
 ANSWER_TIMEOUT_S = 60.0
-"""Long, because a start request first reads the state of the machine and may have to wait for the connection to it."""
+"""This timeout is long because a start request first reads the state of the machine and may have to wait for the
+connection to it.
+"""
 STREAM_TIMEOUT_S = 45.0
-"""Three times the interval of the comments that the service sends to keep a stream of events alive."""
+"""This timeout is three times the interval at which the service sends comments to keep a stream of events alive."""
 
 
 class NoService(LinkLost):
@@ -32,7 +36,7 @@ class NoService(LinkLost):
 
 @dataclass(frozen=True)
 class Client:
-    """Connection to the service of `settings`."""
+    """Connection to the service of the machine that `settings` describe."""
 
     settings: Settings
     _http: httpx.Client = field(init=False)
@@ -54,11 +58,12 @@ class Client:
         return self._request("POST", path, body, headers)
 
     def events(self, after: int | None = None) -> Iterator[tuple[str, Document]]:
-        """Yield (kind, document) of the status and then of every event.
+        """Yield the status and then every event, each as (kind, document).
 
-        `after`: number of the last event already known; the later events are yielded, even those from before this call.
+        `after` is the number of the last event that the caller already has. All later events are yielded, including
+        those that occurred before this call.
 
-        Raise LinkLost when the service ends or the connection fails, LinkTimeout if the service does not respond.
+        Raise LinkLost when the service ends or the connection fails, and LinkTimeout if the service does not respond.
         """
         headers = {} if after is None else {"Last-Event-ID": str(after)}
         timeout = httpx.Timeout(ANSWER_TIMEOUT_S, read=STREAM_TIMEOUT_S)
@@ -96,7 +101,9 @@ _START_IT = "start the service with `systemctl start volcal`, or `volcal serve -
 
 
 def error_of(problem: Mapping[str, Any]) -> VolcalError:
-    """Return the error that a problem document describes; CommandRejected if the client does not know its class."""
+    """Return the error that a problem document describes, or CommandRejected if this program does not know its
+    class.
+    """
     title = str(problem.get("title"))
     kind = getattr(errors, title, None) or getattr(run_errors, title, None)
     if not (isinstance(kind, type) and issubclass(kind, VolcalError)):
@@ -122,8 +129,9 @@ def _connect(settings: Settings) -> httpx.Client:
 
 
 def _ssl_context(certificate: Path | None) -> ssl.SSLContext | bool:
-    """Return a context that trusts only this certificate, which may therefore be self-signed and carry any host
-    name."""
+    """Return a context that trusts only this certificate, which may therefore be self-signed and contain any host name.
+    If `certificate` is None, return True, which stands for the usual verification.
+    """
     if certificate is None:
         return True
     context = ssl.create_default_context(cafile=str(certificate))

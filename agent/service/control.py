@@ -1,4 +1,4 @@
-"""Requests to the single owner of the machine; the same interface serves every endpoint.
+"""Requests to the single owner of the machine. All endpoints use the same interface.
 
 HTTP, the page, the panel gateway, OPC UA and the timer all use a `Control` and are independent of each other. Every
 method may be called from any thread and does not wait for the run; `status` and the events report its effect.
@@ -18,7 +18,9 @@ from agent.runs.run_request import RunRequest, Source
 
 @dataclass(frozen=True)
 class Question:
-    """Question of the run to a person. The run waits until `Control.answer` is called with the same `number`."""
+    """Question of the run to a person. The run waits until `Control.answer` is called with the `number` of the
+    question.
+    """
 
     number: int
     text: str
@@ -128,6 +130,7 @@ class Control(Protocol):
         ...
 
     def subscribe(self) -> AbstractContextManager[Queue[Event]]:
-        """Subscribe to all events from now on. A reader that falls far behind loses events, oldest progress events
-        first."""
+        """Subscribe to all events from now on. A reader that falls far behind loses events; the oldest progress events
+        are dropped first.
+        """
         ...

@@ -42,7 +42,9 @@ def make_token(settings: Settings) -> None:
 
 
 def read_token(path: Path) -> str:
-    """Return the token. Raise ConfigurationError if it is missing, too short, or readable by others than its owner."""
+    """Return the token. Raise ConfigurationError if the token is missing or too short, or if users other than the owner
+    of the file can read it.
+    """
     try:
         mode = open_mode(path)
         text = path.read_text(encoding="ascii").strip()

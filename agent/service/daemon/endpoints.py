@@ -23,7 +23,9 @@ class Endpoint(Protocol):
 
 @contextmanager
 def open_endpoints(endpoints: Sequence[Endpoint], control: Control) -> Iterator[None]:
-    """Open all endpoints and close them at the end of the block. If one cannot be opened, close those already open."""
+    """Open all endpoints and close them at the end of the block. If one of them cannot be opened, close those that are
+    already open.
+    """
     with ExitStack() as stack:
         for endpoint in endpoints:
             endpoint.start(control)

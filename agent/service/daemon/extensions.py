@@ -28,5 +28,5 @@ def further_endpoints(settings: Settings) -> Sequence[Endpoint]:
 
 
 def http_extensions(_: Settings) -> Sequence[Extension]:
-    """Return the functions that add the pages and routers behind the guard of the HTTP endpoint."""
+    """Return the functions that add pages and routers to the HTTP application; requests to these pass the guard."""
     return (mount_page, mount_metrics)

@@ -1,4 +1,6 @@
-"""Logging as one JSON object per line on stdout, for the system journal, with run and step if they are known."""
+"""Logging on stdout for the system journal. Each record is one JSON object on one line, with run and step if these are
+known.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ _SHARED: tuple[Processor, ...] = (
 
 
 def log_as_json(level: int) -> None:
-    """Set up logging of this program and of the libraries in the same JSON format."""
+    """Set up logging in one JSON format for this program and for the libraries that it uses."""
     as_line = structlog.processors.JSONRenderer(ensure_ascii=False, default=str)
     rendered: tuple[Processor, ...] = (structlog.processors.format_exc_info, as_line)
     structlog.configure(

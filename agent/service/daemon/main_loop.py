@@ -31,7 +31,9 @@ US_PER_S = 1e6
 
 @contextmanager
 def queued_signals() -> Iterator[SimpleQueue[int]]:
-    """Yield a queue that receives the signals during the block, so that they do not end the process."""
+    """Yield a queue that receives the signals sent to the process during the block, so that they do not end the
+    process.
+    """
     queue: SimpleQueue[int] = SimpleQueue()
 
     def enqueue(number: int, _: FrameType | None) -> None:
@@ -82,7 +84,8 @@ class MainLoop:
     def _feed_watchdog(self) -> None:
         """Notify systemd's watchdog unless the engine hangs.
 
-        Without notifications systemd ends this process; by then the machine has long been stopped by its own watchdog.
+        If the notifications cease, systemd ends this process. By then the machine's own watchdog has long stopped the
+        machine.
         """
         if self.health.alive(self.owner.status().state):
             self._hung = False
@@ -102,7 +105,7 @@ class MainLoop:
         return status_text(self.owner.status(), hung=self._hung)
 
     def _reload(self) -> None:
-        """Read the settings file again for the next runs; if it is invalid, report that and retain the old settings."""
+        """Read the settings file again for the next runs. If it is invalid, report that and keep the old settings."""
         self.notifier.send(RELOADING=1, MONOTONIC_USEC=int(US_PER_S * RealClock().now()))
         try:
             self.owner.reload(load_settings(self.config))
@@ -125,7 +128,7 @@ class MainLoop:
 
 
 def status_text(status: Status, *, hung: bool = False) -> str:
-    """Return the status as one line for `systemctl status`; `hung`: the engine hangs."""
+    """Return the status as one line for `systemctl status`. `hung` is True if the engine hangs."""
     parts = [f"{status.machine}: {status.doing}"]
     if status.minutes_left is not None:
         parts.append(f"{100.0 * status.fraction:.0f} %, {status.minutes_left:.0f} min left")

@@ -11,7 +11,9 @@ import structlog
 log = structlog.get_logger()
 S_PER_US = 1e-6
 SEND_TIMEOUT_S = 1.0
-"""Short, because signals must be handled even if the service manager does not read (its queue holds ten messages)."""
+"""This timeout is short because signals must be handled even if the service manager does not read (its queue holds ten
+messages).
+"""
 
 
 class Notifier:

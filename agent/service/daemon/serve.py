@@ -37,14 +37,15 @@ from twin.units import S_PER_MIN
 
 log = structlog.get_logger()
 REPORT_TIMEOUT_S = 15.0
-"""Longest wait for a report in progress when the service stops; rendering a report takes about 5 s."""
+"""Longest time in s to wait for a report in progress when the service stops. Rendering a report takes about 5 s."""
 
 
 def serve(config: Path, circumstances: Callable[[], Circumstances] = current_circumstances) -> None:
     """Run the service until SIGTERM or SIGINT.
 
-    `circumstances`: function that returns the hour and the time since switch-on, on which the permission of a start
-    without consent depends. Raise Busy if another process owns the machine, ConfigurationError for invalid settings.
+    `circumstances` is the function that returns the local time and the time since switch-on, which determine whether a
+    run may start without consent. Raise Busy if another process owns the machine, and ConfigurationError if the
+    settings are invalid.
     """
     config = config.resolve()
     settings = load_settings(config)

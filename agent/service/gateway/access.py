@@ -23,14 +23,16 @@ LOCKED_TICKS: Final = 5
 
 
 def access_code_path(settings: GatewaySettings, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the file passed by systemd (LoadCredential=panel-code:…), otherwise the one in the settings; None if
-    neither."""
+    """Return the path of the file passed by systemd (LoadCredential=panel-code:…), or else of the file named in the
+    settings. Return None if there is neither.
+    """
     return handed_over(CREDENTIAL, environment) or settings.access_code_file
 
 
 def read_access_code(path: Path) -> int:
-    """Return the code. Raise ConfigurationError unless the file holds one number from 1 to 4294967295 and only its
-    owner can read it."""
+    """Return the access code. Raise ConfigurationError unless the file contains a number from 1 to 4294967295 and only
+    the owner of the file can read it.
+    """
     text = read_text(path, error=ConfigurationError).strip()
     if (mode := open_mode(path)) is not None:
         raise ConfigurationError(

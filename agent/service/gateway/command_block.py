@@ -1,4 +1,4 @@
-"""Conversion of a panel's command registers to a request; invalid values are refused before anything is done."""
+"""Conversion of a panel's command registers to a request. Invalid values are refused before anything is executed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ class ValueNotAllowed(Exception):
 
 @dataclass(frozen=True)
 class CommandRequest:
-    """One command as written by a panel. `text`: position set, None if it contains invalid characters."""
+    """One command as written by a panel. `text` is the name of the position set, or None if it contains invalid
+    characters.
+    """
 
     numbers: Mapping[str, int]
     text: str | None

@@ -1,5 +1,5 @@
-"""Execution of panel commands. Each sequence number is executed only once, most commands require the access code, and
-all panels can read the result.
+"""Execution of panel commands. Each sequence number is executed only once. Most commands require the access code. All
+panels can read the result.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class CommandHandler:
     def submit(self, request: CommandRequest) -> None:
         """Execute a request that has the next sequence number, and store its result.
 
-        A repetition of the last request has no effect, since a panel repeats it if the response was lost. Raise
-        RegisterError, with nothing done, for any other number or if the number could not be recorded.
+        A panel repeats its last request if the response was lost; the repetition has no effect. Raise RegisterError
+        without executing anything if the request has any other number, or if its number cannot be recorded.
         """
         with self._lock:
             if request.sequence == self._ledger.accepted and request.content == self._ledger.content:

@@ -39,7 +39,7 @@ class GatewayEndpoint:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port actually in use; only available while the endpoint is open."""
+        """Host and port that the server uses; available only while the endpoint is open."""
         if self._server is None:
             raise RuntimeError("the gateway is not open")
         return self._server.address

@@ -71,7 +71,9 @@ def body_length(header: bytes) -> int:
 
 
 def answer_frame(header: bytes, answer: bytes) -> bytes:
-    """Return the response frame, which has the transaction and unit numbers of the request's `header`."""
+    """Return the response frame for the PDU `answer`, with the transaction and unit numbers of the request's
+    `header`.
+    """
     transaction, _, _, unit = HEADER.unpack(header)
     return HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
 
@@ -142,8 +144,9 @@ _ANSWERS: Final[dict[int, Callable[[bytes, RegisterTable], bytes]]] = {
 
 
 def _range(request: bytes, most: int, *, exact: bool = False) -> tuple[int, int]:
-    """Return the address and count of a request. `exact`: the request must end after them; otherwise a byte count and
-    data must follow. Raise RegisterError for a wrong length or if the count is not from 1 to `most`."""
+    """Return the address and count of a request. If `exact`, the request must end after them; otherwise a byte count
+    and data must follow. Raise RegisterError if the length is wrong or if the count is not from 1 to `most`.
+    """
     _require(len(request) == 5 if exact else len(request) > 6)
     address, count = _PAIR.unpack_from(request, 1)
     _require(1 <= count <= most)

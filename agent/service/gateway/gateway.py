@@ -19,8 +19,9 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class Gateway:
-    """State shared by all connections. `on_panel_timeout`: reaction if the panel's heartbeat is lost during a run that
-    a panel has started."""
+    """State shared by all connections. `on_panel_timeout` is the action to take if the panel's heartbeat is lost during
+    a run that a panel has started.
+    """
 
     control: Control
     handler: CommandHandler
@@ -48,7 +49,7 @@ class Gateway:
         return status_image(self.status(), facts)
 
     def tick(self) -> None:
-        """Update the heartbeats and the lock after a wrong access code. Must be called once per second."""
+        """Update the heartbeats, and the lock that a wrong access code sets. Must be called once per second."""
         self.access.tick()
         status = self._status_or_none()
         if self.heartbeats.tick(service_alive=status is not None):

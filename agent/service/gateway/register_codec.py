@@ -13,7 +13,9 @@ _LIMITS = {Form.U16: (0, 0xFFFF), Form.U32: (0, 0xFFFFFFFF), Form.I32: (-0x80000
 
 
 def number_words(register: Register, value: float | None) -> tuple[int, ...]:
-    """Return the words of a number, rounded and clipped to the register's range; None and NaN become "unknown"."""
+    """Return the words of a number, rounded and clipped to the register's range. For None and NaN, return the
+    register's value for "unknown".
+    """
     if value is None or math.isnan(value):
         whole = UNKNOWN[register.form]
     else:
@@ -42,8 +44,9 @@ def whole_number(words: Sequence[int]) -> int:
 
 
 def plain_text(words: Sequence[int]) -> str | None:
-    """Return the text in the words without its padding of zeros or blanks; None if it is not printable ASCII, or if
-    other characters follow a zero."""
+    """Return the text in the words without its padding of zeros or blanks. Return None if the text is not printable
+    ASCII, or if other characters follow a zero.
+    """
     text, *after = b"".join(word.to_bytes(2) for word in words).rstrip(b"\0 ").split(b"\0")
     if after or not all(0x20 <= byte < 0x7F for byte in text):
         return None

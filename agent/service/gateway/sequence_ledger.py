@@ -30,7 +30,8 @@ def next_sequence(number: int) -> int:
 
 
 class SequenceLedger:
-    """Sequence number and content of the last accepted command. Only one thread (of the handler) may write at a time.
+    """Sequence number and content of the last accepted command. Only one thread at a time may write; the command
+    handler ensures this.
 
     Raise ConfigurationError if the stored file is invalid.
     """
@@ -40,13 +41,16 @@ class SequenceLedger:
         self.accepted, self.content = self._load()
 
     def record(self, number: int, content: Content) -> None:
-        """Store number and content durably. Raise InputError, with nothing changed, if they cannot be stored."""
+        """Store number and content durably. Raise InputError and leave the stored values unchanged if they cannot be
+        stored.
+        """
         write_atomically(self._path, json.dumps({"accepted": number, "content": list(content)}) + "\n")
         self.accepted, self.content = number, content
 
     def _load(self) -> tuple[int, Content | None]:
-        """Return the stored number and content. If nothing is stored, start from a random number, so that no number
-        left in a panel's registers is the next one."""
+        """Return the stored number and content. If nothing is stored, return a random number and None, so that a number
+        left in a panel's registers is unlikely to be accepted as the next one.
+        """
         if not self._path.exists():
             return _random_start(), None
         try:

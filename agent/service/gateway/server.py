@@ -30,9 +30,9 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 class _Client:
-    """A connection and its last request, identified by a running number over the requests of all connections.
+    """A connection, and the number of its last request. Requests are numbered consecutively over all connections.
 
-    This number takes the place of a time when the connection that has been idle for longest is sought.
+    The number shows which connection has been idle for longest, so that no times need to be stored.
     """
 
     def __init__(self, connection: socket.socket, peer: str) -> None:
@@ -76,7 +76,7 @@ class ModbusServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port actually in use."""
+        """Host and port that the server uses."""
         host, port = self._listener.getsockname()[:2]
         return str(host), int(port)
 
@@ -84,7 +84,7 @@ class ModbusServer:
         self._thread.start()
 
     def stop(self) -> None:
-        """Close all connections. No further request is executed after the return."""
+        """Close all connections. No further request is executed once this method has returned."""
         with self._guard:
             self._stopped = True
             with contextlib.suppress(OSError):

@@ -53,8 +53,9 @@ class PanelSession:
             self._draft = draft
 
     def _commit(self, draft: Sequence[int]) -> None:
-        """Submit the draft as a command. Clear it even on failure, so that the next command inherits no consent or
-        code."""
+        """Submit the draft as a command. Clear the draft even if the command fails, so that the next command inherits
+        neither its consent nor its access code.
+        """
         self._draft = [0] * SIZE
         self._gateway.handler.submit(read_command(draft))
 

@@ -64,7 +64,9 @@ def _run_values(status: Status) -> dict[str, float | str | None]:
 
 
 def _waiting_values(status: Status) -> dict[str, float | str | None]:
-    """Return, by register name, the values that require action: alarms, open question, bank written but not active."""
+    """Return the values that require action, by register name: the alarms, the open question, and the bank that is
+    written but not active.
+    """
     question = status.question
     codes = [alarm.code for alarm in status.alarms[:4]] + [0] * 4
     return {

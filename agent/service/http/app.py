@@ -16,7 +16,9 @@ Extension = Callable[[FastAPI, AppState], None]
 
 
 def create_app(app_state: AppState, names: Collection[str] = (), extensions: Sequence[Extension] = ()) -> FastAPI:
-    """Return the application. `names`: host names, besides those of loopback, by which clients may address it."""
+    """Return the application. `names` are the host names, in addition to those of loopback, by which clients may
+    address it.
+    """
     app = FastAPI(
         title="volcal",
         version=version("volcal"),

@@ -18,8 +18,9 @@ from agent.settings.schema import Settings
 
 @dataclass(frozen=True)
 class AppState:
-    """State shared by all routes. `settings`: function that returns the settings of the next run; `config`: their
-    file."""
+    """State shared by all routes. `settings` is a function that returns the settings for the next run; `config` is the
+    path of the settings file.
+    """
 
     control: Control
     event_log: EventLog

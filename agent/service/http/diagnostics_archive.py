@@ -24,7 +24,7 @@ _SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user",
 
 
 def without_secrets(document: Any) -> Any:
-    """Return the document without the values whose key suggests a secret, at any depth."""
+    """Return the document without the values whose keys suggest a secret. Values at any depth are removed."""
     if isinstance(document, Mapping):
         return {
             key: REMOVED if _SECRET.search(str(key)) and value is not None else without_secrets(value)

@@ -34,7 +34,7 @@ class HttpEndpoint:
         self.url = ""
 
     def start(self, control: Control) -> None:
-        """Bind and start the server. Raise ConfigurationError if the address cannot be bound."""
+        """Bind the socket and start the server. Raise ConfigurationError if the address cannot be bound."""
         settings = self._settings
         bound = self._bound()
         port = bound.getsockname()[1]

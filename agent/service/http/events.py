@@ -1,4 +1,6 @@
-"""Server-sent events: first the status, then the events since the last one that the reader has received."""
+"""Server-sent events. The service sends the status first, then the events that follow the last one that the client has
+received.
+"""
 
 from __future__ import annotations
 

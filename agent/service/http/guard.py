@@ -1,8 +1,8 @@
-"""Checks of every request before it is processed: addressed host, origin and size.
+"""Checks of every request before it is processed: host name, origin and size.
 
-A foreign page open in the panel's browser can send requests to loopback. It does not have the token, so it
-cannot send commands. A foreign `Host` header indicates DNS rebinding, and a foreign `Origin` header a request of
-another page: both are refused even if the request only reads.
+A foreign page open in the panel's browser can send requests to loopback. It does not have the token, so it cannot send
+commands. A foreign `Host` header indicates DNS rebinding, and a foreign `Origin` header indicates a request of another
+page. Both are refused even if the request only reads.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ _BEARER = HTTPBearer(auto_error=False, description="Content of the file `service
 def require_token(
     app_state: AppStateDependency, given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]
 ) -> None:
-    """Refuse requests without the valid token; dependency of all commands."""
+    """Refuse requests without the valid token. All command endpoints have this function as a dependency."""
     if given is None:
         raise RequestRefused(
             HTTPStatus.UNAUTHORIZED,
@@ -91,7 +91,7 @@ def require_token(
 def _limit_body(receive: Receive) -> Receive:
     """Return a `receive` that counts the bytes of a body as they arrive and refuses a body that is too long.
 
-    It covers bodies without a stated length.
+    It also limits bodies whose length is not stated in advance.
     """
     received = 0
 
@@ -122,7 +122,7 @@ def _problem(status: HTTPStatus, detail: str, hint: str) -> Problem:
 
 
 def _host_name(address: str) -> str:
-    """Return the host name of `address` without the port; an empty text if it has none."""
+    """Return the host name of `address` without the port, or an empty text if it has none."""
     try:
         return (urlsplit(address).hostname or "").lower()
     except ValueError:

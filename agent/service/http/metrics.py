@@ -1,4 +1,6 @@
-"""`/metrics` for Prometheus, from the history and the current status. Requests pass the guard but need no token."""
+"""`/metrics` for Prometheus, made from the history and the current status. Requests pass the guard but need no
+token.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ PATH = "/metrics"
 
 
 def mount_metrics(app: FastAPI, app_state: AppState) -> None:
-    """Add the route; an `agent.service.http.app.Extension`. The first request imports the database client."""
+    """Add the route to the application; this function is an `agent.service.http.app.Extension`. The first request
+    imports the database client.
+    """
     cache = _MetricsCache()
 
     @app.get(PATH, include_in_schema=False)

@@ -1,4 +1,4 @@
-"""Errors as problem documents (RFC 9457) with cause, location and remedy; never a traceback."""
+"""Errors as problem documents (RFC 9457) with cause, location and remedy. They never contain a traceback."""
 
 from __future__ import annotations
 

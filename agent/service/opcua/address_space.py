@@ -1,4 +1,6 @@
-"""OPC UA address space: the nodes of `agent.service.opcua.model`, updated from the status, and the events."""
+"""OPC UA address space. It consists of the nodes of `agent.service.opcua.model`, which are updated from the status, and
+of the events.
+"""
 
 from __future__ import annotations
 
@@ -119,8 +121,8 @@ class AddressSpace:
         self._guarded.free_methods = free
 
     def _callback(self, name: str) -> Callable[..., Awaitable[Any]]:
-        """Return the callback of the OPC UA method `name`; it executes the method in a thread, so as not to block the
-        loop.
+        """Return the callback of the OPC UA method `name`. The callback executes the method in a thread, so that the
+        loop is not blocked.
 
         The nodes are updated before the client receives the result.
         """

@@ -29,7 +29,8 @@ class OwnCertificate:
 
 
 def own_certificate(directory: Path, application_uri: str, host_name: str, address: str) -> OwnCertificate:
-    """Return the server's certificate and key in `directory`; generate them if they are missing (key with mode 0600).
+    """Return the server's certificate and key, which are stored in `directory`. If they are missing, generate them (the
+    key has mode 0600).
 
     Raise ConfigurationError if they cannot be read or written, or if the certificate has expired.
     """
@@ -61,7 +62,7 @@ def is_trusted(certificate: bytes | None, directory: Path) -> bool:
 
 
 def _certificates_in(directory: Path) -> Iterable[x509.Certificate]:
-    """Yield the certificates in the directory. Other files (a README, an incomplete copy) are ignored."""
+    """Yield the certificates in the directory. Other files, such as a README or an incomplete copy, are ignored."""
     for path in sorted(directory.glob("*")) if directory.is_dir() else ():
         if path.is_file():
             try:

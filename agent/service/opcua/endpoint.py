@@ -24,8 +24,9 @@ log = structlog.get_logger()
 
 
 class OpcUaEndpoint:
-    """Endpoint that runs the server's loop in one thread. `token`: access token of the service, which clients send as
-    password."""
+    """Endpoint that runs the server's loop in one thread. `token` is the access token of the service; clients send it
+    as their password.
+    """
 
     def __init__(self, settings: OpcUaSettings, state_directory: Path, token: str) -> None:
         self._settings = settings

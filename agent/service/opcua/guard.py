@@ -1,8 +1,8 @@
-"""Access control of the OPC UA server, enforced by the session because asyncua does not enforce it.
+"""Access control of the OPC UA server. The session enforces it because asyncua does not.
 
 asyncua does not pass the user to a method, so the session checks each call. asyncua also binds a session to any channel
-that names the session's authentication token, which is a small number: it does so before it checks the user, and
-keeps the binding if the check fails. Here only the channel that created a session can use it.
+that names the session's authentication token, which is a small number. It binds the session before it checks the user,
+and the binding remains if the check fails. With this module only the channel that created a session can use it.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ def refusal_result(code: int) -> ua.CallMethodResult:
 
 
 class ClientAuthentication(UserManager):
-    """Authentication of clients: the certificate must be trusted, and the token is required except for anonymous
-    reading."""
+    """Authentication of clients. The certificate must be trusted. The token is required, except for anonymous
+    reading.
+    """
 
     def __init__(self, token: str, trusted_clients: Path, *, anonymous_reading: bool) -> None:
         self._token = token.encode()
@@ -49,8 +50,9 @@ class ClientAuthentication(UserManager):
         password: str | None = None,
         certificate: bytes | None = None,
     ) -> User | None:
-        """Return the user, or None if the client is refused. `certificate`: certificate of the secure channel; the
-        client has already proved that it holds the private key."""
+        """Return the user, or None if the client is refused. `certificate` is that of the secure channel, for which the
+        client has already proved that it holds the private key.
+        """
         if not is_trusted(certificate, self._trusted_clients):
             log.warning("OPC UA client refused", reason="certificate not trusted")
             return None
@@ -85,8 +87,9 @@ class GuardedSession(InternalSession):
 
 
 class GuardedServer(InternalServer):
-    """Server whose sessions are `GuardedSession` objects. `free_methods`: by method id, True if the method needs no
-    token."""
+    """Server whose sessions are `GuardedSession` objects. `free_methods` maps each method id to True if the method
+    needs no token.
+    """
 
     def __init__(self, users: ClientAuthentication) -> None:
         super().__init__(user_manager=users)

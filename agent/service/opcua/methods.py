@@ -22,9 +22,9 @@ log = structlog.get_logger()
 
 
 class MethodCalls:
-    """OPC UA methods by name. They may be called from any thread except the one of the server's loop.
+    """OPC UA methods by name. They may be called from any thread except that of the server's loop.
 
-    `last_refusal`: reason for which a method was last refused, since OPC UA itself transmits only a number.
+    `last_refusal` is the reason for the most recent refusal of a method; OPC UA itself transmits only a number.
     """
 
     def __init__(self, control: Control) -> None:
@@ -47,7 +47,9 @@ class MethodCalls:
             return self._last_refusal
 
     def call(self, name: str, arguments: Sequence[ua.Variant]) -> Any:
-        """Execute the method and return its output arguments, or the refusal, in the form that asyncua sends."""
+        """Execute the method. Return its output arguments or, if it is refused, the refusal, in the form that asyncua
+        sends.
+        """
         try:
             result = self._methods[name](*_values(name, arguments))
         except VolcalError as error:

@@ -1,8 +1,8 @@
-"""OPC UA nodes, methods and events as data; docs/reference/opc-ua.md shows the same tables.
+"""OPC UA nodes, methods and events as data. docs/reference/opc-ua.md shows the same tables.
 
 If OPC 40210 (GMSType, but not its CorrectionType) or OPC 40501-1 (ProductionType, MonitoringType, NotificationType)
-defines a name, the model uses it, in the same order. The nodes belong to this program's own namespace and have only
-base types of OPC UA: none is an instance of a type of those two specifications.
+defines a name, the model uses that name; names are in the order of these specifications. The nodes belong to this
+program's own namespace and have only base types of OPC UA. None is an instance of a type of those two specifications.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ PROGRAM_STATES: Final = {
 
 @dataclass(frozen=True)
 class Variable:
-    """Readable node. `path`: below the root; `form`: name of its built-in type, followed by [] for an array."""
+    """Readable node. `path` is relative to the root object. `form` is the name of the built-in type, followed by [] for
+    an array.
+    """
 
     path: str
     form: str
@@ -61,7 +63,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Method:
-    """OPC UA method. `free`: no token is needed, because the method can only stop motion."""
+    """OPC UA method. `free` is True if no token is needed, because the method can only stop motion."""
 
     name: str
     inputs: tuple[Argument, ...]

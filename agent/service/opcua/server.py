@@ -1,4 +1,4 @@
-"""OPC UA server: its start, its updates from status and events, and its stop."""
+"""Start of the OPC UA server, its updates from the status and the events, and its stop."""
 
 from __future__ import annotations
 
@@ -76,8 +76,9 @@ class OpcUaServer:
         return server, space
 
     async def _secure(self, server: Server) -> None:
-        """Configure the only endpoint, which is signed and encrypted. An unsecured channel can do no more than list
-        it."""
+        """Configure the only endpoint of the server, which is signed and encrypted. Over an unsecured channel a client
+        can only list this endpoint.
+        """
         host = socket.gethostname()
         uri = f"urn:{host}:volcal"
         own = own_certificate(self._files.directory, uri, host, self._settings.host)
@@ -102,10 +103,10 @@ class OpcUaServer:
             known = await self._refresh(space, known)
 
     async def _refresh(self, space: AddressSpace, known: tuple[str, tuple[int, ...]]) -> tuple[str, tuple[int, ...]]:
-        """Update the nodes, then send events about changes, so that a client that receives an event reads the new
+        """Update the nodes, then send events about changes. A client that receives an event can therefore read the new
         values.
 
-        `known`: state and alarm codes at the last update. Return the current ones.
+        `known` contains the state and the alarm codes at the last update. Return the current ones.
         """
         try:
             status = self._control.status()
@@ -124,7 +125,7 @@ class OpcUaServer:
 
 
 def _waiting_events(events: Queue[Event]) -> list[Event]:
-    """Return all waiting events; wait at most REFRESH_S for the first one."""
+    """Return all waiting events. If there are none, wait at most REFRESH_S for the first one."""
     found: list[Event] = []
     try:
         found.append(events.get(timeout=REFRESH_S))

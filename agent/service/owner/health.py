@@ -16,7 +16,9 @@ COMPUTING = frozenset({RunState.PREFLIGHT, RunState.IDENTIFYING})
 
 
 class Health:
-    """Monitor of the time since the last beat. `now`: returns the time in s of a clock independent of the engine."""
+    """Monitor of the time since the last beat. `now` is a function that returns the time in s; its clock is independent
+    of the engine.
+    """
 
     def __init__(self, now: Callable[[], float], *, hang_timeout_s: float, computing_s: float) -> None:
         self._now = now
@@ -31,8 +33,9 @@ class Health:
         self.beat()
 
     def begin_conclusion(self) -> None:
-        """Allow the longer time from now on. The run is in its final state: nothing moves while its results are
-        written."""
+        """Allow the longer time between beats from now on. The run is in its final state, so nothing moves while its
+        results are written.
+        """
         self._concluding = True
         self.beat()
 

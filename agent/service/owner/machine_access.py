@@ -1,4 +1,6 @@
-"""Short accesses to the machine between runs, and the devices of a run, whose questions go to the endpoints."""
+"""Short accesses to the machine between runs, and the devices for a run. The questions of a run are sent to the
+endpoints.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from drivers.clock import Clock
 from drivers.roles import MachineStatus
 
 CONSOLE = "console-operator"
-"""Driver that asks questions on the console. The service has no console, so it asks at the endpoints instead."""
+"""Driver that asks questions on the console. The service has no console, so it asks the questions at its endpoints
+instead.
+"""
 
 
 @dataclass(frozen=True)
@@ -50,10 +54,10 @@ class MachineAccess:
                 rig.close()
 
     def devices_for_run(self, clock_settings: ClockSettings, questions: Questions, *, attended: bool) -> Devices:
-        """Return the devices of one run: its clock, and the rig of `devices` with the endpoints in place of the
-        console.
+        """Return the devices of one run. These are its clock and the rig of `devices`, in which the endpoints replace
+        the console.
 
-        The clock is created in this call. Raise ConfigurationError if that fails.
+        The clock is created in this call. Raise ConfigurationError if it cannot be created.
         """
         clock = self.devices.make_clock(clock_settings)
 

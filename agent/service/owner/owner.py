@@ -1,4 +1,4 @@
-"""Owner of the machine, which carries out one run at a time, whichever endpoint requests it."""
+"""Owner of the machine. It carries out one run at a time, regardless of the endpoint that requests the run."""
 
 from __future__ import annotations
 
@@ -129,8 +129,9 @@ class Owner:
     # ------------------------------------------------------------------ for the service itself
 
     def reload(self, settings: Settings) -> None:
-        """Use `settings` for the next runs. Raise Busy while a run is in progress, UserError if `state_directory`
-        differs."""
+        """Use `settings` for the next runs. Raise Busy while a run is in progress, and UserError if `state_directory`
+        differs from that of the current settings.
+        """
         with self._changed:
             self._require_nothing_runs()
             if settings.state_directory != self.settings.state_directory:
@@ -151,15 +152,16 @@ class Owner:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def wait(self, within_s: float) -> bool:
-        """Wait until no run is in progress. Return True if that happened in time."""
+        """Wait at most `within_s` until no run is in progress. Return True if that happened in time."""
         with self._changed:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def reconcile(self) -> None:
         """Compare the compensation in the controller with the journal of the last run, and undo an unverified table.
 
-        A call does nothing if this has been done since the start of the service and since the last run that ended
-        aborted or faulted. Raise DeviceError if the machine cannot be reached; it is then done before the next run.
+        The comparison is made once after the start of the service, and again after every run that ended aborted or
+        faulted. Any further call does nothing. Raise DeviceError if the machine cannot be reached; the comparison is
+        then made before the next run.
         """
         if not self._reconciled:
             found = self._parts.machine.reconcile(self.settings, self._parts.config.parent)
@@ -167,8 +169,9 @@ class Owner:
             self._board.show_reconciliation(found)
 
     def reconcile_if_reached(self) -> None:
-        """Call `reconcile`; log its error (the machine may still be off), since the next run reconciles first
-        anyway."""
+        """Call `reconcile`, and log its error instead of raising it. The machine may still be off, and the next run
+        calls `reconcile` first anyway.
+        """
         try:
             self.reconcile()
         except VolcalError as error:
@@ -220,15 +223,17 @@ class Owner:
         return run.run_id
 
     def _slot_minutes(self, request: RunRequest) -> float | None:
-        """Return the available machine time in min; None for no limit. Raise GateRefused or PermissionMissing if a run
-        without consent may not start now."""
+        """Return the available machine time in min, or None if it is not limited. Raise GateRefused or
+        PermissionMissing if a run without consent may not start now.
+        """
         self.reconcile()
         slots = [request.slot_minutes, None if request.consent else self._unattended_minutes()]
         return min((slot for slot in slots if slot is not None), default=None)
 
     def _unattended_minutes(self) -> float | None:
-        """Return the minutes until the permitted hours end; None for no limit. Raise GateRefused or PermissionMissing
-        if no run may start now without consent."""
+        """Return the minutes until the permitted hours end, or None if the hours are not limited. Raise GateRefused or
+        PermissionMissing if no run without consent may start now.
+        """
         service, circumstances = self.settings.service, self._parts.circumstances()
         left = minutes_until_end(circumstances, service.hours)
         require_warm(circumstances, service.warm_up_minutes)

@@ -29,8 +29,9 @@ def current_circumstances() -> Circumstances:
 
 @dataclass(frozen=True)
 class OwnerParts:
-    """Components of the owner. `config`: the settings file, for messages and relative paths; `carry_out`: function as
-    in `agent.runs.session`; `resume`: function as in `agent.runs.resume`."""
+    """Components of the owner. `config` is the settings file, which is needed for messages and relative paths.
+    `carry_out` is a function as in `agent.runs.session`, `resume` a function as in `agent.runs.resume`.
+    """
 
     config: Path
     event_log: EventLog

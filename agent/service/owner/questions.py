@@ -59,10 +59,10 @@ class Questions:
 
 @dataclass(frozen=True)
 class ServiceOperator:
-    """Device with the role Operator that asks at the endpoints. It waits by the run's clock, so that hold and abort
-    work.
+    """Device in the role Operator that asks its questions at the endpoints. It waits by the run's clock, so that the
+    run can be held or aborted while a question is open.
 
-    `attended`: a person at the machine has consented to the start and can answer.
+    `attended` is True if a person at the machine has consented to the start and can answer.
     """
 
     questions: Questions

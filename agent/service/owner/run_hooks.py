@@ -33,8 +33,9 @@ class RunHooksFactory:
     def hooks(
         self, run: RunMailbox, clock: ClockSettings, *, attended: bool, slot_minutes: float | None = None
     ) -> RunHooks:
-        """Return the hooks of `run`. `attended`: a person can answer questions; `slot_minutes`: limit on machine time,
-        None for no limit. Raise ConfigurationError if the clock cannot be created."""
+        """Return the hooks of `run`. `attended` is True if a person can answer questions. `slot_minutes` limits the
+        machine time; if it is None, there is no limit. Raise ConfigurationError if the clock cannot be created.
+        """
         parts = self.parts
 
         def preflight_passed(job: Job, preflight: PreflightResult) -> None:
@@ -63,7 +64,9 @@ class RunHooksFactory:
 
 
 def require_within(preflight: PreflightResult, slot_minutes: float | None) -> None:
-    """Raise PlanRefused if the run takes longer than the available machine time in min (None: no limit)."""
+    """Raise PlanRefused if the run takes longer than `slot_minutes`, the available machine time in min. None means no
+    limit.
+    """
     needed = preflight.machine_minutes
     if slot_minutes is not None and needed > slot_minutes:
         raise PlanRefused(
@@ -73,7 +76,8 @@ def require_within(preflight: PreflightResult, slot_minutes: float | None) -> No
 
 
 def night_slot(request: RunRequest, nightly: NightlySettings, available_minutes: float | None) -> float:
-    """Return the machine time of a night in min, from the request or else the settings, limited to the time
-    available."""
+    """Return the machine time of a night in min. It is taken from the request or, if the request has none, from the
+    settings; it is never more than the time available.
+    """
     slot = nightly.slot_minutes if request.slot_minutes is None else request.slot_minutes
     return slot if available_minutes is None else min(slot, available_minutes)

@@ -1,4 +1,4 @@
-"""Mailbox of one run of the service, which takes requests to the run from its reservation to its end."""
+"""Mailbox of one run of the service. It accepts requests to the run from the reservation of the run until its end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ class RunMailbox:
         self._end_request: Callable[[Supervisor], None] | None = None
 
     def attach(self, supervisor: Supervisor) -> None:
-        """Connect the supervisor of the run. Used as the hook `agent.runs.run_context.RunHooks.attach`."""
+        """Connect the supervisor of the run. This method is used as the hook
+        `agent.runs.run_context.RunHooks.attach`.
+        """
         with self._lock:
             supervisor.heartbeat = self._alive
             self._supervisor = supervisor

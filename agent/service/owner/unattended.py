@@ -19,7 +19,9 @@ MINUTES_A_DAY = 1440.0
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Time of a start. `now`: local time; `up_minutes`: minutes since the computer at the machine was switched on."""
+    """Time of a start. `now` is the local time; `up_minutes` is the time in min since the computer at the machine was
+    switched on.
+    """
 
     now: datetime
     up_minutes: float
@@ -37,8 +39,9 @@ def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
 
 
 def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> float | None:
-    """Return the minutes until the permitted hours end; None if none are set. Raise GateRefused outside of these
-    hours."""
+    """Return the minutes until the permitted hours end, or None if no hours are set. Raise GateRefused outside the
+    permitted hours.
+    """
     if not hours:
         return None
     now = 60.0 * circumstances.now.hour + circumstances.now.minute + circumstances.now.second / 60.0
@@ -62,7 +65,8 @@ def require_permission(status: MachineStatus) -> None:
 
 
 def _span(text: str) -> tuple[float, float]:
-    """Return the beginning and the length of a time span such as `22:00-05:00` in min; equal times mean the whole
-    day."""
+    """Return the beginning and the length, both in min, of a time span such as `22:00-05:00`. Equal times mean the
+    whole day.
+    """
     begins, ends = (60.0 * int(t[:2]) + int(t[3:]) for t in text.split("-"))
     return begins, (ends - begins) % MINUTES_A_DAY or MINUTES_A_DAY

@@ -41,9 +41,9 @@ class ResultCache:
     def _of(
         self, what: str, directory: Path, run_id: str, make: Callable[[ReportData, IdentificationData], Document]
     ) -> Document:
-        """Return document `what` of a run from the cache, otherwise from `make`.
+        """Return document `what` of a run from the cache. If it is not cached, make it with `make`.
 
-        A run in progress is not cached, since its estimate may still change.
+        The document of a run in progress is not cached, since the estimate of that run may still change.
         """
         key = (what, str(directory), run_id)
         with self._lock:
@@ -109,7 +109,7 @@ def _maps(data: ReportData, identification: IdentificationData) -> Document:
 
 
 def _plane(plane: PlaneMap) -> Document:
-    """Return the map of one plane. `length_um`: one row per y with the values at all x."""
+    """Return the map of one plane. `length_um` has one row per y; the row contains the values at all x."""
     return {
         "z_mm": plane.z_mm,
         "x_mm": [float(plane.x_mm[0]), float(plane.x_mm[-1])],

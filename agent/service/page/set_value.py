@@ -36,11 +36,12 @@ class SetValueCache:
 
 
 def set_value_document(job: Job) -> Document:
-    """Return the volumetric errors expected for the machine family before and after measuring the position set.
+    """Return the volumetric errors expected for the machine family before and after the position set has been measured.
 
-    They are in µm, rigidly aligned.
+    They are in µm, after the best-fitting rigid motion is removed.
 
-    `lost_um` of a position is the increase of the error after the measurement if this position were omitted.
+    `lost_um` of a position is the amount by which the error after the measurement would be larger without this
+    position.
     """
     with translated(ConfigurationError, key="procedure.position_set"):
         candidates = build_candidates(

@@ -1,4 +1,6 @@
-"""Static files of the page, behind the guard of the HTTP endpoint: document, assets, drawing scripts of the preview."""
+"""Static files of the page: document, assets, and drawing scripts of the preview. Requests for them pass the guard of
+the HTTP endpoint.
+"""
 
 from __future__ import annotations
 

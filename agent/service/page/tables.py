@@ -19,7 +19,9 @@ Document = dict[str, Any]
 
 
 def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role: str) -> str:
-    """Return the table as CSV. Raise InputError if `image` is None: the run stored that no table was active."""
+    """Return the table as CSV. Raise InputError if `image` is None, which means that the run stored the fact that no
+    table was active.
+    """
     if image is None:
         raise InputError(f"run {run_id} stored no table as {role}", hint="bank 0 contains no table")
     return format_table(table_of(image, tool_offset_mm))
@@ -61,7 +63,9 @@ def _axis(change: Array, image: TableImage, axis: str) -> Document:
 
 
 def _corrections(table: TableImage | None, like: TableImage) -> Array:
-    """Return the corrections, (nx, ny, nz, 3) in µm; zeros on the grid of `like` if there is no table."""
+    """Return the corrections in µm as an array of shape (nx, ny, nz, 3). If `table` is None, they are zeros on the grid
+    of `like`.
+    """
     if table is None:
         return np.zeros((*like.shape, 3))
     return UM_PER_MM * table.resolution_mm * table.counts.astype(np.float64)

@@ -1,4 +1,6 @@
-"""Trends over the nights for the page: volumetric errors and the 21 errors, or the parameters of one error."""
+"""Trends over the nights for the page. They cover the volumetric errors and the 21 geometric errors, or the parameters
+of one of these errors.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ class TrendCache:
         self._cached: dict[str | None, tuple[object, Document]] = {}
 
     def document(self, settings: Settings, of: str | None) -> Document:
-        """Return the trends; `of`: an error whose parameters are shown, None for volumetric errors and the 21 errors.
+        """Return the trends of the parameters of the error `of`; if `of` is None, those of the volumetric errors and of
+        the 21 geometric errors.
 
         Raise LinkLost or ConfigurationError if the history cannot be read.
         """
@@ -56,7 +59,9 @@ def _document(runs: Sequence[StoredRun], settings: Settings, of: str | None) -> 
 
 
 def _is_selected(series: Series, of: str | None) -> bool:
-    """Return True if a series is to be shown. Names of parameters contain a bracket, names of errors do not."""
+    """Return True if the series is to be shown for `of`. Names of parameters contain a bracket; names of
+    errors do not.
+    """
     if of is None:
         return series.name in VOLUMETRIC or "[" not in series.name
     return series.name.startswith(f"{of}[")

@@ -30,8 +30,9 @@ class Archive:
     reports: Callable[[str], Path]
 
     def runs(self, limit: int, before: str | None = None) -> list[Document]:
-        """Return summaries of at most `limit` runs, the latest first. `before`: identity of a run; only earlier
-        runs."""
+        """Return summaries of at most `limit` runs, the latest first. If `before` is the identity of a run, only
+        earlier runs are returned.
+        """
         if not has_journal(self.directory):
             return []
         with self._reading() as reader:
@@ -71,8 +72,9 @@ class Archive:
         return [{"minutes": row.minutes, "celsius": row.record} for row in rows]
 
     def events(self, run_id: str, limit: int, after: int = 0) -> list[Document]:
-        """Return at most `limit` events of the run in the order written; `after`: number of the last event already
-        known."""
+        """Return at most `limit` events of the run in the order written. `after` is the number of the last event that
+        the caller already has.
+        """
         with self._reading() as reader:
             rows = reader.events(_run(reader, run_id).run, after=after, limit=limit)
         return [{"number": row.number, "at": row.at, "kind": row.kind, "record": row.record} for row in rows]

@@ -59,10 +59,10 @@ class EventLog:
             return self._number
 
     def since(self, number: int) -> tuple[bool, tuple[Event, ...]]:
-        """Return (lost, events after `number`).
+        """Return the pair (lost, events after `number`).
 
-        `lost`: some of these events are no longer retained, or `number` dates from before a restart of the service. All
-        retained events are then returned, and the reader must fetch the status again.
+        `lost` is True if some of these events are no longer retained, or if `number` dates from before a restart of the
+        service. All retained events are then returned, and the reader must fetch the status again.
         """
         with self._lock:
             first = self._ring[0].number if self._ring else self._number + 1
@@ -83,8 +83,9 @@ class EventLog:
 
     @contextmanager
     def call_on_event(self, callback: Callable[[], object]) -> Iterator[None]:
-        """Call `callback` after every event and on `close`, in the thread that publishes or closes; it must return at
-        once."""
+        """Call `callback` after every event and on `close`, during the block. It is called in the thread that publishes
+        the event or closes the log, and must return at once.
+        """
         with self._lock:
             self._callbacks.append(callback)
         try:
@@ -95,7 +96,9 @@ class EventLog:
 
 
 def _put(queue: Queue[Event], event: Event, limit: int) -> None:
-    """Append an event. A full queue first drops its oldest progress event or, if it has none, its oldest event."""
+    """Append an event to the queue. If the queue is full, first remove its oldest progress event or, if it contains
+    none, its oldest event.
+    """
     with queue.mutex:
         waiting = queue.queue
         if len(waiting) >= limit:

@@ -1,5 +1,4 @@
-"""State between two runs, read from the journal: the state in which the machine was left, and how the last run
-ended."""
+"""State between two runs, read from the journal. It comprises the state of the machine and the end of the last run."""
 
 from __future__ import annotations
 
@@ -46,8 +45,9 @@ class JournalState:
     directory: Path
 
     def unacknowledged_end(self) -> UnacknowledgedEnd | None:
-        """Return the end of the last run if it was aborted, faulted or interrupted and no reset has acknowledged this;
-        otherwise None."""
+        """Return the end of the last run if it was aborted, faulted or interrupted and no reset has acknowledged this.
+        Otherwise return None.
+        """
         if not has_journal(self.directory):
             return None
         with open_journal(self.directory, JournalFailed) as reader:
@@ -108,8 +108,11 @@ def _acknowledged(reader: JournalReader, run: int) -> bool:
 
 
 def _volumetric_errors(settings: Settings, base: Path) -> tuple[float | None, float | None]:
-    """Return the VE in µm, aligned, of the machine as estimated on the last accepted night: without a table, and with
-    the table that has been active since. Both are None if there is no such night."""
+    """Return the volumetric errors (VE) of the machine without a table and with the table active since, as estimated on
+    the last accepted night.
+
+    They are in µm, after the best-fitting rigid motion is removed. Both are None if there is no accepted night.
+    """
     job = prepare_job(settings, base)
     last = reference_for(job)
     if last is None:

@@ -1,4 +1,4 @@
-"""Queue of the reports of runs, which are rendered one after the other in subprocesses once the machine is free."""
+"""Queue of the reports of runs. They are rendered one after the other in subprocesses once the machine is free."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ REPORT = "report.html"
 
 
 def no_report_yet(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
-    """Return no files. `ReportRenderer` for runs that must not wait for their reports."""
+    """Return no files. This is the `ReportRenderer` for runs that must not wait for their reports."""
     return {}
 
 
 class ReportQueue:
-    """Queue of reports, rendered in a background thread. A report missing when the service stops is rendered on
-    request."""
+    """Queue of reports, which a background thread renders. A report that is missing when the service stops is rendered
+    on request.
+    """
 
     def __init__(
         self, directory: Path, make: Callable[[Path, str], Mapping[str, str | bytes]] = render_html_in_subprocess
@@ -40,10 +41,11 @@ class ReportQueue:
         self._closed = False
 
     def request(self, run_id: str) -> None:
-        """Queue the report of a run that has ended; return at once.
+        """Queue the report of a run that has ended, and return at once.
 
-        An older report, written before the run was resumed, is removed first: if this process died now, the older
-        report would be taken for the current one."""
+        An older report, written before the run was resumed, is removed first. Otherwise, if this process died now, the
+        older report would be taken for the current one.
+        """
         with self._asking:
             self._outdated.add(run_id)
             self._remove(self._directory / run_id / REPORT)
@@ -71,7 +73,9 @@ class ReportQueue:
         return path
 
     def close(self, within_s: float) -> bool:
-        """Start no further report. Return True if the one in progress was finished in time."""
+        """Start no further report, and wait at most `within_s` for the one in progress. Return True if it was finished
+        in time.
+        """
         with self._asking:
             self._closed = True
             self._queue.put(None)

@@ -27,7 +27,9 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class IdleStatus:
-    """State of the machine between runs, from the journal. The VE is in µm, aligned, from the last accepted night."""
+    """State of the machine between runs, read from the journal. The volumetric errors (VE) are those of the last
+    accepted night, in µm, rigidly aligned.
+    """
 
     ve_before_um: float | None = None
     ve_now_um: float | None = None
@@ -67,7 +69,9 @@ class StatusBoard:
         self._change(**vars(idle))
 
     def show_unacknowledged_end(self, state: RunState, run_id: str, kind: str, alarm: Alarm) -> None:
-        """Enter the state in which a run ended before this start of the service, if no reset has acknowledged it."""
+        """Show the end state of a run that ended before the service was last started, unless a reset has acknowledged
+        that end.
+        """
         self._change(run_id=run_id, kind=kind, alarms=(alarm,))
         self.enter(state, alarm.text)
 
@@ -77,7 +81,7 @@ class StatusBoard:
         self.enter(RunState.IDLE, "reset")
 
     def show_reconciliation(self, result: Reconciliation) -> None:
-        """Show the active bank that the controller reports. An instruction to a person is shown as an alarm."""
+        """Show the bank that is active according to the controller. An instruction to a person is shown as an alarm."""
         self._change(active_bank=result.active_bank, written_not_active=result.waiting_bank)
         self.event_log.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
         log.info("reconciled", text=result.text)
@@ -134,7 +138,7 @@ class StatusBoard:
                 self._change(step=step.key)
 
     def show_question(self, question: Question | None, text: str) -> None:
-        """Show an open question. None: the question is closed, and `text` states the outcome."""
+        """Show an open question. If `question` is None, the question is closed and `text` states the outcome."""
         self._change(question=question)
         data = {} if question is None else {"number": question.number, "station": question.station}
         self.event_log.publish("question", text, {"open": question is not None, **data})
@@ -145,7 +149,9 @@ class StatusBoard:
         self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
     def alarm(self, alarm: Alarm) -> None:
-        """Add an alarm after those already open. The first alarm of the list is the cause."""
+        """Add an alarm to the end of the list of open alarms. The first alarm in the list is the cause of the
+        others.
+        """
         self._change(alarms=(*self._status.alarms, alarm))
         data = {"code": alarm.code, "hint": alarm.hint, "where": dict(alarm.where)}
         self.event_log.publish("alarm", alarm.text, data)
