@@ -191,7 +191,10 @@ class Probe(Protocol):
 
 @runtime_checkable
 class RotaryMount(Protocol):
-    """Rotary mount of the artefact. Azimuth about Z from +X, elevation from the XY plane."""
+    """Rotary mount of the artefact.
+
+    The azimuth is the angle about Z from +X, and the elevation is the angle from the XY plane.
+    """
 
     def home(self) -> None: ...
 

@@ -119,7 +119,7 @@ class Drive:
     def prepare(self) -> None:
         """Set the node's heartbeat time and start the node by NMT. Moves nothing.
 
-        The mount must call this when it opens and after a restart of the node.
+        This is needed when the mount opens and again after a restart of the node.
         """
         self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)
         self.node.start()
@@ -131,8 +131,8 @@ class Drive:
     def enable(self) -> None:
         """Bring the drive to *operation enabled* by the transitions in `ENABLE_TRANSITIONS`.
 
-        A drive that is already enabled at the first query is stopped first. A fault that occurs
-        during the transitions is reset.
+        A drive that is already enabled at the first query is stopped first. A fault that occurs during the
+        transitions is reset.
         """
         if not self._prepared:
             self.prepare()

@@ -37,7 +37,7 @@ class CanopenMount:
         self._drives: tuple[Drive, ...] = ()
 
     def open(self) -> None:
-        """Connect, verify the identity and units of both drives, and start them and their heartbeats. Moves nothing."""
+        """Connect, verify identity and units of both drives, and start them with their heartbeats. Moves nothing."""
         if self._link is not None:
             return
         self._connect()
@@ -86,8 +86,9 @@ class CanopenMount:
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
         """Turn both axes together, wait until they are in position and settled, and return the encoder angles.
 
-        Raises CommandRejected, before anything is sent, if a limit is exceeded or an axis is not homed; MotionFault,
-        DeadlineExpired, LinkError. If an exception ends the wait, both drives are quick-stopped before it propagates.
+        Raises MotionFault, DeadlineExpired or LinkError. Raises CommandRejected, before anything is sent, if a limit is
+        exceeded or an axis is not homed. If an exception ends the wait, both drives are quick-stopped
+        before it propagates.
         """
         drives = self._require_open()
         targets = (azimuth_deg, elevation_deg)

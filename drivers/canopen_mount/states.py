@@ -77,7 +77,7 @@ ENABLE_TRANSITIONS: dict[DriveState, StateTransition] = {
     DriveState.READY: StateTransition((SWITCH_ON,), DriveState.SWITCHED_ON, 3.0),
     DriveState.SWITCHED_ON: StateTransition((ENABLE_OPERATION,), DriveState.OPERATION_ENABLED, 3.0),
 }
-"""Transitions towards *operation enabled* by initial state: numbers 1, 14, 15, 12, 2, 3, 4 of CiA 402.
+"""Transitions 1, 14, 15, 12, 2, 3 and 4 of CiA 402, which lead to *operation enabled*, by initial state.
 
 The time limits of several seconds allow for power stages and brakes.
 """

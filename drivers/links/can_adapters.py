@@ -134,7 +134,7 @@ class SlcanBus(slcanBus):
             self._claim.close()
 
     def status_flags(self, within_s: float) -> int | None:
-        """Query and return the adapter's status flags; None if it does not answer within `within_s`.
+        """Query the adapter's status flags and return them; None if it does not answer within `within_s`.
 
         The receiving thread must be running, because it reads the answer.
         """

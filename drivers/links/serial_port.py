@@ -16,7 +16,7 @@ from drivers.clock import wall_seconds
 from drivers.errors import LinkLost
 
 LONGEST_LINE = 4096
-"""Number of bytes without an end of line after which the peer cannot be a line-oriented device."""
+"""Largest length of a line in bytes; a peer that sends more without an end of line is not a line-oriented device."""
 WRITE_WITHIN_S = 2.0
 
 

@@ -14,9 +14,9 @@ from drivers.roles import DiagnosticFinding
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.05
 SKEW_LEAST_S = 1e-3
-"""Tolerance in s of the skew between LinuxCNC's clock and ours, both on the same computer.
+"""Tolerance in s of the skew between LinuxCNC's clock and ours, which run on the same computer.
 
-The worst round trip is added to it.
+The duration of the longest round trip is added to this tolerance.
 """
 LONGEST_PERIOD_S = 1e-3
 LATCH_MM_PER_S = 5.0
@@ -155,7 +155,7 @@ def _ini(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
 
 
 def _homing(values: dict[str, str | None]) -> Iterator[DiagnosticFinding]:
-    """Report joints with neither home switch nor absolute encoder: their home is wherever they stand."""
+    """Report joints that have neither a home switch nor an absolute encoder; they home at their present position."""
     unreferenced = [
         place.removesuffix("HOME_SEARCH_VEL")
         for place, speed in values.items()

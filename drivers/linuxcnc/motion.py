@@ -34,7 +34,7 @@ LinuxCNC ends a motion exactly at its target; differences come from the decimals
 REST_POLL_S = 0.01
 PREFIX = "G21 G90 G94 G40"
 OWN_CODES = (20.0, 21.0, 90.0, 91.0, 93.0, 94.0, 95.0)
-"""Codes of the modal groups that the motions change; those active before the first motion are restored later.
+"""Codes of the modal groups that the motions change; codes active before the first motion are restored later.
 
 Cutter radius compensation, which `PREFIX` switches off, is not restored.
 """

@@ -12,7 +12,7 @@ class Pins(Protocol):
 
     Both methods are idempotent. They raise `CommandRejected`, with the pin in `where`, if HAL has no such name, if the
     value does not fit the type, or if the pin cannot be set (it is an output, or linked to a signal that another
-    component writes); `LinkLost` if LinuxCNC or the bridge has ended, `LinkTimeout` if no answer comes.
+    component writes). They raise `LinkLost` if LinuxCNC or the bridge has ended, and `LinkTimeout` if no answer comes.
     """
 
     def get(self, name: str) -> PinValue:
@@ -20,5 +20,8 @@ class Pins(Protocol):
         ...
 
     def set(self, name: str, value: PinValue) -> None:
-        """Set an unlinked pin (as `halcmd setp`), or the signal linked to it if no pin writes it (as `sets`)."""
+        """Set a pin, as `halcmd setp` does.
+
+        If the pin is linked to a signal that no pin writes, set that signal, as `halcmd sets` does.
+        """
         ...

@@ -64,7 +64,7 @@ class LinuxCncSession:
         return parse_snapshot(self.link.ask("status", pins=self._pins), self.properties.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
-        """Return the permissions given by LinuxCNC's own state.
+        """Return whether each permission is granted, as given by LinuxCNC's own state.
 
         A permission for which a HAL pin is configured requires that this pin is true as well.
         """

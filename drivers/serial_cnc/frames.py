@@ -1,6 +1,7 @@
 """Conversion between displayed axis positions and machine coordinates.
 
-displayed + correction = sent; sent + axis zero = machine coordinates (``MPos``); machine - work offset = work.
+The sent position is the displayed one plus the correction. Machine coordinates (``MPos``) are the sent position plus
+the axis zero. Work coordinates are the machine coordinates minus the work offset.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class CoordinateFrames:
         self._where = where
 
     def to_machine(self, displayed_mm: Vector) -> Vector:
-        """Convert to machine coordinates, shape (3,), mm. A correction is cut where it would leave the travel."""
+        """Convert to machine coordinates, shape (3,), mm. The corrected position is limited to the travel."""
         sent = np.clip(self._store.correction.apply(displayed_mm), self._lower, self._upper)
         result: Vector = sent + self._zero
         return result

@@ -15,7 +15,7 @@ Triple = tuple[float, float, float]
 
 
 class GarbledLineError(ValueError):
-    """A line of no known class, or with content that its class does not allow."""
+    """The line belongs to no known class, or its content is not allowed in its class."""
 
 
 @dataclass(frozen=True)

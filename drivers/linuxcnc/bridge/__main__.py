@@ -139,7 +139,7 @@ class Bridge:
         }
 
     def _ini(self, request: Fields) -> Fields:
-        """Return values of the INI file as text: null for a missing key, the first value of a repeated key."""
+        """Return values of the INI file as text. A missing key gives null, a repeated key gives its first value."""
         self._poll()
         ini = linuxcnc.ini(self._stat.ini_filename)
         return {"values": [ini.find(section, key) for section, key in request["keys"]]}
@@ -260,7 +260,7 @@ class Bridge:
         return {}
 
     def _on(self, _request: Fields) -> Fields:
-        """Switch the machine on if nothing else is missing; an external e-stop is never overridden."""
+        """Switch the machine on. Raises RefusedError in an emergency stop, which is never overridden."""
         self._poll()
         if self._stat.task_state == linuxcnc.STATE_ESTOP:
             raise RefusedError("emergency stop")

@@ -30,7 +30,10 @@ class HalPins:
         return [self.get(name) for name in names]
 
     def set(self, name: str, value: Value) -> None:
-        """Set an unlinked pin (as `halcmd setp`), or the signal linked to it if no pin writes it (as `sets`)."""
+        """Set a pin, as `halcmd setp` does.
+
+        If the pin is linked to a signal that no pin writes, set that signal, as `halcmd sets` does.
+        """
         self.get(name)
         text = str(int(value)) if isinstance(value, bool) else repr(value)
         signal = self._signal(name)

@@ -3,7 +3,7 @@
 ::
 
     bank1.table                 the whole table as it was staged
-    bank1/x.comp y.comp z.comp  its own-axis part, COMP_FILE_TYPE = 0
+    bank1/x.comp y.comp z.comp  own-axis part of that table, COMP_FILE_TYPE = 0
     bank1/bank.hal              signals with the bank and the table with which LinuxCNC was started
     acting -> bank1             link named in the INI file; activation changes only this link
 """

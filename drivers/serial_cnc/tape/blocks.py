@@ -1,4 +1,4 @@
-r"""Tape format: a mark ``%``, blocks of words, each ended by LF, and a second mark ``%``.
+r"""Tape format: a mark ``%``, then blocks of words, then a second mark ``%``. Each block ends with LF.
 
 ::
 
