@@ -35,9 +35,9 @@ RECORD = "export.json"
 class TableToExport:
     """Table with its origin.
 
-    `origin`: name of its bank or file, for people. `estimate_file`: estimate of the machine; if None, the machine is
-    assumed to have exactly the errors that the table corrects. `resolution_mm`: resolution of the counts in which a
-    controller stored the table, 0 for a table from a file.
+    `origin` is the name of its bank or file, for people. `estimate_file` contains the estimate of the machine; if None,
+    the machine is assumed to have exactly the errors that the table corrects. `resolution_mm` is the resolution of the
+    counts in which a controller stored the table; it is 0 for a table from a file.
     """
 
     table: CompensationTable
@@ -50,7 +50,8 @@ class TableToExport:
 class TableExportRequest:
     """Format, folder and options of an export.
 
-    `points`: numbers of grid points along X, Y, Z; None: grid of the table. `largest_um`: largest correction allowed.
+    `points` contains the numbers of grid points along X, Y and Z; if None, the grid of the table is used. `largest_um`
+    is the largest correction allowed in µm.
     """
 
     format: str
@@ -102,8 +103,10 @@ class TableExportResult:
 
 
 def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
-    """Return the table of a run's folder or of a CSV file, with `estimate`, or if that is None with the
-    `estimate.json` beside the table if there is one. Raises InputError."""
+    """Return the table of a run's folder or of a CSV file, with an estimate of the machine.
+
+    If `estimate` is None, the `estimate.json` beside the table is used if it exists. Raises InputError.
+    """
     if path.is_dir():
         path = path / "table.csv"
     side = path.with_suffix(".json")

@@ -1,4 +1,7 @@
-"""Estimation from measured balls: estimate, predicted accuracy, compensation table, and proof by held-out balls."""
+"""Estimation from measured balls.
+
+It gives the estimate, the predicted accuracy, the compensation table, and the proof of the table by held-out balls.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,11 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class EstimationResult:
-    """Estimate from `observations`, the estimated VE and predicted VCE, and the compensation table."""
+    """Estimate from `observations`, with the compensation table made from it.
+
+    The result also contains the estimated volumetric error (VE) of the bare machine and the predicted volumetric error
+    (VCE) of the compensated machine.
+    """
 
     observations: Observations
     estimate: Estimate
@@ -68,8 +75,8 @@ def estimate_machine(
 ) -> Estimate:
     """Identify the machine with Legendre series of the requested `order`. Raises TwinError.
 
-    If an earlier estimate is carried over, its order is used. Evidence for orders cannot be compared without the prior;
-    the order of the machine file is then used instead.
+    If an earlier estimate is carried over, its order is used. Without the prior population, the evidence of the orders
+    cannot be compared; the order of the machine file is then used instead.
     """
     if options.carried_over is not None:
         machine = machine.with_model(options.carried_over.unknowns.model)
@@ -96,8 +103,10 @@ def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
 
 
 def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> EstimationResult:
-    """Estimate from the balls of a run. `correction`: correction added by the table that was active during the
-    measurement. Raises TwinError."""
+    """Return the estimate from the balls of a run, and its table. Raises TwinError.
+
+    `correction` is the correction that the table active during the measurement added.
+    """
     settings = job.settings
     observations, order = observations_with_drift(job, balls, correction), settings.identification.order
     options = identification_options(settings.identification, settings.temperature, observations)
@@ -142,7 +151,7 @@ def prove(
 
 
 def provenance(job: Job, run_id: str) -> dict[str, str]:
-    """Return run, software, machine, artefact and options of an estimate, for its file and the journal."""
+    """Return the run, software, machine, artefact and options of an estimate, for its file and the journal."""
     chosen = job.settings.identification
     return {
         "run_id": run_id,

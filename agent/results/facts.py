@@ -15,7 +15,7 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Quantity:
-    """Length in µm with its standard uncertainty; None if that is not known."""
+    """Length in µm with its standard uncertainty, which is None if it is not known."""
 
     value_um: float
     standard_uncertainty_um: float | None = None
@@ -25,7 +25,7 @@ class Quantity:
 class VolumetricSummary:
     """Estimated VE of the bare machine (`before_…`) and predicted VCE (`after_…`).
 
-    Each is given without alignment (`…_raw`) and after removal of the best rigid motion (`…_aligned`).
+    Each is given without alignment (`…_raw`) and after removal of the best-fitting rigid motion (`…_aligned`).
     """
 
     before_raw: Quantity
@@ -71,8 +71,9 @@ class ArtefactFacts:
 class TableFacts:
     """Summary of a compensation table.
 
-    `nodes`: number along X, Y, Z. `largest_um`: largest absolute correction of each axis. `extrapolated`: number of
-    nodes outside the measured region. `crc32`: of the CSV file of the table.
+    `nodes` contains the numbers of nodes along X, Y and Z. `largest_um` contains the largest absolute correction of
+    each axis. `extrapolated` is the number of nodes outside the measured region. `crc32` is the CRC-32 of the CSV file
+    of the table.
     """
 
     nodes: tuple[int, int, int]
@@ -113,8 +114,8 @@ def triple(values: Array) -> tuple[float, float, float]:
 class ProbeRing:
     """Touches of the qualification at one latitude (90° is the pole), and the pretravel map at that latitude.
 
-    `angle_deg`, `residual_um`: angles about the stylus and residuals of the touches, (k,) each. `map_angle_deg`,
-    `map_um`: angles and pretravel, (m,) each; empty if there is no map.
+    `angle_deg` and `residual_um` contain the angle about the stylus and the residual of each of the k touches.
+    `map_angle_deg` and `map_um` contain m angles and the pretravel at them; both are empty if there is no map.
     """
 
     latitude_deg: float
@@ -128,7 +129,8 @@ class ProbeRing:
 class ProbeFacts:
     """Results of the checks of probe and stylus before the run.
 
-    `rows`: name and result text of each check; `rings`: touches of the qualification by latitude.
+    `rows` contains the name and the result text of each check. `rings` contains the touches of the qualification by
+    latitude.
     """
 
     rows: tuple[tuple[str, str], ...]

@@ -21,7 +21,10 @@ collision, and must then be calibrated again."""
 
 @dataclass(frozen=True)
 class Gate:
-    """Condition on a result. `passed`: True if `value` meets `limit`; `text`: explanation, with the unit of both."""
+    """Condition on a result.
+
+    `passed` is True if `value` meets `limit`. `text` is an explanation with the unit of `value` and `limit`.
+    """
 
     name: str
     passed: bool
@@ -33,11 +36,11 @@ class Gate:
 def estimate_gates(
     estimate: Estimate, expected: VolumetricRms, before: VolumetricRms, limits: GateSettings
 ) -> tuple[Gate, ...]:
-    """Return the gates on the estimate itself: fit, redundancy and gain.
+    """Return the gates on the estimate itself, which concern fit, redundancy and gain.
 
-    `before`: estimated VE of the bare machine, without a contribution of its uncertainty; `expected`: predicted VCE
-    with the table active. The aligned values are compared, because a rigid motion of the workspace is not an error of
-    the machine.
+    `before` is the estimated volumetric error of the bare machine, without a contribution of its uncertainty.
+    `expected` is the predicted volumetric error with the table active. The values after removal of the best-fitting
+    rigid motion are compared, because a rigid motion of the workspace is not an error of the machine.
     """
     share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")
     return (
@@ -69,8 +72,8 @@ def estimate_gates(
 def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> Gate:
     """Return the gate on the change of the machine's error field since the last accepted night.
 
-    `change_um`: rms of the change over the workspace, aligned; `expected_um`: rms expected from the uncertainties and
-    from the drift of the nights in between.
+    `change_um` is the rms of the change over the workspace after removal of the best-fitting rigid motion.
+    `expected_um` is the rms expected from the uncertainties and from the drift in the nights since then.
     """
     share = change_um / expected_um if expected_um > 0.0 else float("inf")
     return Gate(

@@ -39,7 +39,10 @@ _NAMED_FILES = ("grid", "covariance_file")
 
 
 def inputs_of(job: Job) -> dict[str, Any]:
-    """Return machine, artefact and input files at the start of a run. Raise ConfigurationError if a file is missing."""
+    """Return the machine, the artefact and the input files as they were at the start of a run.
+
+    Raise ConfigurationError if a file is missing.
+    """
     return {
         "machine": job.machine.name,
         "tools_mm": {name: offset.tolist() for name, offset in job.machine.tools.items()},
@@ -66,7 +69,7 @@ def observations_record(observations: Observations) -> dict[str, object]:
 
 
 def observations_from(record: Mapping[str, Any]) -> Observations:
-    """Return the observations of a journaled record, also of a run of an earlier program version."""
+    """Return the observations of a journaled record. Records written by earlier program versions can be read, too."""
     names = {stored: name for name, stored in STORED_KEYS.items()}
     return Observations(**{names.get(key, key): value for key, value in record.items()})
 
@@ -97,8 +100,8 @@ def record_held_out(
 ) -> None:
     """Journal the rms residual of each held-out position before and after activation of the table, in µm.
 
-    Residuals are taken at displayed axis positions. A position without enough balls for a pose is omitted if they are
-    missing after activation; its rms before is None if they are missing before.
+    Residuals are taken at displayed axis positions. A position is omitted if too few balls for a pose were found after
+    activation. If too few were found before activation, only its rms before activation is None.
     """
     rows = []
     for position in job.held_out:

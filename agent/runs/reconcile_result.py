@@ -32,9 +32,9 @@ class ReconcileAction(Enum):
 class Reconciliation:
     """Result of a reconciliation.
 
-    `active_bank`: bank that is active after the action. `waiting_bank`: bank that the controller will activate later,
-    None if there is none. `unfinished`: the interrupted run, None if there is none. `instruction`: action required from
-    a person, empty if none.
+    `active_bank` is the bank that is active after the action. `waiting_bank` is the bank that the controller will
+    activate later, or None. `unfinished` is the interrupted run, or None. `instruction` states the action required from
+    a person; it is empty if none is required.
     """
 
     state: CompensationState

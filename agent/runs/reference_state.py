@@ -39,8 +39,8 @@ ACTIVATING_DECISIONS = frozenset({_ACCEPTED, TABLE_RESTORED})
 class AcceptedTable:
     """Table that is active since its acceptance.
 
-    `written`: parameters (p,) in mm or rad that the table corrects; `tool`: tool for which it is valid; `crc32`: CRC-32
-    of its counts.
+    `written` contains the parameters (p,) in mm or rad that the table corrects. `tool` is the tool for which the table
+    is valid. `crc32` is the CRC-32 of the counts of the table.
     """
 
     machine: str
@@ -59,8 +59,8 @@ class AcceptedTable:
 class ReferenceState:
     """Estimate and table of the last accepted night.
 
-    `run_id`: run of that night; `since`: time of its acceptance, UTC, ISO 8601; `table`: table active since then;
-    `estimate`: estimate of that night, which becomes the prior of the next.
+    `run_id` is the run of that night. `since` is the UTC time of its acceptance in ISO 8601. `table` is the table that
+    has been active since then. `estimate` is the estimate of that night, which becomes the prior of the next night.
     """
 
     run_id: str
@@ -119,7 +119,10 @@ def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState
 
 
 def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCalibrationNeed | None:
-    """Return the last decision that requires a full calibration; None if none or if a later night was accepted."""
+    """Return the last decision that requires a full calibration.
+
+    Return None if there is none, or if a later night was accepted.
+    """
     if not has_journal(directory):
         return None
     with open_journal(directory) as reader:

@@ -18,8 +18,9 @@ from agent.settings.schema import Settings
 def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
     """Return the job of a request. Raise UserError if the request does not fit the machine.
 
-    `base`: directory to which relative paths refer. Stations in the request restrict a calibration only. In the request
-    for a night they name the station of the artefact, and a full calibration in that night uses all stations.
+    `base` is the directory to which relative paths refer. In a request for a calibration, the stations named are the
+    only ones measured. In a request for a night, they name the station of the artefact; a full calibration in that
+    night uses all stations.
     """
     stations = request.stations if request.kind == "calibrate" else None
     overridden = with_overrides(settings, position_set=request.position_set, stations=stations)
@@ -29,8 +30,10 @@ def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
 def kind_of(request: RunRequest, *, slot_minutes: float | None = None, nights: float | None = None) -> Kind:
     """Return the kind of run of a request.
 
-    `slot_minutes`: length of the slot of a night, None: from the settings. `nights`: nights since the last accepted
-    one, None: from the date. Raise UserError if a kind that measures at one station is requested at several.
+    `slot_minutes` is the length of the night's slot; if None, it is taken from the settings. `nights` is the number of
+    nights since the last accepted one; if None, it is computed from the date.
+
+    Raise UserError if a kind that measures at one station is requested at several.
     """
     match request.kind:
         case "calibrate":

@@ -40,8 +40,8 @@ class RunHooks:
     `announce` receives states, progress and notes. `attach` receives the supervisor, through which signals and
     endpoints hold or abort the run. `observe` receives every step and its result. `preflight_passed` receives the job
     that will be measured and its preflight, and may still refuse the run by raising. `lock` prevents other processes
-    from using the machine. `devices` creates clock and rig. `reports` renders the report. `write_files`: results are
-    also written as files; they are in the journal in any case.
+    from using the machine. `devices` creates the clock and the rig. `reports` renders the report. If `write_files` is
+    True, the results are also written as files; they are in the journal in any case.
     """
 
     announce: Listener = _ignore_announcement

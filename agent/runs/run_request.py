@@ -38,7 +38,7 @@ class RunRequest(BaseModel):
 
     @property
     def single_station(self) -> int | None:
-        """Station of a run that measures at one station. UserError if several are named."""
+        """Station of a run that measures at one station. Raises UserError if several are named."""
         stations = self.stations or []
         if len(stations) > 1:
             raise UserError(

@@ -21,7 +21,7 @@ from drivers.clock import Clock, utc_timestamp
 def enter_in_journal(
     journal: Journal, run_id: str, job: Job, kind: Kind, clock: Clock, asked: Mapping[str, object]
 ) -> RunJournal:
-    """Create a run in the journal, with its settings, its input files and the source of the request, `asked`.
+    """Create a run in the journal, and store its settings, its input files and the source `asked` of the request.
 
     Raises Busy if there is already a run `run_id`.
     """

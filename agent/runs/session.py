@@ -1,4 +1,6 @@
-"""Session of a run, from a job and its kind to a closed journal: lock, devices, preflight, the run itself, results.
+"""Session of a run, from locking the machine to closing the journal.
+
+A session locks the machine, opens the devices, runs the preflight, carries out the run and stores its results.
 
 `carry_out` begins a new run; `agent.runs.resume.resume` continues an interrupted one. Both use `run_resources` (lock,
 journal, clock, supervisor), `open_rig`, and a `RunSession`, which turns the progress of the run into a `RunResult`.
@@ -45,7 +47,10 @@ class RunResult:
 
 
 def new_run_id() -> str:
-    """Return an identity such as ``20261121T012233Z-3f2a``, which sorts by time and differs within one second."""
+    """Return an identity such as ``20261121T012233Z-3f2a``.
+
+    Identities sort by time; those of the same second differ in the random suffix.
+    """
     stamp = utc_timestamp().split(".", maxsplit=1)[0].replace("-", "").replace(":", "")
     return f"{stamp}Z-{secrets.token_hex(2)}"
 
@@ -61,11 +66,11 @@ def carry_out(
 ) -> RunResult:
     """Carry out a new run.
 
-    `base`: directory to which relative paths in the settings refer. `run_id`: None for a new one. `asked`: source and
-    content of the request; journaled with the run.
+    `base` is the directory to which relative paths in the settings refer. If `run_id` is None, a new identity is used.
+    `asked` contains the source and content of the request, which are journaled with the run.
 
-    Raises an error only if the run cannot be created (lock, configuration, journal). Once it exists, every end, good or
-    bad, is a `RunResult`.
+    Raises an error only if the run cannot be created (lock, configuration, journal). Once the run exists, each of its
+    ends, good or bad, is returned as a `RunResult`.
     """
     hooks, run_id, settings = hooks or RunHooks(), run_id or new_run_id(), job.settings
     with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
@@ -91,7 +96,7 @@ def carry_out(
 
 @dataclass(frozen=True)
 class RunResources:
-    """Resources of one run, kept until its end. `began_s`: wall-clock seconds at its beginning."""
+    """Resources that one run uses until its end. `began_s` is the wall-clock time in s at its beginning."""
 
     journal: Journal
     clock: Clock
@@ -110,7 +115,7 @@ class RunResources:
 def run_resources(
     state_directory: Path, clock_settings: ClockSettings, run_id: str, hooks: RunHooks
 ) -> Iterator[RunResources]:
-    """Lock the machine, open the journal and create clock and supervisor for the block, then release them."""
+    """Lock the machine, open the journal, and create the clock and the supervisor; release them after the block."""
     began_s = wall_seconds()
     with (
         hooks.lock(state_directory, run_id),
@@ -124,7 +129,10 @@ def run_resources(
 
 @contextmanager
 def open_rig(context: RunContext) -> Iterator[None]:
-    """Open the rig for the block and let the supervisor hold and resume it. Errors on closing are recorded as notes."""
+    """Open the rig for the block; the supervisor can then hold and resume the machine.
+
+    Errors on closing the rig are recorded as notes.
+    """
     rig, tracker = context.rig, context.tracker
 
     def hold() -> None:
@@ -176,7 +184,7 @@ class RunSession:
     def ended_by_errors(self) -> Iterator[None]:
         """End the run if the block raises a `VolcalError`.
 
-        Nothing has moved then, because a run that has begun handles its errors itself.
+        In that case nothing has moved, because a run that has begun handles its errors itself.
         """
         try:
             yield
@@ -210,8 +218,11 @@ class RunSession:
         return self.progress.job or planned
 
     def _feed_history(self) -> None:
-        """Update the history of runs. If its database cannot be reached, journal only a note, because the machine and
-        the journal are complete without it."""
+        """Update the history of runs.
+
+        If the database of the history cannot be reached, only a note is journaled, because the run and its journal are
+        complete without the history.
+        """
         from agent.history.feed import update_history  # noqa: PLC0415  a database's client, needed once a run
 
         complaint = update_history(self._measured_job.settings, self._context.journal.run_id)

@@ -13,7 +13,7 @@ class StepProgress:
     """Observer that counts touches and balls, and announces progress by the times predicted in the preflight."""
 
     def __init__(self, tracker: RunStateTracker, further: Observer) -> None:
-        """`further`: another observer, which receives every step first."""
+        """`further` is another observer; it receives every step before this one."""
         self._tracker = tracker
         self._further = further
         self.preflight: PreflightResult | None = None
@@ -35,7 +35,10 @@ class StepProgress:
             self._announce_progress(step.key, self.preflight)
 
     def _announce_progress(self, key: str, preflight: PreflightResult) -> None:
-        """Announce the fraction of machine time used and the minutes left, both according to the preflight."""
+        """Announce the fraction of machine time used and the minutes left.
+
+        Both are computed from the times of the preflight.
+        """
         done_s = preflight.timeline.get(key)
         if done_s is not None:
             left_s = preflight.machine_seconds - done_s

@@ -19,8 +19,9 @@ means that an assumption about machine, artefact or procedure is wrong."""
 class UnfinishedRun:
     """Interrupted run after which no other run has done anything.
 
-    `started`: UTC; `state`: last state entered; `balls`: number of stored ball centres; `last_step`: key of the last
-    step that began; `refusal`: reason why the run cannot be resumed, empty if it can.
+    `started` is the UTC time of the start. `state` is the last state entered. `balls` is the number of stored ball
+    centres. `last_step` is the key of the last step that began. `refusal` is the reason why the run cannot be resumed;
+    it is empty if the run can be resumed.
     """
 
     run: int

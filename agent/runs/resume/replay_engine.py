@@ -1,4 +1,7 @@
-"""Engine of a resumed run: recorded steps are answered from the journal, the remaining ones are carried out."""
+"""Engine of a resumed run.
+
+It answers recorded steps from the journal and carries out the remaining ones.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +38,8 @@ class Return(Protocol):
 class Replay:
     """Comparison of the records of an interrupted run with the steps of the rebuilt plan.
 
-    `interrupted_step`: the step that began and did not end, after the last step with a recorded result; None if there
-    is none.
+    `interrupted_step` is the step that began after the last step with a recorded result and did not end; it is None if
+    there is no such step.
     """
 
     def __init__(self, recorded: ReplayLog, clock: ResumedClock, trace: StepTrace) -> None:
@@ -85,7 +88,10 @@ class ReplayingEngine(Engine):
         self._return: Return | None = None
 
     def set_return(self, return_: Return) -> None:
-        """Set the return to be carried out after the replay. Without one, the machine is assumed to be where it was."""
+        """Set the return to be carried out after the replay.
+
+        If none is set, the machine is assumed to be where it was at the interruption.
+        """
         self._return = return_
 
     def _do_durably(self, step: Step) -> Any:

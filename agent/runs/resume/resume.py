@@ -1,4 +1,7 @@
-"""Resumption of an interrupted run; counterpart of `agent.runs.session.carry_out` with the same result type."""
+"""Resumption of an interrupted run.
+
+`resume` is the counterpart of `agent.runs.session.carry_out` and returns the same type of result.
+"""
 
 from __future__ import annotations
 
@@ -35,10 +38,11 @@ def resume(
     """Resume the unfinished run of `state_directory` with the settings, kind and files of its start.
 
     The run is planned again from its start conditions. Its recorded steps are answered from the journal, the machine
-    returns to where it was, and the remaining steps are carried out. `asked`: source of the request; journaled.
+    returns to where it was, and the remaining steps are carried out. `asked` is the source of the request, which is
+    journaled.
 
-    Raises InputError if there is nothing to resume, PlanDiverged if a file has changed, and, before the run is
-    continued, the errors of `carry_out`. After that every end is a `RunResult`.
+    Raises InputError if there is nothing to resume, PlanDiverged if a file has changed, and the errors of `carry_out`
+    if they occur before the run is continued. After that, every end of the run is returned as a `RunResult`.
     """
     hooks = hooks or RunHooks()
     origin = resumable_origin(state_directory)
@@ -102,7 +106,7 @@ def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableIm
 def continuation_time_s(origin: Origin) -> float:
     """Return the time, in machine seconds, at which the run continues.
 
-    If machine time is wall time, the duration of the interruption is included, so that it counts for the run's slot.
+    If machine time is wall time, the duration of the interruption is included and therefore uses up part of the slot.
     """
     if origin.settings.clock.kind != "real":
         return origin.begun_s

@@ -35,7 +35,8 @@ from twin.units import UM_PER_MM
 class ReturnPath:
     """Return path of the machine.
 
-    `prefix`: beginning of every step key; `tolerance_mm`: largest displacement permitted for the datum ball.
+    `prefix` is the beginning of every step key. `tolerance_mm` is the largest displacement permitted for the datum
+    ball.
     """
 
     prefix: str
@@ -59,7 +60,7 @@ class ReturnPath:
             yield from self._approach(np.array(trace.at_mm))
 
     def _turn_mount_back(self, pose: OrientTo) -> Plan[None]:
-        """Turn the mount back to `pose`: it may have sunk without power, or its turn may have been interrupted."""
+        """Turn the mount back to `pose`. It may have sunk without power, or its turn may have been interrupted."""
         here = np.array((yield ReadPosition(f"{self.prefix}/here")))
         yield MoveTo(f"{self.prefix}/park", point(self.rules.retreat.park_location(here, pose.station)))
         yield OrientTo(f"{self.prefix}/orient", pose.station, pose.azimuth_deg, pose.elevation_deg)
@@ -88,7 +89,10 @@ class ReturnPath:
         )
 
     def _approach(self, goal: Array) -> Plan[None]:
-        """Move across at the retreat plane, then along the stylus. Each axis approaches from its former side."""
+        """Move to `goal`, first in the retreat plane and then along the stylus.
+
+        Each axis approaches its position from the same side as before the interruption.
+        """
         retreat, axes = self.rules.retreat, self.trace.axes
         along = retreat.retreat_axis
         across = [axis for axis in range(3) if axis != along]
@@ -104,7 +108,8 @@ class ReturnPath:
     def _move_in(self, along: int, here: Array, goal: Array) -> Plan[None]:
         """Move along the retreat axis from the retreat plane to `goal`, approaching from the same side as before.
 
-        If `goal` is on the retreat plane, nothing moves: the next move in from there takes up the play anyway.
+        If `goal` is on the retreat plane, nothing moves, because the next move from there along the retreat axis takes
+        up the play anyway.
         """
         moves = self.trace.axes[along]
         inwards = np.sign(goal[along] - here[along])
@@ -116,7 +121,7 @@ class ReturnPath:
         yield from self._axis(along, here, moves, goal[along])
 
     def _axis(self, axis: int, here: Array, moves: list[AxisMove], goal: float) -> Plan[None]:
-        """Repeat the last moves of one axis up to `goal`; `here` is updated."""
+        """Repeat the last moves of one axis up to `goal`, and update `here`."""
         for number, move in enumerate(moves):
             here[axis] = goal if move is moves[-1] else move.end_mm
             yield Retrace(f"{self.prefix}/{'xyz'[axis]}-{number}", point(here), move.key, WITHDRAW_FEED_MM_PER_S)

@@ -28,8 +28,11 @@ WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
 
 
 class ReturnToPosition:
-    """Return of a resumed run. The compensation returns before the first new step, and the machine before the first
-    new step that is not one of `WRITING`."""
+    """Return of a resumed run to the state before its interruption.
+
+    The compensation is restored before the first new step. The machine returns before the first new step that is not
+    one of `WRITING`.
+    """
 
     def __init__(
         self,
@@ -40,7 +43,10 @@ class ReturnToPosition:
         clock: ResumedClock,
         time_s: float,
     ) -> None:
-        """`prefix`: beginning of the keys of all steps; `time_s`: machine seconds at which the run continues."""
+        """`prefix` is the beginning of the keys of all steps.
+
+        `time_s` is the machine time in s at which the run continues.
+        """
         self._prefix = prefix
         self._run = run
         self._rig = context.rig
@@ -98,8 +104,8 @@ class ReturnToPosition:
 def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Activation) -> Plan[bool]:
     """Reactivate the formerly active bank, and restore the contents of the bank that was written, as far as needed.
 
-    Return True if `following` is an interrupted activation that took effect nevertheless. Raises PlanDiverged if a bank
-    no longer contains the table of the run.
+    Return True if `following` is an activation that took effect although it was interrupted. Raises PlanDiverged if a
+    bank no longer contains the table of the run.
     """
     expected = trace.active_bank
     if expected is None or isinstance(following, AwaitActive):

@@ -27,7 +27,7 @@ from drivers.roles import Miss, TableImage, Touch
 LONG_MM = 1.0
 """Travel of one axis that certainly takes up its play, so that earlier motion no longer has an effect."""
 CLEAR_MM = 1.0
-"""Largest part of a touch that the return repeats, measured from its start; it ends short of the surface."""
+"""Longest distance, from the start of a touch, that the return repeats; this part ends short of the surface."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,11 @@ class AxisMove:
 class StepTrace:
     """State of a run after its steps so far.
 
-    `at_mm`: axis positions, None until read. `axes`: last moves of each axis, which determine its play. `moved`: True
-    after the first motion. `pose`: last finished turn of the mount. `datum_mm`, `datum_key`: last ball centre found in
-    this pose with the active table, and its key. `contents`: bank → CRC-32 of its table. `staged`: last step that wrote
-    a bank.
+    `at_mm` contains the axis positions; it is None until they are read. `axes` contains the last moves of each axis,
+    which determine the side on which its play is taken up. `moved` is True after the first motion. `pose` is the last
+    finished turn of the mount. `datum_mm` is the last ball centre found in this pose with the active table, and
+    `datum_key` is its key. `contents` maps each bank to the CRC-32 of its table. `staged` is the last step that wrote a
+    bank.
     """
 
     at_mm: Point | None = None
