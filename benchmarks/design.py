@@ -1,9 +1,9 @@
-"""Design search on a 15° grid at four stations to 24 positions, compared with direct evaluation of the criterion.
+"""Search for a design of 24 positions on a 15° grid at four stations, compared with direct evaluation of the criterion.
 
-Direct evaluation computes, for every candidate at every step, the full covariance of all unknowns with that candidate
-added, and the criterion as a trace. It is timed on a sample of candidates and extrapolated to all candidates of all
-steps. Search and direct evaluation start from the same information factors of the candidates; building these factors
-and computing the candidates' cycle times are timed separately.
+For every candidate at every step, direct evaluation computes the full covariance of all unknowns with that candidate
+added, and then the criterion as a trace of that covariance. It is timed on a sample of candidates and extrapolated to
+all candidates of all steps. Search and direct evaluation start from the same information factors of the candidates;
+building these factors and computing the candidates' cycle times are timed separately.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Time that a step takes in addition to the device's: with two durable journal commits, and without a journal."""
+"""Time that a step takes beyond the device's own time, with two durable journal commits and without a journal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEPS = 2000
 
 
 def moves(count: int, stamps: list[float]) -> Plan[None]:
-    """Yield a plan of `count` moves, and append to `stamps` the time at which each next step is requested."""
+    """Yield a plan of `count` moves. Each time a step is requested, append the time to `stamps`."""
     for number in range(count):
         yield MoveTo(f"station-1/az090-el045/ball-{number:04d}/touch-2/above", (1.0, 2.0, 3.0 + number))
         stamps.append(perf_counter())
@@ -32,7 +32,7 @@ def median_step_us(engine: Engine) -> float:
 
 
 def commit_us(directory: Path) -> float:
-    """Return the median time in µs of one bare durable commit on the same disk: the lower limit for the journal."""
+    """Return the median time in µs of a bare durable commit on the same disk, the lower limit for the journal."""
     journal = Journal(directory)
     connection = journal._connection
     connection.execute("CREATE TABLE bare (n INTEGER PRIMARY KEY, t TEXT)")

@@ -1,4 +1,6 @@
-"""VE and VCE of 10,000 machines of the family by quadratic forms, compared with evaluating each on the 60×20×20 grid.
+"""Volumetric errors (VE, VCE) of 10,000 machines of the family, computed by quadratic forms and compared with a grid.
+
+The direct evaluation computes every machine on the 60×20×20 grid.
 
 Two direct evaluations are timed on a sample of the machines and compared per machine. `exact` multiplies the
 transforms at every point of the grid, which defines VE; `linear` starts from a precomputed basis of the field, so that
@@ -74,8 +76,9 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the medians over the rounds, in each of which all alternatives run, so that other load affects all of
-    them.
+    """Return the median of each figure over the rounds.
+
+    Every round runs all alternatives, so that other load affects all of them.
     """
     rng = np.random.default_rng(1)
     machines = FAMILY.draw(rng, MACHINES)
@@ -111,8 +114,9 @@ def run() -> dict[str, float]:
 
 
 def largest_difference(plain: PlainGrid, form: QuadraticForm, machines: Array) -> float:
-    """Return the largest relative difference, on a sample, between the rms errors of the form and of the linear
-    field.
+    """Return the largest relative difference between the rms errors of the quadratic form and of the linear field.
+
+    Only a sample of the machines is compared.
     """
     wanted = np.array([plain.by_linear(machine) for machine in machines[:SAMPLE]])
     found = np.stack(form.values(machines[:SAMPLE]), axis=1)

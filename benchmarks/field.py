@@ -40,10 +40,11 @@ def legendre(order: int, argument: float) -> list[float]:
 
 
 def axis_transform(axis: int, point: list[float], series: Array, lean: list[float]) -> Array:
-    """Return the transform Trans(q u) Trans(E) Rz Ry Rx of one axis as a 4x4 array.
+    """Return the transform of one axis as a 4x4 array.
 
-    q is the axis position, u the unit vector of the axis and E its translational error; `lean` holds the bending terms
-    of column and ram.
+    The transform is the product Trans(q u) Trans(E) Rz Ry Rx. Here q is the axis position, u the unit vector of the
+    axis, E its translational error, and Rz, Ry and Rx are rotations by its angular errors. `lean` holds the bending
+    terms of column and ram.
     """
     low, high = RANGES[axis]
     values = legendre(series.shape[1] - 1, 2.0 * (point[axis] - low) / (high - low) - 1.0)
@@ -93,8 +94,9 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the medians over the rounds, in each of which all alternatives run, so that other load affects all of
-    them.
+    """Return the median of each figure over the rounds.
+
+    Every round runs all alternatives, so that other load affects all of them.
     """
     grid, parameters = evaluation_grid(RANGES), machine()
     lengths = np.array([high for _, high in RANGES])

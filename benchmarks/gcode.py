@@ -1,5 +1,6 @@
-"""Correction of a part program of a million lines: time, and memory compared with a program of a hundredth of the
-length.
+"""Time and memory needed to correct a part program of a million lines.
+
+The memory is compared with that for a program of a hundredth of the length.
 
 For comparison, the same correction is made one block at a time, as by a program that looks up the table for every line;
 this is timed on a sample and compared per line. The output ends with one line of JSON.
@@ -30,7 +31,7 @@ SAMPLE = 20_000
 
 
 def table() -> CompensationTable:
-    """Return a smooth table with corrections of some tens of µm, with nodes as close as in a controller's table."""
+    """Return a smooth table with corrections of some tens of µm and the node spacing of a controller's table."""
     nodes = regular_nodes(((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0)), (100.0, 100.0, 100.0))
     x, y, z = np.meshgrid(*nodes, indexing="ij")
     waves = (np.sin(x / 900.0 + y / 700.0), np.cos(y / 500.0 - z / 800.0), np.sin(z / 600.0 + x / 1500.0))
@@ -72,8 +73,9 @@ def in_own_process(lines: int) -> tuple[float, float, int, float]:
 
 
 def one_by_one(lines: Iterable[str], field: CompensationTable) -> float:
-    """Return the CPU time in s for the same correction line by line: split the words, look up one point, format the
-    words.
+    """Return the CPU time in s for the same correction, made line by line.
+
+    For every line this splits the words, looks up one point and formats the words.
     """
     here, work = {"X": 0.0, "Y": 0.0, "Z": 0.0}, SETUP.work_offsets["G54"]
     start = process_time()

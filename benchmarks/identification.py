@@ -56,8 +56,9 @@ FIXED = Options(estimate_scales=False, outliers="none", misfit_mm=0.0)
 
 @dataclass(frozen=True)
 class Case:
-    """One simulated set of K positions; the reference starts from its poses, `rotation` (K, 3, 3) and `centre` (K, 3)
-    in mm.
+    """One simulated set of K positions.
+
+    `rotation` (K, 3, 3) and `centre` (K, 3) in mm are the poses from which the reference starts.
     """
 
     model: ErrorModel
@@ -125,7 +126,10 @@ def reference(case_: Case) -> Array:
 
 
 def jacobian(case_: Case) -> tuple[Array, Array]:
-    """Return the whitened Jacobian of the parameters (K, 3 width, p) and of the poses (K, 3 width, 6), zero-padded."""
+    """Return the whitened Jacobians of the p parameters (K, 3 m, p) and of the poses (K, 3 m, 6).
+
+    K is the number of positions and m the largest number of balls in a position; shorter blocks are padded with zeros.
+    """
     seen, counts = case_.observations, np.bincount(case_.observations.position)
     shape = (len(counts), int(counts.max()), 3)
     basis = deviation_basis(case_.model, seen.axis_positions, TOOL) * (case_.family.prior_standard_deviation / NOISE_MM)
@@ -139,8 +143,9 @@ def jacobian(case_: Case) -> tuple[Array, Array]:
 
 
 def core(design: Array, poses: Array, target: Array) -> Array:
-    """Return the parameters (p,) in units of their prior standard deviations: project the poses out, factorise and
-    solve.
+    """Project the poses out, factorise and solve.
+
+    Returns the parameters (p,) in units of their prior standard deviations.
     """
     q, _ = np.linalg.qr(poses)
     # Project the poses out, then solve the normal equations (JᵀJ + I) x = Jᵀ r of the prior-scaled unknowns.
@@ -172,7 +177,8 @@ def seconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, Ar
 def run() -> dict[str, float]:
     """Return median times in ms, and ratios, all measured in this process.
 
-    Figures named `fixed` are of an identification without scale estimation, outlier search and misfit block.
+    Figures with `fixed` in their names belong to an identification without scale estimation, outlier search and misfit
+    block.
     """
     prepared = build_case()
     everything = (prepared.model, prepared.observations, prepared.artefact, prepared.family)

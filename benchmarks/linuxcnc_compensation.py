@@ -31,7 +31,9 @@ COMPONENT = {"external-offsets": "volcal-eoffset", "kinematics": "volcal-kins"}
 
 
 def at_rest_mm(controller: Controller) -> float:
-    """Return the largest difference between motor position and commanded position plus table, over 30 positions."""
+    """Return the largest difference between the motor position and the sum of commanded position and table, at 30
+    positions.
+    """
     worst = 0.0
     for place in np.random.default_rng(7).uniform([-50, -50, -50], [799, 399, 319], (30, 3)):
         controller.at(*place)
@@ -42,7 +44,9 @@ def at_rest_mm(controller: Controller) -> float:
 
 
 def in_motion_mm(controller: Controller, feed_mm_per_min: int) -> float:
-    """Return the largest distance of the motor positions from the programmed line, with the table subtracted."""
+    """Return the largest distance of the motor positions from the programmed line, after subtracting the table's
+    correction.
+    """
     controller.at(*START_MM)
     controller("mdi", "G4 P0.1")
     x, y, z = END_MM

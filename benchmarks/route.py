@@ -26,7 +26,8 @@ def minutes(job: Job) -> float:
 def run() -> dict[str, float]:
     """Return the figures of each position set.
 
-    `seeking_s` is the difference in CPU time between a first plan, which searches the paths, and a second one.
+    `seeking_s` is the difference in CPU time between a first plan, which searches for the paths, and a second
+    plan, which does not search again.
     """
     load_case(CASE_STUDY)
     found: dict[str, float] = {}

@@ -1,9 +1,11 @@
-"""Service at real speed: time from abort to stop command, overhead per step, CPU share and memory, as one JSON line.
+"""Figures of the service at real speed, as one line of JSON.
+
+They are the time from abort to stop command, the overhead per step, the CPU share and the memory.
 
 `volcal serve` and `volcal simulate` run as separate processes on the wall clock; four clients poll the status and one
-receives the events. The time of a request is taken before its connection is made, and that of STOP when it passes
-between agent and controller. The overhead of a step is the time from a result to the start of the next step that moves;
-intervals that contain a reading are omitted, because the device itself takes time for a reading.
+receives the events. The instant of a request is taken before its connection is made. The instant of STOP is taken when
+STOP passes between agent and controller. The overhead of a step is the time from a result to the start of the next step
+that moves; intervals that contain a reading are omitted, because the device itself takes time for a reading.
 """
 
 from __future__ import annotations
@@ -87,7 +89,7 @@ def idle(running: Service, seconds: float) -> dict[str, float]:
 
 
 def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
-    """Return the time in ms from an abort during a touch or a move to STOP on the wire."""
+    """Return the time in ms from an abort request, made during a touch or a move, to STOP on the wire."""
     running.start()
     running.until(lambda now: now["state"] == "measuring" and now["step"], "a step; the axes are on their way")
     known = len(between.stops)

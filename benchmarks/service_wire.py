@@ -20,7 +20,7 @@ _COMMAND = struct.Struct(">HH")
 
 
 class RecordingProxy:
-    """Proxy from `port` to `target`.
+    """Proxy that listens on `port` and forwards to `target`.
 
     `stops` holds the `perf_counter` instants at which a STOP from the agent had been read but not yet forwarded.
     """

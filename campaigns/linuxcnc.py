@@ -46,7 +46,7 @@ EXIT_NOT_RUN = 77
 
 @dataclass(frozen=True)
 class LinuxCncTrial:
-    """One trial.
+    """One trial of `volcal calibrate` on a running LinuxCNC.
 
     `changes` replace texts in the example's settings, `scenario_changes` in its scenario; `arguments` are passed to
     `volcal calibrate`.
@@ -99,9 +99,10 @@ def run_calibration(trial: LinuxCncTrial) -> dict[str, Any]:
 
 
 def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) -> dict[str, Any]:
-    """Return the true volumetric errors without table and with the active table, rigidly aligned, in µm.
+    """Return the true volumetric errors in µm without table and with the active table.
 
-    Also returns the largest difference between the correction that LinuxCNC applies and the active table.
+    The best-fitting rigid motion is removed from both. Also returns the largest difference between the correction that
+    LinuxCNC applies and the active table.
     """
     world = World(read_scenario(scenario))
     options = LinuxCncSettings.model_validate(
@@ -136,7 +137,7 @@ def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) 
 def largest_applied_difference_um(device: LinuxCnc, machine: LinuxCncProcess, image: TableImage | None) -> float:
     """Return the largest difference in µm between the correction applied to the motors and the table.
 
-    Measured at random points at the end of Y, where no artefact stands.
+    The difference is measured at random points at the end of Y, where no artefact stands.
     """
     table = None if image is None else TableField(image)
     limits = device.limits()

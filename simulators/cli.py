@@ -35,7 +35,7 @@ def _address(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[
 
 
 def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float | None:
-    """Return the speed in machine seconds per wall second; None for lockstep."""
+    """Return the speed in machine seconds per wall second, or None for lockstep."""
     if value in ("lockstep", "real"):
         return 1.0 if value == "real" else None
     kind, _, factor = value.partition(":")

@@ -101,7 +101,7 @@ class AgeingSettings(StrictModel):
     `seasonal_um_per_m`: amplitudes of the changes of the scale errors of X, Y, Z, which are sines of period
     `season_nights` with the phases `phases_deg`. `walk_um`: rms over the working volume of the deviation that the
     random walk of all errors adds per night. `collision`: jumps of errors in the night of the collision, in µm or µrad;
-    a key is the ISO name of an error or, with its order, of one coefficient.
+    a key is the ISO name of an error; with a Legendre order added, it names one coefficient of that error.
     """
 
     night: int = Field(default=0, ge=0)

@@ -16,9 +16,9 @@ Hours = Annotated[float, Field(ge=0.0, le=100.0)]
 class ThermalSettings(StrictModel):
     """Initial temperatures and their change. By default all temperatures are constant.
 
-    The ambient temperature rises by `ambient_rise_k` as 1 - exp(-t/τ), where τ is `ambient_time_constant_h` (0: at
-    once, as when the doors are opened). Artefact and machine follow it, each with its own time constant (None: it does
-    not follow). In addition both may drift linearly with time, in K per hour.
+    The ambient temperature rises by `ambient_rise_k` as 1 - exp(-t/τ), where τ is `ambient_time_constant_h`. If τ is
+    0, it rises at once, as when the doors are opened. Artefact and machine follow it, each with its own time constant;
+    one whose time constant is None does not follow. In addition both may drift linearly with time, in K per hour.
 
         Thermal effects, per kelvin since the start: `growth_um_per_k` moves the tip (spindle and ram grow);
     `scale_um_per_m_k` stretches the scale of each axis about its zero; `bend_um_per_k` displaces the top of the column

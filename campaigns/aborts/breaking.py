@@ -28,7 +28,7 @@ IMMEDIATE = (s.AskOperator, s.StageTable, s.ActivateBank)
 
 @dataclass(frozen=True)
 class Interruption:
-    """Interruption of kind `how` at `when`: ``before`` the step, in its ``middle``, or ``after`` its effect."""
+    """Interruption of kind `how`. `when` is ``before`` the step, in its ``middle``, or ``after`` its effect."""
 
     how: str
     when: str
@@ -79,8 +79,8 @@ def link_lost_error() -> LinkLost:
 class Interrupter:
     """Interrupts one run at its steps, in forked child processes.
 
-    `results` holds the results of the child processes, in order. `selects` returns True, for the ordinal of a step and
-    the step, if children are to be forked there.
+    `results` holds the results of the child processes, in order. `selects(ordinal, step)` returns True if children
+    are to be forked at that step.
     """
 
     world: World
@@ -105,9 +105,7 @@ class Interrupter:
         return InterruptibleRig(self, given)
 
     def perform(self, action: Action, step: s.Step) -> Any:
-        """Perform the step; before that, fork one child per interruption, in which the step is performed and
-        interrupted.
-        """
+        """Fork one child per interruption, in which the step is interrupted; then perform the step in the parent."""
         if self.forks.is_child:
             return action(step)
         self.ordinal += 1

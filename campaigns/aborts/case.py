@@ -23,12 +23,14 @@ from simulators.world.world import World
 
 FORMER_BANK = 1
 FORMER_TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
-"""Constant correction, active before the run. It must be active again afterwards; it is not in bank 0 (no table)."""
+"""Constant correction, active before the run. It must be active again afterwards. Its bank is not 0, because bank 0
+means no table.
+"""
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 SCALE = 4.0
 """Scale of the machine's errors.
 
-The table then improves so much, and the gates are so wide, that every uninterrupted run is accepted.
+The new table then reduces the errors so much, and the gates are so wide, that every uninterrupted run is accepted.
 """
 
 

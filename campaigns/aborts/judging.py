@@ -25,16 +25,16 @@ EXPECTED_REASONS = {
 }
 BY_REQUEST = ("abort", "no")
 WITHDRAWING = ("abort", "refused", "guard", "disk full", "no", "defect")
-"""Interruptions after which the axes can and must withdraw; without a link, or in a fault, nothing moves."""
+"""Interruptions after which the axes can and must withdraw. Without a link, or in a fault, nothing moves."""
 
 
 def check_interruption(
     interrupter: Interrupter, ended: RunResult | None, defect: BaseException | None
 ) -> dict[str, Any]:
-    """Return the violated conditions as `failures`, and `completed`: True if the run completed before the interruption
-    was noticed.
+    """Return an object with the violated conditions as `failures`.
 
-    If it did not complete, `active` gives the active bank.
+    Its `completed` is True if the run completed before the interruption was noticed. If the run did not complete,
+    `active` is the active bank.
     """
     interruption, world = interrupter.interruption, interrupter.world
     assert interruption is not None

@@ -31,10 +31,12 @@ NEIGHBOURS = 4
 
 @dataclass(frozen=True)
 class StepSelection:
-    """Selection of steps for one worker: every `every`th step, and all steps near those that read or write tables.
+    """Selection of the steps that one worker interrupts.
 
-    Of these the worker with number `share` takes the steps whose ordinal modulo `shares` is `share`. `keys`: keys of
-    all steps of an earlier, uninterrupted run, which show the steps to come.
+    The workers together interrupt each step whose ordinal is a multiple of `every`, and all steps near those that read
+    or write tables. These steps are distributed over `shares` workers: worker number `share` takes those whose ordinal
+    modulo `shares` equals `share`. `keys` are the keys of all steps of an earlier, uninterrupted run; they show which
+    steps are still to come.
     """
 
     share: int
@@ -122,7 +124,10 @@ ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
 
 
 def check_refused_and_restored() -> dict[str, Any]:
-    """Check the regular outcomes without a new table: table refused by a gate, or former table restored."""
+    """Check the two regular outcomes that leave no new table active.
+
+    Either a gate refuses the table, or the former table is restored.
+    """
     failed = []
     for name, (sections, state) in ENDS.items():
         with _case(lambda *_: False) as (interrupter, directory):

@@ -1,1 +1,1 @@
-"""Plans that must be refused: each is one mutation of a good plan, with the text that its refusal must contain."""
+"""Plans that must be refused. Each is a mutation of a good plan, stored with the text that its refusal must contain."""

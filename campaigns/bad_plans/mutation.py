@@ -38,8 +38,8 @@ Change = Callable[[CaseFiles], None]
 class BadPlan:
     """One bad plan and the refusal that it must cause.
 
-    `error`: type of the refusal; `words`: texts that its message must contain; `where`: locations that it must name;
-    `preflight`: preflight to run once the files have passed, by default that of the unchanged procedure.
+    `error` is the type of the refusal, `words` are texts that its message must contain, and `where` are locations that
+    it must name. `preflight` runs after the files have been accepted; by default it checks the unchanged procedure.
     """
 
     name: str
@@ -93,7 +93,7 @@ def good_case(directory: Path) -> CaseFiles:
 def check_case(change: Change, directory: Path, preflight: Callable[[Job], object]) -> None:
     """Apply `change` to the good case, then check it like `volcal config check` and run the preflight.
 
-    Raises their refusals.
+    Raises the error with which the check or the preflight refuses the case.
     """
     files = good_case(directory)
     change(files)

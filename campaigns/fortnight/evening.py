@@ -22,9 +22,10 @@ class ExpectedRun:
 class Evening:
     """Record of one evening.
 
-    True volumetric errors in µm, rigidly aligned: `true_before` with the table of the previous day, `true_after` with
-    the table active at the end, and `reach` after a full calibration of that night's machine (0 if not computed).
-    `exit_codes`: exit codes of the commands called by the timer, in order.
+    The true volumetric errors are in µm, after the best-fitting rigid motion is removed. `true_before` is the error
+    with the table of the previous day, `true_after` the error with the table active at the end, and `reach` the error
+    after a full calibration of that night's machine (0 if not computed). `exit_codes` are the exit codes of the
+    commands called by the timer, in order.
     """
 
     night: int

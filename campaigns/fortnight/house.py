@@ -48,7 +48,7 @@ held_out_tolerance_um = 3.5
 def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = POLL_S) -> Found:
     """Poll `condition` and return its first true result.
 
-    Raises TimeoutError, naming `what`, if there is none in time.
+    Raises TimeoutError, naming `what`, if the condition does not become true in time.
     """
     ends_s = time.monotonic() + TIMEOUT_S
     while not (found := condition()):
@@ -155,8 +155,9 @@ class ServiceHost:
         return wait_for(ended, f"the end of run {run_id}", STATUS_POLL_S)
 
     def command(self, *arguments: str, timer: bool = False) -> subprocess.Popen[str]:
-        """Start `volcal` with these arguments and this host's settings; with `timer`, in the way systemd's timer
-        does.
+        """Start `volcal` with these arguments and this host's settings.
+
+        If `timer` is True, it is started in the same way as by systemd's timer.
         """
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         if timer:

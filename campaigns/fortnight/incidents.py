@@ -21,7 +21,7 @@ FIRST_EVENING = datetime(2026, 3, 2, tzinfo=UTC)
 SLOT = ("--slot", "15min")
 FUSED_DECISIONS = (Decision.FUSED.value, Decision.WRITTEN.value)
 CHECKED_DECISIONS = (None, Decision.WITHIN.value)
-"""Decisions that an interrupted night may have: none, or that of its check measurement; it has accepted no table."""
+"""Decisions possible for an interrupted night, which has accepted no table: none, or that of its check measurement."""
 BALLS_BEFORE_THE_POWER_FAILS = 20
 LINK, REFUSED, ABORTED, NOT_NOW = 3, 4, 5, 6
 """Exit codes of `volcal start --wait`."""
@@ -32,7 +32,7 @@ GOOD_NIGHT = ExpectedRun("nightly", "complete", "timer", FUSED_DECISIONS)
 class Incidents:
     """Incidents on one host and one plant. `by_name` maps the name of each incident to its method.
 
-    `compared`: compare an interrupted night with the same night run without interruption.
+    If `compared` is True, an interrupted night is compared with the same night run without interruption.
     """
 
     def __init__(self, host: ServiceHost, plant: FortnightPlant, *, compared: bool) -> None:
@@ -68,7 +68,7 @@ class Incidents:
         evening.expected.append(ExpectedRun("calibrate", "complete", "page", accepted=True))
 
     def timer(self, evening: Evening) -> None:
-        """Run what systemd's timer starts every night."""
+        """Run the command that systemd's timer starts every night."""
         self._set_time(evening, 23)
         code, _ = self._ask(evening, *SLOT)
         evening.claims["the timer's command ends well"] = code == 0

@@ -70,7 +70,7 @@ def active_table_is_accepted(host: ServiceHost, plant: FortnightPlant) -> bool:
 
 
 def leftover_processes(directory: Path) -> list[str]:
-    """Return the command lines of running processes that name `directory`, that of the fortnight."""
+    """Return the command lines of running processes that contain the path `directory` of the fortnight."""
     found = []
     for place in Path("/proc").glob("[0-9]*/cmdline"):
         try:

@@ -1,7 +1,8 @@
 """Machine of the fortnight on its real links, and the external influences on it.
 
 It runs in the process that plays the fortnight; the service reaches it only over Modbus TCP and CAN. Every evening the
-machine is as it has aged by that night, and its controller has been switched off and on but has retained its banks.
+machine has the errors to which it has aged by then, and its controller has been switched off and on but has retained
+its banks.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ class FortnightPlant:
 
     @property
     def true_um(self) -> float:
-        """True volumetric error with the active table, rigidly aligned, in µm."""
+        """True volumetric error in µm with the active table, after the best-fitting rigid motion is removed."""
         return self.world.truth.true_volumetric_error(self.active_bank)[1]
 
     @property

@@ -35,9 +35,9 @@ DAMAGE = "damage"
 class Programme:
     """Programme of a fortnight. Each of `evenings` is one or more names from `Incidents`, separated by commas.
 
-    `changes`: changes of the shipped settings; `compared`: include the comparisons that need a duplicate machine, and
-    the trends, although both take additional nights; `collision_scale`: size of the collision relative to that defined
-    by the season.
+    `changes` are changes of the shipped settings. If `compared` is True, the fortnight includes the trends and the
+    comparisons that need a duplicate machine, although both take additional nights. `collision_scale` is the size of
+    the collision relative to the collision defined by the season.
     """
 
     evenings: tuple[str, ...]
@@ -86,7 +86,9 @@ So few measurements give an uncertain estimate, so the collision must be large t
 
 @dataclass
 class FortnightResult:
-    """Result of a fortnight. `trends`: trends reported by the history before the damage, after it, and at the end."""
+    """Result of a fortnight. `trends` are the trends reported by the history before the damage, after it, and at the
+    end.
+    """
 
     evenings: list[Evening]
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -118,7 +120,7 @@ def run_fortnight(programme: Programme, report: Callable[[str], None], figure: P
 def _full_calibration_errors(programme: Programme, pool: ProcessPoolExecutor) -> list[Future[float]]:
     """Compute the true error after a full calibration for each night, in a separate process.
 
-    The process must start before this one has threads.
+    That process must be started before the present process has threads.
     """
     season = programme.season
     error = full_calibration_vce_um if programme.compared else _unknown
@@ -185,7 +187,7 @@ def _judge(programme: Programme, played: FortnightResult) -> None:
 
 
 def trend_claims(played: FortnightResult) -> dict[str, bool]:
-    """Return the claims about the alarms raised by the history, and whether they hold at the right times."""
+    """Return the claims about the trends and alarms reported by the history, each with True if it holds."""
     before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
     acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})
     return {

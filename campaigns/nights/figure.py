@@ -1,4 +1,4 @@
-"""Figure of the nights: the true VCE every morning, that after a full calibration, and the decisions."""
+"""Figure of the nights: the true VCE every morning, the true VCE after a full calibration, and the decisions."""
 
 from __future__ import annotations
 

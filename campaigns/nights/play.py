@@ -2,13 +2,13 @@
 them.
 
 Every night is a whole run of the agent (`volcal nightly`) on the simulated machine of that night, in this process and
-on virtual time. The simulator's truth is reported with it: the true volumetric error with the active table, and the
-error that a full calibration in the same night would have left (the reach).
+on virtual time. The result of a night includes facts known only to the simulator: the true volumetric error with the
+active table, and the error that a full calibration in the same night would have left (the reach).
 
 The reach is computed by Monte Carlo simulation of ball centres, without touches: the true ball centres of the whole
 position set are taken on a copy of that night's machine, measured through its exact field with the noise of a touch
-pattern, and identified with the Legendre order chosen by evidence; the true error is that with the resulting table. The
-reach is the mean over `DRAWS` draws. The full calibrations actually run in the season are reported too.
+pattern, and identified with the Legendre order chosen by evidence; the true error is then evaluated with the resulting
+table. The reach is the mean over `DRAWS` draws. The full calibrations actually run in the season are reported too.
 
     python -m campaigns.nights --nights 30 --step 17 [--figure nights.png] [--csv nights.csv]
 
@@ -57,7 +57,7 @@ LARGEST_RATIO = 1.5
 
 
 def run_season(season: Season, report: bool = True) -> list[NightRow]:
-    """Run all nights in order; meanwhile a separate process computes the reach (see the module) of each night."""
+    """Run all nights in order. Meanwhile a separate process computes the reach (see the module) of each night."""
     with (
         ProcessPoolExecutor(1) as pool,
         memory_directory("nights") as directory,

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 class NightRow:
     """Results of one night; errors in µm.
 
-    True errors: `true_before` with the table of the previous night, `true_after` with the table active in the morning,
-    `untouched` with the table of the first night, and `reach` after a full calibration in that night. `ve_now` and
-    `ve_after` are the errors reported by the agent.
+    Four fields are true errors: `true_before` with the table of the previous night, `true_after` with the table active
+    in the morning, `untouched` with the table of the first night, and `reach` after a full calibration in that night.
+    `ve_now` and `ve_after` are the errors reported by the agent.
     """
 
     night: int

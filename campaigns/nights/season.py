@@ -26,7 +26,7 @@ DRAWS = 2
 BANK = 1
 
 COLLISION = {"B0Z": 12.0, "EAZ": 4.0, "EYX": 3.0}
-"""Jumps of three errors in the collision, in µrad, µrad and µm: the column was hit and mainly leans."""
+"""Jumps of three errors in the collision, in µrad, µrad and µm. They represent a blow that mainly tilts the column."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Season:
         return replace(shipped, settings=shipped.settings.model_copy(update={"ageing": ageing, "seed": self.seed}))
 
     def station(self, night: int) -> int:
-        """Return the station at which the day shift has placed the artefact: the next one every day."""
+        """Return the station at which the day shift has placed the artefact. The station advances by one every day."""
         return 1 + night % len(self.scenario.settings.stations_mm)
 
 
@@ -66,7 +66,10 @@ def load_season_case(state: Path) -> Job:
 
 
 def full_calibration_vce_um(season: Season, night: int) -> float:
-    """Return the mean true VCE in µm, rigidly aligned, after a full calibration of that night's machine."""
+    """Return the mean true VCE in µm after a full calibration of that night's machine.
+
+    The best-fitting rigid motion is removed.
+    """
     job = load_season_case(Path("unused"))
     world = World(scenario_of_night(season.scenario, night))
     reached = []
@@ -82,9 +85,9 @@ def full_calibration_vce_um(season: Season, night: int) -> float:
 
 
 def true_vce_with_table(world: World, image: TableImage) -> float:
-    """Return the true VCE in µm, rigidly aligned, with `image` in place of the active table.
+    """Return the true VCE in µm with `image` in place of the active table.
 
-    The world must not be used afterwards.
+    The best-fitting rigid motion is removed. The world must not be used afterwards.
     """
     if world.controller.active_bank == BANK:
         world.controller.activate(0)

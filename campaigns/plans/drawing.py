@@ -28,7 +28,7 @@ CANDIDATES = 24
 
 @dataclass(frozen=True)
 class DrawnCase:
-    """Drawn case: `job` as known to the agent, `scenario` with the true start position, placement and errors.
+    """Drawn case. `job` is the agent's view of it; `scenario` has the true start position, placement and errors.
 
     `interruption` is the event that interrupts the second run of the plan, after the fraction `at_share` of its
     duration.

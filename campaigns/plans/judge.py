@@ -18,8 +18,8 @@ from simulators.world.world import World
 from twin.arrays import Array
 
 SPACING_MM = 1.0
-"""Spacing of the points in a row. The point nearest to the probe is off by at most half of it along the row, which adds
-0.03 mm to a distance of 4 mm."""
+"""Spacing of the points in a row. The nearest point of a row is at most half a spacing away from the exact nearest
+location on its line, which adds 0.03 mm to a distance of 4 mm."""
 STEP_MM = 0.75
 """Largest motion of the tip, or of the end of a turning bar, between two samples."""
 TURN_STEP_MM = 3.0
@@ -32,7 +32,8 @@ CHUNK = 256
 class PointCloud:
     """Points (n, 3) and their radii (n,), in mm.
 
-    `body`: index in `names` of the body of each point; `ball`: number of the ball of each point, -1 if it is on none.
+    `body` is the index in `names` of the body of each point. `ball` is the number of the ball on which each point lies,
+    or -1 if it lies on none.
     """
 
     points: Array
@@ -219,8 +220,8 @@ def _pairs(seen: JudgeResult, tips: Array, cloud: PointCloud, dimensions: ProbeD
 def _from_segment(aside: Array, y: Array, low: float, high: float) -> Array:
     """Return the distance of points to the segment of the tool axis between `low` and `high`.
 
-    The points are given by `aside`, the square of their distance from the axis in mm², and their coordinate `y` along
-    it.
+    The points are given by `aside`, the square of their distance from the axis in mm², and by their coordinate `y`
+    along the axis in mm.
     """
     along = np.maximum(np.maximum(y - high, low - y), 0.0)
     return np.asarray(np.sqrt(aside + along * along))

@@ -41,7 +41,7 @@ class MotionOnlyKind:
 
 
 class AlarmClock(VirtualClock):
-    """Clock that calls an action, given to `at`, once the instant given with it has passed.
+    """Clock that calls each action passed to `at` once the instant passed with it is over.
 
     `watch(before_s, after_s)` is called before every advance.
     """

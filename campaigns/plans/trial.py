@@ -31,8 +31,8 @@ POSITION_TOLERANCE_MM = 0.01
 class PlanTrial:
     """Result of one plan.
 
-    `refused`: reason why nothing moved, if so; `stopped`: reason why a run that moved did not end as expected, if so;
-    `failures`: violated conditions; `seen`: result of the judge, None if it did not check this plan.
+    If nothing moved, `refused` is the reason. If a run moved but did not end as expected, `stopped` is the reason.
+    `failures` are the violated conditions. `seen` is the result of the judge, or None if it did not check this plan.
     """
 
     seed: int

@@ -35,8 +35,9 @@ from simulators.world.world import World
 MOMENTS = ("before", "begun", "midway", "done", "durable")
 """Instants of a step at which the run may be killed.
 
-In this order: before the step is in the journal; journaled but not begun; in the middle of its motion; done, but its
-result is not durable; result durable.
+They occur in this order. At ``before`` the step is not yet in the journal; at ``begun`` it is in the journal, but has
+not started; at ``midway`` it is in the middle of its motion; at ``done`` it is complete, but its result is not durable;
+at ``durable`` its result is durable.
 """
 
 STATE = Path("state")

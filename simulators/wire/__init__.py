@@ -1,4 +1,4 @@
 """Servers and CAN nodes through which clients reach the world.
 
-Written from the protocol documents; they have no physics.
+They are written from the protocol documents and contain no physics.
 """

@@ -30,7 +30,10 @@ log = structlog.get_logger()
 
 class VolumetricTruth(Protocol):
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """Return the raw and the rigidly aligned error in µm, with the table of `bank` (None or 0: without table)."""
+        """Return the raw error and the rigidly aligned error in µm, with the table of `bank`.
+
+        If `bank` is None or 0, the errors are those without table.
+        """
         ...
 
 

@@ -27,7 +27,7 @@ class _Companion:
 
 
 class SharedWorld(Generic[W_co]):
-    """Serialises every access to `world`: hold `lock` (re-entrant) around any reading of it or command to it.
+    """World with a lock that serialises access: hold `lock` (re-entrant) while reading `world` or commanding it.
 
     Companions (a heartbeat monitor, CAN nodes) are called after each advance, under the lock. A companion that must be
     called at a certain instant returns it from `wakes_at`. A longer advance is then made in two parts, so that, for

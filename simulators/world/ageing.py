@@ -48,7 +48,7 @@ def scenario_of_night(scenario: Scenario, night: int) -> Scenario:
 def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
     """Return the change (p,) of the model parameters by seasonal scale errors since night 0.
 
-    A scale error s over a travel L corresponds to a Legendre coefficient of order 1 of s L / 2.
+    A scale error s over a travel L corresponds to the value s L / 2 of the Legendre coefficient of order 1.
     """
     change = np.zeros(model.size)
     for axis, amplitude, phase_deg, (low, high) in zip(

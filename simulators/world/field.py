@@ -49,9 +49,9 @@ class TableField:
 class TipShift:
     """Offset of the tip centre from (displayed axis position + tool offset), in mm.
 
-    X is the displayed axis position. The drives go to X + table(X), where the true machine adds its deviation; the
-    position-dependent field is the sum of both and of the `thermal` field. Thermal `drift` and the `play` left by the
-    last motion (backlash, repeatability) shift this field as a whole.
+    At the displayed axis position X, the drives go to X plus the table's correction at X. The true machine's deviation
+    and the `thermal` field are evaluated there. The position-dependent field is the sum of all three. Thermal `drift`
+    and the `play` left by the last motion (backlash, repeatability) shift this field as a whole.
     """
 
     def __init__(self, machine: FieldOfMany | None) -> None:

@@ -37,8 +37,9 @@ class Crash(NamedTuple):
 class PathEvents(NamedTuple):
     """Events along the path of a command, with path distances in mm.
 
-    `trip_mm`: distance at which the probe trips, or None; `crash`: first collision if the motion continued, or None;
-    `free_mm`: distance at which a probe that is deflected at the start separates, 0 if it is not deflected.
+    `trip_mm`: distance at which the probe trips, or None; `crash`: first collision that would happen if the motion
+    continued, or None; `free_mm`: distance at which a probe that is deflected at the start separates, 0 if it is not
+    deflected.
     """
 
     trip_mm: float | None = None

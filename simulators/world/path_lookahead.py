@@ -50,8 +50,10 @@ class PathLookahead:
     def _from_rest(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, resting: int | None
     ) -> tuple[float, Crash | None]:
-        """Return the path distance in mm at which a deflected probe separates, and the crash, or None, if the motion
-        first deflects it beyond its overtravel.
+        """Return the path distance in mm at which a deflected probe separates (0 if it is not deflected), and the
+        crash.
+
+        The crash is None unless the motion deflects the probe beyond its overtravel before it separates.
         """
         if resting is None:
             return 0.0, None
@@ -69,9 +71,10 @@ class PathLookahead:
     def _first_collision(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, until_mm: float | None, touched: int | None
     ) -> Crash | None:
-        """Return the first collision of any two bodies, or None; contact of the tip with a ball does not count.
+        """Return the first collision of any two bodies, or None if there is none.
 
-        The stem may touch the ball that the tip touches, because it deflects with the tip.
+        Contact of the tip with a ball does not count. The stem may touch the ball that the tip touches, because it
+        deflects with the tip.
         """
         path = command.path
         length = path.length if until_mm is None else min(until_mm, path.length)

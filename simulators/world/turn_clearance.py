@@ -65,7 +65,7 @@ def _least_gap(centres: Array, radii: Array, bodies: Iterable[Body]) -> float:
 
 
 def _distance(points: Array, shape: Shape) -> Array:
-    """Return a lower bound of the distances of `points` (..., 3) from `shape`, in mm, with shape (...)."""
+    """Return lower bounds (...) in mm of the distances between `points` (..., 3) and the body `shape`."""
     radius = shape.radius if isinstance(shape, Capsule) else 0.0
     beyond = np.maximum(
         np.maximum(np.array(shape.lower) + radius - points, points - np.array(shape.upper) + radius), 0.0

@@ -53,9 +53,10 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
 
 
 def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision between the bodies on `turning` and on `other`, which may turn too, or None.
+    """Return the first collision between the bodies on `turning` and those on `other`, or None if there is none.
 
-    Between two checks the fastest parts move by at most the remaining gap or, if that is larger, by `STEP_MM`.
+    `other` may turn too. Between two checks the fastest parts move by at most the remaining gap or, if that is larger,
+    by `STEP_MM`.
     """
     apart = np.hypot(*(turning.location_mm - other.location_mm)[:2])
     if apart > turning.sweep_radius_mm + other.sweep_radius_mm:

@@ -113,7 +113,9 @@ class Workpiece:
         return self._cover
 
     def true_angles_rad(self, instant_s: float) -> tuple[float, float]:
-        """Return azimuth, including the rotation at placement, and elevation in rad, as `mount_pose` takes them."""
+        """Return the azimuth, including the rotation at placement, and the elevation, in rad, as required by
+        `mount_pose`.
+        """
         azimuth, elevation = self.mount.true_angles_rad(*self.mount.angles_deg(instant_s))
         return azimuth + self._yaw_rad, elevation
 

@@ -158,7 +158,7 @@ class World:
 
 
 def true_machine(scenario: Scenario) -> TrueMachine:
-    """Return the true machine, drawn with the scenario's own seed: the same machine in every world of that scenario."""
+    """Return the true machine, drawn with the seed of the scenario, so all its worlds have the same machine."""
     settings, truth = scenario.settings, scenario.settings.truth
     if settings.ideal:
         return perfect_machine(scenario.machine, settings.tool)

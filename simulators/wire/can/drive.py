@@ -1,7 +1,7 @@
 """CiA 402 drive for one axis of the simulated mount, written from the profile's text.
 
-Implements the power drive state machine, profile position mode, homing mode, quick stop, fault reaction and limits. The
-position unit is the encoder count unless the factor group defines another; speeds are units per second. The drive
+It implements the power drive state machine, profile position mode, homing mode, quick stop, fault reaction and limits.
+The position unit is the encoder count unless the factor group defines another; speeds are units per second. The drive
 has no motion of its own: the physics of the mount advances with the world's clock, and the drive reads it on every
 request and after every advance.
 """
@@ -53,7 +53,7 @@ class DriveConfig:
     """Configuration of one simulated drive.
 
     `counts_per_degree`: encoder increments per degree; `zero_deg`: mount angle at which the encoder reads 0; `factors`:
-    factor group, None for a drive without one.
+    factor group, or None if the drive has none.
     """
 
     node_id: int

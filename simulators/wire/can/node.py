@@ -39,7 +39,7 @@ class Application(Protocol):
     def advance(self, now_s: float) -> None: ...
 
     def take_emergencies(self) -> list[int]:
-        """Return the error codes to be sent, oldest first; 0 when an error was reset."""
+        """Return the error codes to be sent, oldest first. Code 0 means that an error was reset."""
 
 
 class CanopenNode:

@@ -1,7 +1,7 @@
 """SDO server according to CiA 301 section 7.2.4.
 
-Supports expedited transfers in both directions and segmented upload. No writable object of a drive is longer than four
-bytes, so a segmented download is refused because of its length; block transfer is refused as an unknown command.
+It supports expedited transfers in both directions and segmented upload. No writable object of a drive is longer than
+four bytes, so a segmented download is refused because of its length; block transfer is refused as an unknown command.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Like the socketcand server it is itself a python-can bus: `recv` returns the frames from the host, `send` passes a frame
 to the host. It is written from the manuals of LAWICEL's CAN232 and CANUSB. Commands are ASCII text ending with CR and
 are answered by CR or BELL. The host closes the channel, sets its bit rate and opens it. Frames have the forms
-``tiiildd..`` and ``Tiiiiiiiildd..``; received frames are sent without being polled for, as by the CANUSB.
+``tiiildd..`` and ``Tiiiiiiiildd..``; like the CANUSB, the adapter sends received frames without being polled.
 
 A pseudo-terminal buffers only about 10 kB of unread data. Further frames wait in order in the adapter's queue; if the
 queue overflows too, frames are lost as in the real adapter, and bit 0 of the status flags is set.

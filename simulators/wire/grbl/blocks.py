@@ -1,6 +1,7 @@
 """G-code blocks as GRBL 1.1 reads them: words, modal groups, and errors in the order of its checks.
 
-Not simulated, answered with error 20: arcs (G2, G3), predefined positions (G28, G30), inverse time (G93) and jogging.
+Arcs (G2, G3), predefined positions (G28, G30), inverse time (G93) and jogging are not simulated; they are answered with
+error 20.
 Source: gnea/grbl, doc/markdown/commands.md and doc/csv/error_codes_en_US.csv.
 """
 

@@ -362,7 +362,7 @@ class GrblController:
             self._alarm(HARD_LIMIT)
 
     def _end_motion(self) -> None:
-        """Update the state according to the axes: probe separated, axes failed, or motion complete."""
+        """Update the state if the probe has separated, the axes have failed, or the motion is complete."""
         axes = self._axes
         axes.watch_pin()
         if axes.failed and not self._critical and self.state is not GrblState.ALARM:

@@ -1,9 +1,9 @@
 """Simulated controller as a Modbus TCP server.
 
-It does not use pymodbus but its own server on a plain socket, for two reasons. A complete status transaction takes a
+It uses its own server on a plain socket instead of pymodbus, for two reasons. A complete status transaction takes a
 third of the time that the asyncio server of pymodbus 3.16 needs before any register is interpreted (measured 0.13 ms
-against 0.39 ms), and a night makes some 35,000 of them. Both halves of function 23 must be one transaction under the
-world's lock.
+against 0.39 ms), and a nightly run makes about 35,000 of them. Both halves of function 23 must be one transaction under
+the world's lock.
 """
 
 from __future__ import annotations

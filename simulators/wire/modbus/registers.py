@@ -215,7 +215,10 @@ class ControllerRegisters:
 
 
 def _require_representable(store: StoreLimits) -> None:
-    """Raise ConfigurationError unless the store has banks 1 and 2 or none, as the register map requires."""
+    """Raise ConfigurationError unless the store fits the register map.
+
+    It must have banks 1 and 2 or no banks, and at most 65535 nodes along an axis.
+    """
     if sorted(store.banks) not in ([], [1, 2]) or max(store.max_nodes) > 0xFFFF:
         raise ConfigurationError(
             f"a store with banks {list(store.banks)} and {store.max_nodes} nodes does not fit the register map",

@@ -192,7 +192,9 @@ class BankRegisters:
         return None if same and descriptor.fits(self.limits) else ResultCode.DESCRIPTOR_NOT_ALLOWED
 
     def take_block(self, number: int, data: bytes) -> None:
-        """Append a block to the transfer. `data`: contents of registers 2200 … 2319; `number`: of register 2320."""
+        """Append a block to the transfer. `data`: contents of registers 2200 … 2319; `number`: content of register
+        2320.
+        """
         transfer = self._transfer
         if transfer is None:
             self.block_result = ResultCode.NO_TRANSFER
