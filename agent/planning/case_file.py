@@ -50,7 +50,8 @@ def load_case(
 
 def _with_stations(settings: Settings, count: int) -> Settings:
     """Return the settings with `count` stations spaced along X, at the Y and Z of the first station in `settings`. The
-    two outer stations are half a bar length inside the ends of the travel."""
+    distance of the outer stations from the ends of the travel is half a bar length plus the setting
+    `mount.bar_overhang_mm`."""
     machine, artefact = load_machine(settings.machine), load_artefact(settings.artefact)
     _, y_mm, z_mm = settings.stations.places_mm[0]
     half_span_mm = artefact.half_length_mm + settings.mount.bar_overhang_mm

@@ -1,4 +1,5 @@
-"""Secrets in files: credentials passed by systemd (LoadCredential=), and access permissions of secret files."""
+"""Secrets in files. The module finds credentials passed by systemd (LoadCredential=) and checks the access permissions
+of files with secrets."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ def handed_over(name: str, environment: Mapping[str, str] = os.environ) -> Path 
 
 
 def open_mode(path: Path, environment: Mapping[str, str] = os.environ) -> int | None:
-    """Return the mode of the file if users other than its owner can access it, else None. Raise OSError.
+    """Return the mode of the file if users other than its owner can access it, else None. Raises OSError if the file
+    cannot be examined.
 
     systemd stores credentials in a directory per service and grants access with an access control list. The group bits
     of such a file (0440) are the mask of that list and grant no access to a group.

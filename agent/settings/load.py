@@ -17,10 +17,10 @@ POSITION_FILES = (".csv", ".toml")
 
 
 def read_settings(path: Path) -> Settings:
-    """Read settings from a file and make its paths absolute. Raise ConfigurationError.
+    """Read settings from a file and make the paths in them absolute. Raises ConfigurationError if they are invalid.
 
-    Device options are not validated, so no driver is loaded: for commands that only talk to the service or read its
-    stored results.
+    Device options are not validated, so no driver is loaded. This suffices for commands that only talk to the service
+    or read its stored results.
     """
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):
@@ -28,7 +28,8 @@ def read_settings(path: Path) -> Settings:
 
 
 def load_settings(path: Path) -> Settings:
-    """Read settings as `read_settings` and validate the options of every device. Raise ConfigurationError."""
+    """Read settings from a file like `read_settings`, and also validate the options of every device. Raises
+    ConfigurationError if anything is invalid."""
     settings = read_settings(path)
     try:
         _check_devices(settings)
@@ -53,7 +54,7 @@ def with_overrides(
     stations: Sequence[int] | None = None,
     formulation: str | None = None,
 ) -> Settings:
-    """Return validated settings with the overrides of the command line."""
+    """Return the settings with the overrides of the command line, validated again."""
     document = settings.model_dump()
     if position_set is not None:
         is_file = position_set.endswith(POSITION_FILES)

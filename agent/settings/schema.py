@@ -1,6 +1,7 @@
-"""Settings file of the agent (TOML): bounded values, unknown keys refused, paths relative to the file.
+"""Settings file of the agent (TOML). Values are bounded, unknown keys are refused, and paths are relative to the file.
 
-A key carries its unit if that is not mm. The JSON schema of this module is committed under ``config/schema``.
+The name of a key ends with its unit if the unit is not mm. The JSON schema of this module is committed under
+``config/schema``.
 """
 
 from __future__ import annotations
@@ -314,5 +315,6 @@ class Settings(StrictModel):
 
 
 def parse_settings(text: str, source: str) -> Settings:
-    """Parse settings from TOML text. Raise FormatError with file, key and the keys known there."""
+    """Parse settings from TOML text. Raises FormatError, which names the file, the key, and the keys that are valid
+    there."""
     return read_toml(text, source, Settings)

@@ -1,5 +1,5 @@
-"""Number of balls needed on a bar of given length: volumetric error after compensation, and share of the largest gain,
-for 3 to 15 balls."""
+"""Number of balls needed on a bar of given length. The study computes the volumetric error after compensation with 3 to
+15 balls, and the gain of each number as a share of the largest gain."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def gain_shares(verdicts: Sequence[Verdict], before: VolumetricRms) -> tuple[float | None, ...]:
-    """Return the gain VE - VCE (rigidly aligned) of each verdict as a share of the largest gain.
+    """Return the gain of each verdict as a share of the largest gain. The gain is VE - VCE, both after the best-fitting
+    rigid motion is removed.
 
     A share is None if the machine is not identified, or if no number of balls reduces the error.
     """

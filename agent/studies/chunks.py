@@ -35,8 +35,8 @@ class Chunk(Generic[Item]):
     items: Sequence[Item]
 
     def run(self, task: Callable[[Item], Result]) -> list[Result]:
-        """Return the result of `task` for each item. Raises VolcalError with the item's name if `task` raises any
-        error."""
+        """Return the result of `task` for each item. If `task` raises an error, raises VolcalError, which names the
+        item."""
         results: list[Result] = []
         for number, item in enumerate(self.items, start=self.first):
             try:
@@ -53,9 +53,9 @@ def split_into_chunks(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
 
 
 def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
-    """Return the results of a chunk for a pickled task; limit linear algebra in this process to one thread.
+    """Return the results of a chunk for a pickled task, with linear algebra in this process limited to one thread.
 
-    Sums computed by several threads depend on the number of threads.
+    The limit is needed because sums computed by several threads depend on the number of threads.
     """
     function = _unpickled(task)
     threadpool_limits(limits=1)  # after unpickling, since it affects only libraries that are already loaded

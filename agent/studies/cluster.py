@@ -1,7 +1,7 @@
 """Study workers on a Dask cluster. `distributed` is an optional dependency: `pip install volcal[cluster]`.
 
-The waits for the connection, for the first worker, and for a response of the scheduler while no result arrives are
-limited. The computing time of a chunk is not limited.
+Three waits have a time limit: for the connection, for the first worker, and, while no result arrives, for a response of
+the scheduler. The computing time of a chunk is not limited.
 """
 
 from __future__ import annotations
@@ -123,8 +123,8 @@ class DaskWorkers:
     def _result(self, client: Client, future: Work) -> list[Any]:
         """Return the result of a finished future.
 
-        If its worker has died meanwhile, the scheduler has the chunk computed again; this method waits for it as long
-        as the scheduler responds and has workers.
+        If the worker that holds the result has died, the scheduler assigns the chunk to another worker. This method
+        waits for the new result as long as the scheduler responds and has workers.
         """
         loop = client.loop.asyncio_loop  # type: ignore[union-attr]
         fetching = client.gather(future, asynchronous=True)  # type: ignore[no-untyped-call]

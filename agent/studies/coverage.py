@@ -52,8 +52,9 @@ _MACHINES_PER_CHECK = 5  # number of richer machines per machine as modelled
 
 @dataclass(frozen=True, eq=False)
 class ComparedEstimate:
-    """Comparison of one estimate with its machine. `form`: form of deflection; `chosen`: choice of the Legendre order;
-    `levels`: region → levels at which the regions just contain the truth; true VE and VCE and predicted VCE in mm."""
+    """Comparison of one estimate with the true machine, with its true VE, true VCE and predicted VCE in mm. `form` is
+    the form of deflection, and `chosen` the choice of the Legendre order. `levels` maps each kind of region to the
+    confidence levels at which the regions just contain the true values."""
 
     form: str
     chosen: str
@@ -66,8 +67,8 @@ class ComparedEstimate:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTask:
-    """Task that draws the machine of a given number and form of deflection, and compares its estimates with the
-    truth."""
+    """Task that draws a machine, given its number and form of deflection, and compares the estimates of this machine
+    with its true errors."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -89,8 +90,8 @@ class CoverageTask:
         return [self._compared(random_machine, *found, again, points) for found in self._estimates(seen, form)]
 
     def _measure_both(self, random_machine: RandomMachine, rng: np.random.Generator) -> Observations:
-        """Return simulated measurements of the set, then of the held-out positions, with one artefact and the same
-        conditions."""
+        """Return simulated measurements of the set, then of the held-out positions. Both are made with the same
+        artefact under the same conditions."""
         parts = (self.planned, self.held_out)
         further = replace(self.held_out, position=self.held_out.position + self.planned.position.max() + 1)
         rows = {
@@ -169,7 +170,7 @@ def _comparison(case: StudyCase) -> CoverageTask:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTable:
-    """Comparisons of all machines, and the observed coverage over any of them."""
+    """Comparisons of all machines. The observed coverage can be computed over any selection of them."""
 
     compared: Sequence[ComparedEstimate]
     rng: np.random.Generator

@@ -22,7 +22,7 @@ _LOWEST = 70.0
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Results for one choice of the Legendre order. `groups`: forms of deflection, and "all".
+    """Results for one choice of the Legendre order. `groups` has the forms of deflection and the group "all".
 
     `shares`: region → observed coverage of each of `groups`; `curves`: region → observed coverage at each of `LEVELS`.
     """

@@ -1,7 +1,7 @@
-"""Designed sets compared with S1, S2, S3 and their combinations: volumetric compensated error against machine time.
+"""Comparison of designed sets with S1, S2, S3 and their combinations, by volumetric compensated error and machine time.
 
-Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`). It includes the
-deflection of the machine file, which neither the model nor the search includes. The named sets are also evaluated with
+Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`). The closed form
+includes the deflection of the machine file, but the model and the search do not. The named sets are also evaluated with
 the published formulation: distances, unit weights, no prior.
 """
 
@@ -65,11 +65,11 @@ CENTRES = Options(estimate_scales=False, outliers="none")
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """Results of one set. All errors are rigidly aligned.
+    """Results of one set. All errors are computed after the best-fitting rigid motion is removed.
 
     `criterion_um`: expected VCE without deflection, the criterion of the search. `vce_um`: expected VCE with
     deflection. `published_um`, `with_prior_um`: expected VCE with the published formulation, without and with the
-    prior; None except for named sets.
+    prior. Both are None for sets that are not named.
     """
 
     name: str
@@ -177,7 +177,8 @@ def _job(variant: Variant) -> Job:
 
 
 def _options(job: Job) -> list[Variant]:
-    """Return measuring variants in which either the touches, the balls or the tilt differ from the job."""
+    """Return measuring variants, each of which differs from the job in the touches, the number of balls or the tilt of
+    the holders."""
     choices: list[dict[str, Sequence[int] | Sequence[float]]] = [
         {"touches": TOUCHES},
         {"balls": BALLS},

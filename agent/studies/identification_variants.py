@@ -1,5 +1,5 @@
-"""Identification variants that a study compares: the requested options, and the published method with and without
-prior."""
+"""Identification variants that a study compares. They are the requested options, and the published method with and
+without a prior."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False)
 
 @dataclass(frozen=True, eq=False)
 class IdentificationVariant:
-    """Identification options with scales as stated, not estimated, so that closed form and simulation are
-    comparable."""
+    """Identification options in which all scales of the uncertainties are those stated, not estimated, so that closed
+    form and simulation are comparable."""
 
     options: Options
 
@@ -32,8 +32,8 @@ class IdentificationVariant:
 
 
 def identification_variants(options: Options) -> tuple[IdentificationVariant, ...]:
-    """Return the requested variant, the published method with the family as prior, and the published method, without
-    duplicates."""
+    """Return the requested variant, the published method with the family of machines as prior, and the published
+    method, without duplicates."""
     candidates = (options, replace(PUBLISHED, use_prior=True), PUBLISHED)
     found: dict[str, IdentificationVariant] = {}
     for candidate in candidates:

@@ -1,4 +1,5 @@
-"""Effect of tilting the ball holders: volumetric error after compensation for tilts of 0 to 30 degrees."""
+"""Effect of tilting the ball holders. The study computes the volumetric error after compensation for tilts of 0 to 30
+degrees."""
 
 from __future__ import annotations
 
@@ -47,7 +48,8 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def saving(rows: Verdicts, variant: int) -> float | None:
-    """Return the share by which the largest tilt reduces the rigidly aligned VCE compared to a straight bar.
+    """Return the share by which the largest tilt reduces the VCE, after the best-fitting rigid motion is removed,
+    compared to a straight bar.
 
     Return None if the machine is not identified with one of these two bars.
     """

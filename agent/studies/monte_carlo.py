@@ -1,8 +1,8 @@
-"""Whole procedures by Monte Carlo simulation, compared with the closed form: VE and VCE of many machines.
+"""Monte Carlo simulation of whole procedures. The VE and VCE of many machines are compared with the closed form.
 
-Each machine is drawn, measured and identified independently. The same measurements are identified twice: as in a run
-(scales of noise, prior and misfit estimated, contradicting balls rejected), and with all scales as stated, as the
-closed form assumes.
+Each machine is drawn, measured and identified independently. Each machine is identified twice from the same
+measurements. The first identification is that of a run: it estimates the scales of noise, prior and misfit, and rejects
+contradicting balls. The second uses all scales as stated, as the closed form assumes.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ COVERAGE_FACTOR = 2.0
 
 @dataclass(frozen=True)
 class SimulatedMachine:
-    """One simulated machine: true (t,) and estimated (p,) parameters, normalised chi-square, and number of rejected
-    balls."""
+    """One simulated machine, with its t true and p estimated parameters, the normalised chi-square, and the number of
+    rejected balls."""
 
     truth: Array
     estimate: Array
@@ -50,7 +50,7 @@ class SimulatedMachine:
 class ProcedureTask:
     """Task that simulates the procedure on the machine with a given number.
 
-    With the same assumptions and seed, a number gives the same machine and artefact in all procedures.
+    If assumptions and seed are the same, the same number gives the same machine and artefact in all procedures.
     """
 
     planned: Observations
@@ -78,7 +78,7 @@ class ProcedureTask:
 
 @dataclass(frozen=True, eq=False)
 class ErrorSample:
-    """Volumetric errors (m,) in mm of m machines, raw and aligned."""
+    """Volumetric errors (m,) in mm of m machines: raw, and aligned (after the best-fitting rigid motion is removed)."""
 
     raw_mm: Array
     aligned_mm: Array
@@ -137,8 +137,9 @@ def with_stated_scales(options: Options) -> Options:
 
 @dataclass(frozen=True, eq=False)
 class SimulationComparison:
-    """Closed form and simulation. `closed`: VCE in closed form; `before`: simulated VE; `plain`: simulated VCE with
-    scales as stated, as `closed` assumes; `usual`: simulated VCE with identification as in a run."""
+    """Comparison of closed form and simulation. `closed` is the VCE in closed form, and `before` the simulated VE.
+    `plain` is the simulated VCE with scales as stated, which `closed` assumes. `usual` is the simulated VCE if machines
+    are identified as in a run."""
 
     closed: VolumetricRms
     before: ErrorSample

@@ -18,7 +18,8 @@ PLANE_SHAPE = (81, 27)
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Values of a map: lengths (nx, ny) in µm of the deviation at `x_mm` (nx,) and `y_mm` (ny,)."""
+    """Values of a map. They are the lengths of the deviation in µm, as an array (nx, ny) over the nodes `x_mm` (nx,)
+    and `y_mm` (ny,)."""
 
     title: str
     x_mm: Array
@@ -28,7 +29,7 @@ class Plane:
 
 def map_nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
     """Return X (nx,), Y (ny,) and height of the map in mm. The height is the published one, or the middle of the Z
-    range if the machine does not reach that."""
+    range if the machine does not reach the published height."""
     x, y, (low, high) = ranges_mm
     height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)
     return np.linspace(*x, PLANE_SHAPE[0]), np.linspace(*y, PLANE_SHAPE[1]), height_mm

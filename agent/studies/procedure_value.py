@@ -42,8 +42,9 @@ class ProcedureVariant:
 class Verdict:
     """Result for one procedure and identification variant.
 
-    `expected`: root of the expected mean square VCE in closed form, None if the machine is not identified. `simulated`:
-    rms VCE of `machines` simulated machines, and `standard_error`: its standard error; None if not simulated.
+    `expected` is the root of the expected mean square VCE in closed form, or None if the machine is not identified.
+    `simulated` is the rms VCE of `machines` simulated machines, and `standard_error` is its standard error. Both are
+    None if the procedure was not simulated.
     """
 
     expected: VolumetricRms | None
@@ -67,14 +68,14 @@ class ProcedureEvaluator:
 
     @cached_property
     def field(self) -> FieldForm:
-        """Residual field form over the published grid, built once for all variants."""
+        """Quadratic form that gives the residual errors over the published grid. It is built once for all variants."""
         case = self.case
         grid = evaluation_grid(case.machine.model.ranges_mm)
         return FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
 
     @property
     def before(self) -> VolumetricRms:
-        """Root of the expected mean square VE, without compensation."""
+        """Root of the expected mean square VE, that is, of the volumetric error without compensation."""
         return self.field.uncompensated()
 
     def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:

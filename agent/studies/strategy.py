@@ -1,5 +1,5 @@
-"""Choice of position sets: volumetric error after compensation against machine time for S1, S2, S3 and all combinations
-of them."""
+"""Choice of position sets. The study compares S1, S2, S3 and all their combinations by volumetric error after
+compensation and machine time."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def pareto_front(found: Sequence[Strategy], variant: int) -> tuple[str, ...]:
-    """Return the names of the combinations for which no other has both less machine time and a smaller or equal VCE
-    (rigidly aligned), fastest first."""
+    """Return the names of the combinations for which no other combination has both less machine time and a smaller or
+    equal VCE, the fastest first. The VCE is computed after the best-fitting rigid motion is removed."""
     known = [(one.minutes, aligned_um(one.verdicts[variant]), one.name) for one in found]
     best, names = float("inf"), []
     for _, value, name in sorted((minutes, value, name) for minutes, value, name in known if value is not None):
@@ -118,7 +118,8 @@ def _draw(
 
 
 def _draw_variant(panel: BrokenAxes, found: Sequence[Strategy], variant: int, names: Sequence[str]) -> None:
-    """Draw all combinations as small labelled marks, and those on the Pareto front as large, connected ones."""
+    """Draw all combinations as small labelled markers, and those on the Pareto front as large markers connected by a
+    line."""
     best = sorted((one for one in found if one.name in names), key=lambda one: one.minutes)
     others = [one for one in found if one.name not in names and aligned_um(one.verdicts[variant]) is not None]
     panel.draw_curve([one.minutes for one in best], [one.verdicts[variant] for one in best], variant)

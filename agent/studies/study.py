@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 Cell = str | int | float | bool | None
 
 Progress = Callable[[str, int, int], None]
-"""Callback that receives the current activity, the number of items done and the total number of items."""
+"""Callback that takes the current activity, the number of finished items, and the total number of items."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +65,8 @@ class StudyCase:
 
     @property
     def assumptions(self) -> TruthAssumptions:
-        """Truth assumptions of this case: machines of the machine file's family that have the deflection of that
-        file."""
+        """Truth assumptions of this case, that is, the true conditions of the measurement. The machines belong to the
+        family of the machine file and have the deflection that the file states."""
         return TruthAssumptions.of_case(self.machine)
 
     def positions(self, expression: str | None = None) -> tuple[Position, ...]:

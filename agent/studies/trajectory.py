@@ -1,4 +1,5 @@
-"""Compensation along a line in Z: deviation of one simulated machine, and of the models identified on it."""
+"""Compensation along a line in Z. The study computes the deviation of one simulated machine, and the deviations
+predicted by the models identified on it."""
 
 from __future__ import annotations
 
@@ -30,11 +31,11 @@ LINE_STYLES = (":", "--", "-")
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryResult:
-    """Deviations (n, 3) in µm along the trajectory, without the rigid motion of the workspace.
+    """Deviations (n, 3) in µm along the trajectory, after the rigid motion of the workspace is removed.
 
-    `machine_um`: deviation of the machine. `models_um`: number of balls → deviation by the identified model.
-    `sigma_um`: number of balls → expected rms of machine minus model. Numbers of balls that do not identify the machine
-    are left out.
+    `machine_um` has the deviations of the machine. `models_um` maps a number of balls to the deviations predicted by
+    the identified model. `sigma_um` maps it to the expected rms of machine minus model. Numbers of balls that do not
+    identify the machine are left out.
     """
 
     z_mm: Array
@@ -54,7 +55,8 @@ class TrajectoryResult:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compare simulated machine number 0 with the models identified on it with 3, 5 and 11 balls in the case's set."""
+    """Compare simulated machine number 0 with three models of it. The models are identified with 3, 5 and 11 balls in
+    the position set of the case."""
     variant, line = identification_variants(case.options)[0], middle_line(case.machine.model.ranges_mm)
     followed = compare_along(case, variant, line)
     where = f"X = {line[0, 0]:g} mm, Y = {line[0, 1]:g} mm"

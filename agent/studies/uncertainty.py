@@ -1,4 +1,5 @@
-"""Sources of the residual error after compensation: contributions in closed form, each with its own simulation.
+"""Sources of the residual error after compensation. The contribution of each source is computed in closed form, and
+simulated separately.
 
 Conditions are not ideal: the artefact is warm, its thermometer has an error, the machine drifts during each position,
 and the true machines have higher Legendre orders than the model and the deflection of the machine file. The estimator
@@ -43,7 +44,7 @@ NAME = "uncertainty"
 TOGETHER = "all together"
 
 ORDERS_BEYOND = 2
-"""Difference between the Legendre orders of the true machines and of the model, as in the case study's simulator."""
+"""Legendre order of the true machines minus that of the model, as in the simulator of the case study."""
 
 WARMER_K = 3.0
 """Temperature difference, in K, of the artefact from the reference temperature of its certificate."""
@@ -87,8 +88,8 @@ def run(case: StudyCase) -> StudyResult:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Planned measurement of the case's set and its identification options: scales as stated, with the thermometer's
-    uncertainty."""
+    """Planned measurement of the position set of the case, and the identification options. The options use scales as
+    stated and include the uncertainty of the thermometer."""
 
     case: StudyCase
     planned: Observations
@@ -118,7 +119,7 @@ class _Trial:
 
 
 def study_assumptions(case: StudyCase) -> TruthAssumptions:
-    """Return the truth assumptions of this study."""
+    """Return the truth assumptions of this study, that is, the true conditions of the measurement."""
     return TruthAssumptions(
         family=extended_family(case.machine),
         deflection=case.machine.deflection,
@@ -129,8 +130,8 @@ def study_assumptions(case: StudyCase) -> TruthAssumptions:
 
 
 def extended_family(machine: MachineDescription) -> Family:
-    """Return the machine's family extended to higher Legendre orders by the decreasing amplitudes of the machine
-    file."""
+    """Return the family of machines of the machine file, extended to higher Legendre orders. The amplitudes of these
+    orders decrease as the machine file states."""
     model = machine.model
     orders = {error: order + ORDERS_BEYOND for error, order in model.orders.items()}
     richer = ErrorModel(model.chain, model.ranges_mm, orders, model.cross_effect)
@@ -138,7 +139,7 @@ def extended_family(machine: MachineDescription) -> Family:
 
 
 def isolated_influences(assumptions: TruthAssumptions, model: ErrorModel) -> Mapping[str, TruthAssumptions | None]:
-    """Return influence → assumptions with every other influence switched off.
+    """Return a mapping from each influence to truth assumptions in which all other influences are switched off.
 
     The value for the mount is None: its pose is free in every estimate, so it need not be simulated.
     """

@@ -35,8 +35,8 @@ class InfluenceResult:
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyResult:
-    """Results of the study. `parts`: one per influence; `budget`: closed form with all influences; `together`: machines
-    simulated with all influences."""
+    """Results of the study. `parts` has one result for each influence. `budget` is the closed form with all influences,
+    and `together` the errors of machines simulated with all influences."""
 
     parts: tuple[InfluenceResult, ...]
     budget: ErrorBudget
@@ -54,8 +54,8 @@ def draw(figure: Figure, found: UncertaintyResult) -> None:
 
 
 def _draw_contributions(axes: Axes, found: UncertaintyResult) -> None:
-    """Draw the contributions with the largest at the top and the total at the bottom. The squares add up to its
-    square."""
+    """Draw the contributions with the largest at the top and the total at the bottom. The squares of the contributions
+    add up to the square of the total."""
     ordered = sorted(found.parts, key=lambda part: part.closed.aligned_mm)
     bars = [InfluenceResult("all together", found.budget.expected, found.together), *ordered]
     coordinates = np.arange(len(bars))

@@ -1,4 +1,5 @@
-"""Test of the valuation: random position sets with the valuation computed in advance and the simulated VCE."""
+"""Test of the valuation. For random position sets, the valuation computed in advance is compared with the simulated
+VCE."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ RANDOM_SETS = 60
 SMALLEST, LARGEST = 2, 24
 NAMED = ("S1", "S2", "S3", "S1+S3", "S1+S2+S3")
 MACHINES_SHARE, MIN_MACHINES = 20, 4
-"""Each set is simulated on 1/20 of the case's machines, but at least 4, the same machines for every set."""
+"""Each set is simulated on 1/20 of the machines of the case, but on at least 4 machines. The machines are the same for
+every set."""
 COLUMNS = (
     "set",
     "positions",
@@ -54,7 +56,7 @@ class SetTask:
 @dataclass(frozen=True)
 class SimulatedSet:
     """Results of one set: valuation in %, expected VCE, and rms of the simulated VCE with its standard error. All
-    errors are rigidly aligned."""
+    errors are computed after the best-fitting rigid motion is removed."""
 
     name: str
     positions: int

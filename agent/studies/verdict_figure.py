@@ -30,8 +30,8 @@ HEADROOM = 1.12
 
 @dataclass(frozen=True, eq=False)
 class BrokenAxes:
-    """Axes in one or two parts. `lower`: linear from zero to `limit_um`; `upper`: logarithmic, for larger values; None
-    if there are none."""
+    """Axes in one or two parts. The part `lower` is linear from zero to `limit_um`. The part `upper` is logarithmic and
+    shows larger values; it is None if there are no larger values."""
 
     lower: Axes
     upper: Axes | None

@@ -34,14 +34,16 @@ def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, 
 
 
 def aligned_um(verdict: Verdict) -> float | None:
-    """Return the closed-form VCE in µm, rigidly aligned; None if the machine is not identified."""
+    """Return the closed-form VCE in µm, after the best-fitting rigid motion is removed. It is None if the machine is
+    not identified."""
     return None if verdict.expected is None else verdict.expected.aligned_um
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
     """Return the largest absolute difference of VCE between simulation and closed form, in standard errors.
 
-    The VCE is rigidly aligned. Return None if no verdict has `MIN_MACHINES` simulated machines.
+    The VCE is computed after the best-fitting rigid motion is removed. Return None if no verdict has `MIN_MACHINES`
+    simulated machines.
     """
     distances = [
         abs(verdict.simulated.aligned_mm - verdict.expected.aligned_mm) / verdict.standard_error.aligned_mm

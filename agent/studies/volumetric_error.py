@@ -63,16 +63,16 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.random.Generator) -> FamilyErrors:
-    """Draw machines of a family and return their volumetric errors. `form`: quadratic form of the error, including the
-    deflection, which is the same for all."""
+    """Draw machines of a family and return their volumetric errors. `form` is the quadratic form of the error; it
+    includes the deflection, which is the same for all machines."""
     parameters = family.draw(rng, machines)
     raw_mm, aligned_mm = form.values(parameters)
     return FamilyErrors(parameters, 1e3 * raw_mm, 1e3 * aligned_mm)
 
 
 def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
-    """Return two maps of the length of the deviation at one height: raw, and without the best rigid motion of the
-    workspace."""
+    """Return two maps of the length of the deviation at one height. The first map is raw. In the second, the
+    best-fitting rigid motion of the workspace is removed."""
     x_mm, y_mm, height_mm = map_nodes(field.model.ranges_mm)
     points = np.stack(np.meshgrid(x_mm, y_mm, [height_mm], indexing="ij"), axis=-1).reshape(-1, 3)
     maps = []

@@ -1,7 +1,7 @@
 """Workers of a study: one task applied to many items, on the cores of this computer or on a cluster.
 
-Every item is computed independently, by the same code in one thread, with random numbers from a generator of its own.
-The results therefore do not depend on the number of workers or on the assignment of items to them.
+Every item is computed independently of the others, in one thread, with its own random generator. The results therefore
+do not depend on the number of workers or on the assignment of items to them.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def local_cores() -> int:
 
 
 class LocalWorkers:
-    """Worker processes on this computer, started at first use and ended with the `with` block. A single worker is the
-    calling process.
+    """Worker processes on this computer. They are started at first use and ended at the end of the `with` block. If
+    there is only one worker, it is the calling process.
 
     Raises VolcalError with the name of a failed item, and RunError if a process died.
     """
@@ -131,8 +131,8 @@ class LocalWorkers:
 
 
 def _run_in_process(task: bytes, items: Sequence[Item], done: OnItemsDone) -> list[Result]:
-    """Return the results computed in this process. The task is pickled as for other processes, because unpickling may
-    change the memory layout of an array."""
+    """Compute the results in this process. The task is pickled and unpickled as it is for other processes, because
+    unpickling may change the memory layout of an array."""
     found: list[Result] = []
     with threadpool_limits(limits=1):
         for number, item in enumerate(items):
@@ -152,8 +152,8 @@ def _without_interrupt() -> Iterator[None]:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent ends. A worker holds the pipe on which it waits for work open itself, so it would
-    outlive a killed parent."""
+    """End this worker when its parent ends. The worker itself holds open the pipe on which it waits for work, so
+    without this it would outlive a killed parent."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_exit_after, args=(parent.join,), daemon=True).start()

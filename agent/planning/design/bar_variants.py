@@ -16,8 +16,8 @@ _ALIKE_MM = 1.0  # largest deviation of a calibrated centre from the drawing
 
 @dataclass(frozen=True, eq=False)
 class Bar:
-    """Ball bar. `certified`: the bar with its certificate; `length_mm`: distance of its end balls along the bar;
-    `tilt_deg`: tilt of its holders."""
+    """Ball bar. `certified` is the bar as described by its certificate, `length_mm` the distance between its end balls
+    along the bar, and `tilt_deg` the tilt of its ball holders."""
 
     certified: Artefact
     length_mm: float
