@@ -1,1 +1,1 @@
-"""Command line with one module per command. All errors are printed in `agent.cli.errors`."""
+"""Command line with one module per command. `agent.cli.errors` prints all errors."""

@@ -53,15 +53,16 @@ def calibrate_command(
 
 
 def calibration_here() -> RunRequest:
-    """Return the request for a calibration from the command line, with consent: the person who types it is at the
-    machine."""
+    """Return the request for a calibration that is started on the command line. It has consent, because the person who
+    types the command is at the machine.
+    """
     return RunRequest(kind="calibrate", source="command line", consent=True)
 
 
 def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: float | None = None) -> RunResult:
-    """Carry out a request in this process, with a progress bar on stderr; Ctrl-C and SIGTERM abort it.
+    """Carry out a request in this process, with a progress bar on stderr. Ctrl-C and SIGTERM abort the run.
 
-    `nights`: number of nights since the last accepted night; None: computed from the calendar.
+    `nights` is the number of nights since the last accepted night. If it is None, it is computed from the calendar.
     """
     job = job_of(request, settings, base)
     kind = kind_of(request, slot_minutes=request.slot_minutes, nights=nights)
@@ -71,7 +72,9 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
 
 @contextmanager
 def interruptible() -> Iterator[list[Supervisor]]:
-    """Yield a list; during the block Ctrl-C and SIGTERM send an abort request to every supervisor in it."""
+    """Yield a list to which supervisors can be added. During the block, Ctrl-C and SIGTERM send an abort request to
+    every supervisor in it.
+    """
     supervisors: list[Supervisor] = []
 
     def ask(number: int, _: FrameType | None) -> None:
@@ -97,7 +100,9 @@ def conclude(ended: RunResult) -> None:
 
 
 def show_summary(outcome: Outcome) -> None:
-    """Print the result of a run as text. The path of the report has its own line, so that it is never cut."""
+    """Print the result of a run as text. The path of the report is printed on a line of its own, so that it is never
+    truncated.
+    """
     console = results_console()
     console.print(facts_table(_rows(outcome), title=f"{outcome.run_id}: {outcome.state.value}"))
     console.print(f"report: {outcome.report or 'none'}", markup=False)

@@ -1,4 +1,6 @@
-"""`volcal demo`: calibration of a simulated machine over real links, compared with the simulator's true errors."""
+"""`volcal demo`: calibration of a simulated machine over real links. The result is compared with the simulator's true
+errors.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,10 @@ from twin.formats.toml_reading import validate_document
 
 @dataclass(frozen=True)
 class Truth:
-    """True volumetric errors in µm, rigidly aligned, and number of collisions, as reported by the simulator.
+    """True volumetric errors and number of collisions, as reported by the simulator.
 
-    `after_um` and `collisions` are None if the simulator could no longer be reached.
+    The errors are in µm, after the best-fitting rigid motion is removed. `after_um` and `collisions` are None if the
+    simulator could no longer be reached.
     """
 
     before_um: float
@@ -85,7 +88,9 @@ def demo_command(
 
 
 def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
-    """Return the settings with the addresses on which the simulator listens (`ready`) and state directory `out`."""
+    """Return the settings with the addresses on which the simulator listens and with `out` as state directory. The
+    addresses are in `ready`, the simulator's report that it is ready.
+    """
     document = settings.model_dump(mode="json")
     devices = document["devices"]
     roles = document["roles"]

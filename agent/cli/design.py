@@ -1,4 +1,4 @@
-"""`volcal design`: choice of the positions to be measured; no device is contacted."""
+"""`volcal design`: choice of the positions to be measured. The command contacts no device."""
 
 from __future__ import annotations
 
@@ -131,7 +131,9 @@ def _goal(slot: float | None, positions: int | None, target_vce: float | None) -
 
 
 def _rivals(job: Job) -> list[ReferenceSet]:
-    """Return a list with the position set of the settings, for comparison; empty if the set cannot be measured."""
+    """Return a list that contains the position set of the settings, for comparison with the design. It is empty if the
+    set cannot be measured.
+    """
     name = job.settings.procedure.position_set
     try:
         vce_um = valuation_of(job, job.positions).after.aligned_um

@@ -1,4 +1,6 @@
-"""`volcal doctor`: connection to every device, reading and latency measurement; nothing is moved or written."""
+"""`volcal doctor`: test of every device. The command connects to each device, reads from it and measures its latency;
+it moves and writes nothing.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,9 @@ def doctor_command(config: Path, as_json: bool) -> None:
 
 
 def examine(settings: Settings, base: Path) -> dict[str, list[DiagnosticFinding]]:
-    """Return the findings of every device by its name. A device that cannot be opened yields a finding about that, and
-    the other devices are still examined."""
+    """Return the findings of every device by its name. If a device cannot be opened, the findings state this, and the
+    other devices are still examined.
+    """
     with closing_clock(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)
         return {name: _examined(device) for name, device in rig.devices.items()}
@@ -61,7 +64,9 @@ def _examined(device: Device) -> list[DiagnosticFinding]:
 
 
 def _without_opening(device: Device) -> list[DiagnosticFinding]:
-    """Return the findings of a device that could not be opened; empty if the device can be diagnosed only when open."""
+    """Return the findings of a device that could not be opened. The list is empty if the device can be diagnosed only
+    when it is open.
+    """
     try:
         return device.diagnose()
     except VolcalError:

@@ -133,9 +133,9 @@ def sync_command(config: Path, as_json_object: bool) -> None:
 
 @contextmanager
 def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
-    """Yield the settings and the open history store, after updating the store from the journal of this machine.
+    """Yield the settings and the open history store. The store is first updated from the journal of this machine.
 
-    A missing journal is not an error.
+    If the journal is missing, no error is raised.
     """
     with naming(config):
         settings = read_settings(config)

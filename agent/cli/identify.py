@@ -1,4 +1,4 @@
-"""`volcal identify`: estimate, table and report from a file with ball centres; no device is contacted."""
+"""`volcal identify`: estimate, table and report from a file with ball centres. The command contacts no device."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from twin.identification import Options
 
 
 def _order(_context: click.Context, _option: click.Parameter, text: str) -> Order:
-    """Parse the polynomial order: `evidence`, `file` or a number, as in the settings."""
+    """Parse the polynomial order, which is `evidence`, `file` or a number, as in the settings."""
     try:
         return IdentificationSettings.model_validate({"order": int(text) if text.isdecimal() else text}).order
     except ValidationError:

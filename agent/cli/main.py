@@ -25,15 +25,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMAND_GROUP = "volcal.commands"
 HELP_GROUP = "volcal.command_help"
-"""Group of entry points that have the name of a command and load its help line, from a module that imports quickly."""
+"""Group of entry points that load the help lines of commands. Each one has the name of its command; its module imports
+quickly.
+"""
 LONGEST_HELP = 200
 
 
 class OwnCommand(NamedTuple):
-    """Import path of a command, and the first sentence of its help text, which is repeated here so that the list of all
-    commands can be shown without importing them.
+    """Import path of a command, and the first sentence of its help text. The sentence is repeated here so that the list
+    of all commands can be shown without importing them.
 
-    `logs`: True if anything that the command calls writes logs; if False, the logging library is not imported.
+    `logs` is True if any code that the command calls writes logs. If it is False, the logging library is not imported.
     """
 
     import_path: str

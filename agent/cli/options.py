@@ -14,7 +14,9 @@ _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|)")
 
 
 class Duration(click.ParamType[float]):
-    """Type of options with a duration such as `15min` or `1.5h`, converted to min; a bare number is in min."""
+    """Type of options whose value is a duration such as `15min` or `1.5h`. The value is converted to min; a bare number
+    is in min.
+    """
 
     name = "duration"
 

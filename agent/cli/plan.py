@@ -1,4 +1,4 @@
-"""`volcal plan`: preflight of a whole run on a simulation of the machine; no device is contacted."""
+"""`volcal plan`: preflight of a whole run on a simulation of the machine. The command contacts no device."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ def plan_command(
 
 
 def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path]]:
-    """Return a function that draws the plan and returns the paths of the files; its argument is the refusal, if any.
+    """Return a function that draws the plan and returns the paths of the files. The argument of the function is the
+    error with which the plan was refused, or None.
 
     Raise InputError before anything is drawn if `folder` cannot be written.
     """
@@ -150,7 +151,7 @@ def _table(
 
 
 def _minutes_table(minutes: Mapping[int, Mapping[str, float]]) -> Table:
-    """Return a table of machine time in min with one row per station and one for all stations."""
+    """Return a table of machine time in min. It has one row for each station and one row for all stations together."""
     parts_and_all = (*PARTS, "all")
     table = columns_table(("station", *parts_and_all), title="machine minutes", numbers=parts_and_all)
     everywhere = {part: sum(parts[part] for parts in minutes.values()) for part in PARTS}

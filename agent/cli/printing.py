@@ -1,4 +1,4 @@
-"""Output of tables and lines on standard output, in which identities and paths are never cut."""
+"""Output of tables and lines on standard output. Identities and paths are never truncated."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ if TYPE_CHECKING:
     from rich.console import JustifyMethod
 
 UNLIMITED = 100_000
-"""Width in characters of output to a pipe or file, large enough that every line is written whole."""
+"""Width in characters of output to a pipe or file. It is so large that every line is written whole."""
 
 
 def results_console() -> Console:
     """Return the console on standard output.
 
-    In a terminal it has the width of the terminal, elsewhere no limit. A line outside a table is never wrapped.
+    In a terminal its width is that of the terminal; elsewhere the width is not limited. A line outside a table is never
+    wrapped.
     """
     width = None if sys.stdout.isatty() else UNLIMITED
     return Console(width=width, highlight=False, soft_wrap=True)

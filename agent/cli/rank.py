@@ -25,7 +25,7 @@ from twin.design.setup_trials import TrialGain
 from twin.units import UM_PER_MM
 
 MILLIONTHS = 1e3, 1e6
-"""Factors to millionths: µm per mm and µrad per rad."""
+"""Factors that convert to millionths, that is to µm per mm and µrad per rad."""
 
 
 def _shape(_: click.Context, __: click.Parameter, text: str) -> tuple[int, int, int]:
@@ -101,7 +101,9 @@ def _show(found: RankResult, console: Console) -> None:
 
 
 def _first_of_each_kind(advice: Sequence[TrialGain]) -> list[TrialGain]:
-    """Return the best trial of each kind, such as a length or a stylus along one axis; `advice`: best trial first."""
+    """Return the best trial of each kind, such as a length or a stylus along one axis. `advice` must be sorted, the
+    best trial first.
+    """
     best: dict[str, TrialGain] = {}
     for gain in advice:
         best.setdefault(gain.trial.kind, gain)
@@ -145,8 +147,9 @@ def _sigma_table(seen: Identifiability) -> Table:
 
 
 def _sigma_rows(seen: Identifiability) -> Iterator[tuple[str, Iterator[tuple[int, str]]]]:
-    """Yield the name of each error or single term with its cells (order, text). A term without order is shown at order
-    1."""
+    """Yield the name of each error or single term, together with its table cells as (order, text). A term without an
+    order is shown in the column of order 1.
+    """
     parts = zip(seen.model.parameters, seen.prior_sigma.tolist(), seen.posterior_sigma.tolist(), strict=True)
     named = ((p.error if p.order else p.name, max(p.order, 1), _change(p.unit, a, b)) for p, a, b in parts)
     for error, cells in groupby(named, key=lambda cell: cell[0]):

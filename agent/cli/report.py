@@ -1,4 +1,4 @@
-"""`volcal report`: report of a run, rendered from the journal even if a report already exists."""
+"""`volcal report`: report of a run. It is rendered from the journal, even if a report already exists."""
 
 from __future__ import annotations
 

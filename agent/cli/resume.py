@@ -55,7 +55,9 @@ def resume_command(config: Path, abandon: bool, as_json: bool) -> None:
 
 
 def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
-    """Print the outcome and exit with the same code as the command that started the run would have."""
+    """Print the outcome and exit. The exit code is the one with which the command that started the run would have
+    ended.
+    """
     outcome = ended.outcome
     if as_json:
         click.echo(json.dumps(outcome.as_json(), allow_nan=False))

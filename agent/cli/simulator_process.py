@@ -1,7 +1,7 @@
 """Process that runs `volcal simulate`, and requests to its control channel.
 
-Nothing of the simulator is imported here. The interface consists of its command line, one line of JSON that the
-simulator prints when it is ready, and the JSON lines of the control channel.
+This module imports no part of the simulator. The interface consists of the simulator's command line, one line of JSON
+that the simulator prints when it is ready, and the JSON lines of the control channel.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`volcal study`: one study of the calibration procedure, written as a figure and as numbers."""
+"""`volcal study`: one study of the calibration procedure. The result is written as a figure and as numbers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Identification options given on the command line; None if an option is to be taken from the settings."""
+    """Identification options given on the command line. An option that is None is taken from the settings."""
 
     formulation: Literal["centres", "distances"] | None
     prior: Literal["on", "off"] | None
@@ -117,7 +117,9 @@ def study_command(
 
 @contextmanager
 def hired(workers: int | None, cluster: str | None) -> Iterator[Workers]:
-    """Yield workers on this computer or, if `cluster` is given, on a cluster; they end with the block."""
+    """Yield workers on this computer or, if `cluster` is given, on a cluster. They are stopped at the end of
+    the block.
+    """
     if cluster is not None and workers is not None:
         raise ConfigurationError(
             "--workers counts processes on this computer, and --cluster has workers of its own",
@@ -165,8 +167,9 @@ def _show(result: StudyResult, files: dict[str, Path]) -> None:
 
 
 def _lines(summary: Mapping[str, object], under: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the name and the text of every single value, including those in nested mappings. Lists are omitted; the
-    files contain them."""
+    """Yield the name and the text of every single value, including the values in nested mappings. Lists are omitted,
+    since the files contain them.
+    """
     for key, value in summary.items():
         name = f"{under}{key}".replace("_", " ")
         plain = as_plain(value)

@@ -1,4 +1,6 @@
-"""`volcal timing`: step times of a finished run compared with the prediction, and settings that fit these times."""
+"""`volcal timing`: comparison of the step times of a finished run with the prediction, and the settings that fit these
+times.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,7 @@ def timing_command(run: Path, as_json: bool) -> None:
 
 
 def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
-    """Return the time model with which the run's times were predicted, and the observed steps of the run."""
+    """Return the time model that predicted the step times of the run, and the observed steps of the run."""
     with translated(InputError):
         settings = validate_document(with_current_keys(recorded.settings, Settings), "settings of the run", Settings)
     model = time_model(load_machine(settings.machine), settings.timing)
@@ -66,7 +68,7 @@ def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
 
 
 def _table(kinds: Sequence[StepKindTiming]) -> Table:
-    """Return the table with one row per kind of step: total times in min, latencies per step in ms."""
+    """Return the table with one row per kind of step. Total times are in min; latencies are in ms per step."""
     table = Table(title="machine time of the run")
     table.add_column("step", no_wrap=True)
     for heading in ("count", "predicted\nmin", "observed\nmin", "set\nms", "suggested\nms", "rest (rms)\nms"):

@@ -29,8 +29,9 @@ class Question:
 
 @dataclass(frozen=True)
 class Alarm:
-    """Condition that needs a reaction. `code`: stable number for panels (docs/reference/alarms.md); `hint`: what to
-    do; `where`: device, step, file … of the error."""
+    """Condition that requires a reaction. `code` is a stable number for panels (docs/reference/alarms.md). `hint`
+    states what to do. `where` names the device, step, file or other location of the error.
+    """
 
     code: int
     text: str
@@ -42,13 +43,13 @@ class Alarm:
 class Status:
     """State of the service at one instant.
 
-    `state`: state of the run in progress or, between runs, of the last run until a reset (faulted and aborted are left
-    only by a reset). `packml`: ISA-TR88.00.02 name of the state. `doing`: current activity in plain words. `fraction`:
-    completed part of the run, 0…1. `minutes_left`: remaining machine time as computed by the preflight.
-    `ve_before_um`, `ve_now_um`: volumetric error (VE, rigidly aligned) of the last accepted estimate, without and with
-    the table. `may`: the requests allowed now (``start``, ``hold``, ``resume``, ``abort``, ``reset``, ``answer``,
-    ``resume_run``). `unfinished`: identity of the interrupted run that can be resumed. `written_not_active`: bank that
-    becomes active only when the controller is restarted.
+    `state`: state of the run in progress or, between runs, the final state of the last run until a reset (only a reset
+    leaves the states faulted and aborted). `packml`: ISA-TR88.00.02 name of the state. `doing`: current activity in
+    plain words. `fraction`: completed part of the run, 0…1. `minutes_left`: remaining machine time in min, as computed
+    by the preflight. `ve_before_um`, `ve_now_um`: volumetric error (VE) according to the last accepted estimate,
+    without the table and with it, in µm, rigidly aligned. `may`: the requests allowed now (``start``, ``hold``,
+    ``resume``, ``abort``, ``reset``, ``answer``, ``resume_run``). `unfinished`: identity of the interrupted run that
+    can be resumed. `written_not_active`: bank that becomes active only when the controller is restarted.
     """
 
     machine: str
@@ -94,10 +95,10 @@ class Control(Protocol):
     def start(self, request: RunRequest) -> str:
         """Start a run and return its identity.
 
-        Raise Busy, naming the run in progress; UserError for a request that cannot be carried out; DeviceError if the
-        machine cannot be reached; PermissionMissing if a reset is needed first. For a request without consent, raise
-        PermissionMissing if the controller does not permit motion, GateRefused at an hour that is not permitted or
-        before the machine has warmed up.
+        Raise Busy, naming the run in progress; UserError if the request cannot be carried out; DeviceError if the
+        machine cannot be reached; PermissionMissing if a reset is needed first. If the request is without consent, also
+        raise PermissionMissing if the controller does not permit motion, and GateRefused if the hour is not permitted
+        or the machine has not warmed up yet.
         """
         ...
 
@@ -107,10 +108,11 @@ class Control(Protocol):
         ...
 
     def restore_table(self, run_id: str, role: str, source: Source) -> str:
-        """Activate again the table that run `run_id` stored with `role` (``backup``, ``staged``, ``restored``).
+        """Reactivate the table that run `run_id` stored with `role` (``backup``, ``staged``, ``restored``).
 
         Return the identity of the run that restores the table. Raise Busy, UserError or PermissionMissing in the same
-        cases as `start`. Nothing moves."""
+        cases as `start`. The machine does not move.
+        """
         ...
 
     def hold(self) -> None: ...

@@ -26,8 +26,9 @@ def token_path(settings: Settings, environment: Mapping[str, str] = os.environ) 
 
 
 def make_token(settings: Settings) -> None:
-    """Create a token file in the state directory if it does not exist and neither systemd nor the settings name
-    another."""
+    """Create a token file in the state directory. Do nothing if it exists already, or if systemd or the settings name
+    another token file.
+    """
     path = token_path(settings)
     if settings.service.token_file is not None or path.exists():
         return

@@ -1,1 +1,3 @@
-"""Commands that start the service or send requests to it; the latter import neither numerical libraries nor drivers."""
+"""Commands that start the service, and commands that send requests to it. The latter import neither numerical libraries
+nor drivers.
+"""

@@ -1,4 +1,4 @@
-"""`volcal start`: request to the service to start a run; also the command that the timer executes."""
+"""`volcal start`: request to the service to start a run. The timer executes the same command."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ DECLINED = 6
 STARTED_BY_SYSTEMD = "INVOCATION_ID"
 LOOK_EVERY_S = 1.0
 GONE_FOR_S = 90.0
-"""Longest wait in s for a service that cannot be reached. A service restarted by its watchdog is available sooner and
-reports how the run ended."""
+"""Longest time in s to wait for a service that cannot be reached. A service that its watchdog restarts is available
+sooner, and then reports how the run ended.
+"""
 
 
 @click.command("start")
@@ -82,7 +83,9 @@ def begun(client: Client, body: Mapping[str, object]) -> str:
 
 
 def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
-    """Wait for the end of the run and return the status then. The service may be unavailable for up to GONE_FOR_S."""
+    """Wait for the end of the run and return the status at that time. The service may be unavailable for up to
+    GONE_FOR_S.
+    """
     console = Console(stderr=True)
     said = ""
     while True:
@@ -123,6 +126,8 @@ def _status(client: Client, clock: Clock) -> Mapping[str, Any]:
 
 
 def _error_of(alarm: Mapping[str, Any]) -> VolcalError:
-    """Return an error of the class to which the alarm's number belongs, so that the exit code is the right one."""
+    """Return an error of the class to which the alarm's number belongs, so that the command exits with the code of that
+    class.
+    """
     kind = next((kind for kind, code in CODES.items() if code.code == alarm["code"]), VolcalError)
     return kind(alarm["text"], hint=alarm["hint"], **alarm["where"])

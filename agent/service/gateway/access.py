@@ -1,4 +1,4 @@
-"""Access code of panels: one number, shared by all panels.
+"""Access code of panels. It is one number, which all panels share.
 
 The code prevents a wrong or misconfigured device from moving the machine. It does not protect against eavesdropping or
 attacks, because Modbus transmits it unencrypted and it has only 32 bits.
@@ -48,8 +48,9 @@ def read_access_code(path: Path) -> int:
 
 
 class AccessCode:
-    """Check of the access code. After a wrong code, no code is checked for LOCKED_TICKS. Call `tick` once per
-    second."""
+    """Check of the access code. After a wrong code, no further code is checked for LOCKED_TICKS seconds. Call `tick`
+    once per second.
+    """
 
     def __init__(self, code: int | None) -> None:
         self._code = None if code is None else code.to_bytes(4)

@@ -34,7 +34,7 @@ class Heartbeats:
             return self._panel_beat is not None and self._silent_ticks < self._timeout_ticks
 
     def beat(self, value: int) -> None:
-        """Store a counter value written by the panel; a repeated value is not a sign of life."""
+        """Store a counter value written by the panel. A value equal to the previous one is not a sign of life."""
         with self._lock:
             if value != self._panel_beat:
                 self._panel_beat, self._silent_ticks = value, 0

@@ -29,7 +29,9 @@ UNKNOWN: Final = {Form.U16: 0xFFFF, Form.U32: 0xFFFFFFFF, Form.I32: -0x80000000}
 
 @dataclass(frozen=True)
 class Register:
-    """One value of the register map. `address`: its first register; `words`: number of registers that it takes."""
+    """One value of the register map. `address` is the address of its first register; `words` is the number of registers
+    that it takes.
+    """
 
     name: str
     address: int
@@ -46,8 +48,9 @@ _WORDS = {Form.U16: 1, Form.U32: 2, Form.I32: 2}
 
 
 def _block(start: int, *rows: tuple[str, Form, int, str]) -> tuple[Register, ...]:
-    """Return values at consecutive addresses from `start` on. A row has the name, the format, the number of characters
-    (0 if the value is not a text) and the meaning."""
+    """Return values at consecutive addresses, the first of them at `start`. Each row states the name, the format, the
+    number of characters (0 if the value is not a text) and the meaning.
+    """
     registers = []
     for name, form, characters, meaning in rows:
         registers.append(Register(name, start, form, _WORDS.get(form, characters // 2), meaning))

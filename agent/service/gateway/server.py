@@ -154,7 +154,9 @@ class ModbusServer:
 
 
 def _answer(request: bytes, table: RegisterTable) -> bytes:
-    """Return the response; an unexpected error becomes an exception response, so that the connection stays open."""
+    """Return the response to a request. An unexpected error is answered with an exception response, so that the
+    connection remains open.
+    """
     try:
         return answer_request(request, table)
     except Exception:
@@ -163,7 +165,7 @@ def _answer(request: bytes, table: RegisterTable) -> bytes:
 
 
 def _receive(connection: socket.socket, size: int) -> bytes | None:
-    """Return exactly `size` bytes; None if the peer closed the connection before sending them."""
+    """Return exactly `size` bytes, or None if the peer closed the connection before it had sent them."""
     data = b""
     while len(data) < size:
         if not (chunk := connection.recv(size - len(data))):

@@ -71,8 +71,9 @@ class ServiceOperator:
     attended: bool
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Ask, and return True for yes. Raise PermissionMissing if the run is unattended or if no answer comes in
-        time."""
+        """Ask the question, and return True if the answer is yes. Raise PermissionMissing if the run is unattended or
+        if no answer arrives in time.
+        """
         if not self.attended:
             raise PermissionMissing(
                 f"no operator is present to answer: {request.text}",
