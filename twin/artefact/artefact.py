@@ -111,7 +111,8 @@ def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: f
     """Return ball centres (balls, 3) mm, equally spaced along X.
 
     A holder without tilt places its ball one holder length from the bar axis, along -Y. Holders tilted by θ displace
-    successive balls from there by the holder length times sin θ, in turn up (+Z), out (-Y), down (-Z) and in (+Y).
+    successive balls from this location by the holder length times sin θ, in turn up (+Z), out (-Y), down (-Z) and in
+    (+Y).
     """
     if balls < 2:
         raise DataError(f"a ball bar needs at least two balls, got {balls}")

@@ -4,7 +4,7 @@ A position contains balls of one artefact only and has its own pose, so the arte
 listed one artefact after the other, each in its own frame, and their certificates are uncorrelated.
 
 The artefacts are made of one material. The error of its expansion coefficient is assumed common to all, as for bars
-from one melt. If the errors differ, this assumption is still the cautious one for the scales of the machine: a common
+from one melt. If the errors differ, this assumption is still cautious for the scales of the machine, because a common
 strain changes the scales, whereas strains of opposite sign cancel.
 """
 
@@ -29,7 +29,10 @@ KIND_FIELDS = (
 
 
 def combine_artefacts(artefacts: Sequence[Artefact]) -> Artefact:
-    """Combine the balls of all artefacts in the given order; DataError if there are none or their kinds differ."""
+    """Combine the balls of all artefacts in the given order.
+
+    Raises DataError if there are no artefacts or if their kinds differ.
+    """
     if not artefacts:
         raise DataError("no artefact given")
     first = artefacts[0]

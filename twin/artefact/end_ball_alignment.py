@@ -12,8 +12,8 @@ def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Arr
     """Move `predicted` (N, 3) mm rigidly so that balls `first` and `last` agree with their measured centres.
 
     The midpoint of the two balls is matched, and the line through them is made parallel to the measured line by the
-    smallest rotation (Rodrigues). Two balls do not determine the rotation about that line, so the predicted one is
-    kept. Raises DataError if the two predicted or the two measured centres coincide.
+    smallest rotation (Rodrigues). Two balls do not determine the rotation about that line, so the predicted rotation
+    about it is kept. Raises DataError if the two predicted or the two measured centres coincide.
     """
     line, found_line = predicted[last] - predicted[first], found_last - found_first
     length, found_length = np.linalg.norm(line), np.linalg.norm(found_line)

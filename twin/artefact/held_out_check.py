@@ -2,8 +2,8 @@
 
 Held-out positions are measured but not used in the estimate. The comparison does not depend on the pose: at each
 position the calibrated artefact is fitted rigidly to the measured ball centres. The residual is a deviation of the
-machine (plus noise). Its covariance is the sum of those of the estimate, of the stated model misfit, of the certificate
-and of the touches.
+machine (plus noise). Its covariance is the sum of the covariances of the estimate, the stated model misfit, the
+certificate and the touches.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class HeldOutResiduals:
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """Result of the χ² test: rms expected from the covariance (`predicted_mm`), and χ² per degree of freedom."""
+    """Result of the χ² test: the rms expected from the covariance (`predicted_mm`) and χ² per degree of freedom."""
 
     predicted_mm: float
     chi2_normalised: float
@@ -69,7 +69,8 @@ def held_out_test(
     """Compare `result` with the residuals expected from the covariance.
 
     `field_covariance` (3n, 3n) mm², ordered point by point as x, y, z: covariance of the residual deviation at the
-    observed points from estimate and model misfit. The function adds touch noise and certificate.
+    observed points, as far as it comes from the estimate and the model misfit. The function adds the covariances of the
+    touch noise and of the certificate.
     """
     n = observations.size
     total = field_covariance.copy()

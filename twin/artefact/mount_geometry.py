@@ -14,9 +14,9 @@ from twin.errors import DataError
 class MountGeometry:
     """Dimensions in mm of the mount and of the bar on it, for placing the bar and for collision checks.
 
-    `shaft_mm`: distance along the holders from the vertical azimuth axis to the bar axis, at the middle of the bar. The
-    pedestal is under the azimuth axis, from the table (`table_z_mm`, workpiece frame) to `head_mm` above the mount
-    location.
+    `shaft_mm`: distance, in the direction of the holders, from the vertical azimuth axis to the bar axis, at the middle
+    of the bar. The pedestal is under the azimuth axis, from the table (`table_z_mm`, workpiece frame) to `head_mm`
+    above the mount location.
     """
 
     shaft_mm: float = 120.0

@@ -18,8 +18,8 @@ _OBSERVABLE = 1e-2
 class MountPoseEstimate:
     """Pose estimate of a mount from the balls measured so far.
 
-    `expected` (n, 3) mm: their centres for the nominal mount location; `found` (n, 3) mm: measured centres. If no ball
-    has been measured, the mount is assumed to be at its nominal location.
+    `expected` (n, 3) mm: centres of these balls for the nominal mount location; `found` (n, 3) mm: measured centres. If
+    no ball has been measured, the mount is assumed to be at its nominal location.
     """
 
     expected: Array
@@ -30,7 +30,10 @@ class MountPoseEstimate:
         return cls(np.zeros((0, 3)), np.zeros((0, 3)))
 
     def with_found_balls(self, expected: Array, found: Array) -> MountPoseEstimate:
-        """Return the estimate from all earlier balls and these (n, 3) mm, all with equal weight."""
+        """Return the estimate from all earlier balls and from these, with equal weight for every ball.
+
+        `expected`, `found`: arrays (n, 3) in mm.
+        """
         return MountPoseEstimate(np.concatenate((self.expected, expected)), np.concatenate((self.found, found)))
 
     def transform(self, points: Array) -> Array:

@@ -14,7 +14,7 @@ from twin.errors import DataError
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Measured ball centres, n rows of one each.
+    """Measured ball centres in n rows, with one ball centre per row.
 
     `position` (n,): number from 0 of the artefact's position (its pose); `ball` (n,): index into the artefact's list of
     balls; `tool` (n,): index into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm: machine coordinates without

@@ -53,7 +53,10 @@ class Position:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Transform from the artefact frame to the workpiece frame: p = centre + rotation · b, in mm."""
+    """Transform from the artefact frame to the workpiece frame.
+
+    A point b of the artefact frame is at p = `centre` + `rotation` · b in the workpiece frame, in mm.
+    """
 
     centre: Array
     rotation: Array

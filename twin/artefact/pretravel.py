@@ -46,10 +46,12 @@ class PretravelMap:
 
 
 def fit_pretravel(directions: Array, residuals_mm: Array, stylus_axis: Array) -> PretravelMap:
-    """Fit a pretravel map to residuals (k,) of a sphere, fitted with free radius to touches along `directions` (k, 3).
+    """Fit a pretravel map to the residuals (k,) of touches along `directions` (k, 3).
+
+    The residuals are those of a sphere that was fitted to these touches with free radius.
 
     The harmonics are made orthogonal to centre and radius over these touches, so that the fitted sphere does not
-    change. DataError if the touches are too few or on too few rings.
+    change. Raises DataError if there are too few touches or too few rings.
     """
     terms = _terms(directions, stylus_axis)
     touches, unknowns = terms.shape

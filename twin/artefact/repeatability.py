@@ -33,7 +33,8 @@ class RepeatabilityEstimate:
 def estimate_repeatability(readings: Sequence[float], confidence: float = 0.95) -> RepeatabilityEstimate:
     """Estimate the repeatability of at least two readings, with the two-sided interval s·√(ν / χ²).
 
-    s is the sample standard deviation, ν its degrees of freedom, χ² the quantiles. Raises DataError for fewer readings.
+    s is the sample standard deviation, ν its number of degrees of freedom, and χ² stands for the quantiles of the
+    chi-square distribution. Raises DataError if there are fewer than two readings.
     """
     count = len(readings)
     if count < 2:

@@ -40,8 +40,9 @@ class ObliqueTouch:
 
     @property
     def ratio(self) -> float:
-        """Change of the latched position of `along` per mm of lost motion if `axis` is preloaded upwards, not
-        downwards.
+        """Change of the latched position of `along` per mm of lost motion.
+
+        The change is from a touch with `axis` preloaded downwards to a touch with it preloaded upwards.
         """
         return float(self.normal[self.axis] / self.normal[self.along])
 

@@ -49,9 +49,9 @@ class SphereFit:
 def fit_sphere(points: Array, sigma_mm: float, radius: float | None = None, near: Array | None = None) -> SphereFit:
     """Fit a sphere to `points` (n, 3) mm, each with the standard uncertainty `sigma_mm` along the surface normal.
 
-    `radius` mm if known, or None to estimate it. If the radius is known and the points are coplanar, there are two
-    mirror solutions; `near` (3,) mm, a guess of the centre, selects one of them. Raises DataError for points that do
-    not determine a sphere.
+    `radius`: known radius in mm; if it is None, the radius is estimated. If the radius is known and the points are
+    coplanar, there are two mirror solutions; `near` (3,) mm, a guess of the centre, selects one of them. Raises
+    DataError for points that do not determine a sphere.
     """
     points = np.asarray(points, dtype=np.float64)
     _check(points, sigma_mm, radius)
@@ -152,7 +152,10 @@ def _step(points: Points, centre: list[float], radius: float, free: bool) -> tup
 
 
 def _solve(normal: list[list[float]], right: list[float]) -> tuple[list[float], Array]:
-    """Return the solution of the normal equations and their lower Cholesky factor; DataError if they are singular."""
+    """Return the solution of the normal equations and their lower Cholesky factor.
+
+    Raises DataError if the equations are singular.
+    """
     factor, solution, info = dposv(normal, right, lower=1)
     pivots = [float(factor[i, i]) ** 2 for i in range(len(right))]
     if info != 0 or min(pivots) < _DEGENERATE * max(pivots):

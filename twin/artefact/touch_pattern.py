@@ -1,4 +1,4 @@
-"""Touch patterns on a ball, and the uncertainty of the ball centre that each gives."""
+"""Touch patterns on a ball, and the uncertainty of the ball centre that results from each pattern."""
 
 from __future__ import annotations
 
@@ -90,7 +90,9 @@ def centre_shift_per_radius(directions: Array) -> Array:
 
 
 def redundancies(directions: Array) -> Array:
-    """Return (k,) in 0 … 1: the share of each touch's own error that appears in its residual if the radius is free.
+    """Return for each touch the share (k,), from 0 to 1, of its own error that appears in its residual.
+
+    The radius is free in this fit.
 
     It is 1 - hᵢ, with hᵢ the diagonal of the hat matrix (Baarda's redundancy numbers). 0 means that no other touch
     checks this one, as for the pole of the five-point pattern.
@@ -102,7 +104,9 @@ def redundancies(directions: Array) -> Array:
 
 
 def perpendiculars(pole: Array) -> tuple[Array, Array]:
-    """Return two unit vectors perpendicular to `pole`; if the pole is along a machine axis, so are they."""
+    """Return two unit vectors perpendicular to `pole`; if `pole` is along a machine axis, both vectors are along
+    machine axes.
+    """
     axis = np.eye(3)[np.argmin(np.abs(pole))]
     first = axis - pole * (axis @ pole)
     first /= np.linalg.norm(first)

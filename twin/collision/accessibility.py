@@ -1,4 +1,7 @@
-"""Accessibility of balls for a straight probe: no collision during approach, at the touch points and between them."""
+"""Accessibility of balls for a straight probe.
+
+A ball is accessible if there is no collision during the approach, at the touch points and between them.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,9 @@ def accessible_balls(
     clearance_mm: float = 1.0,
     overtravel_mm: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Return (N,) bool: balls that can be touched along every one of `directions` (k, 3), the pole first.
+    """Return (N,) bool: True for each ball that can be touched along all `directions` (k, 3).
+
+    The first direction is that of the touch at the pole.
 
     `contact_mm` is ball radius plus tip radius; a touch begins `approach_mm` outside contact and stops `overtravel_mm`
     beyond it. The whole path is checked: along the stylus from a plane in front of the ball to the start of each touch,

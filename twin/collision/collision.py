@@ -95,8 +95,9 @@ class Scene:
         return smallest
 
     def near_pairs(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
-        """Return indices (moving, obstacle) of the pairs whose boxes, one swept along the move, come within the
-        clearance.
+        """Return the indices (moving, obstacle) of all pairs of bodies whose boxes come within the clearance.
+
+        The box of the moving body is swept along the move.
         """
         (x0, y0, z0), (x1, y1, z1) = start, end
         x0, x1 = (x0 - clearance_mm, x1 + clearance_mm) if x0 < x1 else (x1 - clearance_mm, x0 + clearance_mm)

@@ -54,7 +54,8 @@ class AxisDynamics:
 class Clearances:
     """Required clearances in mm.
 
-    `reduced_mm` contains those of single pairs of names (moving, obstacle); `clearance_mm` is that of all other pairs.
+    `reduced_mm`: map from a pair of names (moving, obstacle) to the clearance of this pair; `clearance_mm`: clearance
+    of all other pairs.
     """
 
     clearance_mm: float
@@ -129,8 +130,9 @@ def fastest_path(
     candidates: PathCandidates,
     clearances: Clearances,
 ) -> FreePath | None:
-    """Return the fastest free candidate, or None if no candidate is free; of equally fast ones the earlier is
-    returned.
+    """Return the fastest free candidate, or None if no candidate is free.
+
+    If several are equally fast, the first of them is returned.
     """
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)

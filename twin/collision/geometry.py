@@ -1,8 +1,9 @@
 """Capsules and boxes: their distances, and the first contact of one that moves in a straight line.
 
 Points are (x, y, z) in mm. The distance between two convex bodies is a convex function of the translation of one of
-them, so its tangent is never above it. Repeated steps to the zero of the tangent therefore never pass the first
-contact, and they converge to it quadratically. For this reason `swept_contact` is exact and needs few evaluations.
+them, so a tangent to this function is never above the function. Repeated steps to the zero of the tangent therefore
+never go beyond the first contact and converge to it quadratically. For this reason `swept_contact` is exact and needs
+few evaluations.
 """
 
 from __future__ import annotations
@@ -185,8 +186,9 @@ def _axes(first: Capsule, second: Capsule) -> _Axes:
 def _gap_of_axes(axes: _Axes, x: float, y: float, z: float) -> Point:
     """Return the vector from the second axis to the first at their closest points.
 
-    (x, y, z) is the vector from the start of the second axis to the start of the first. Ericson, Real-Time Collision
-    Detection, 5.1.9, in plain floats, which is ten times as fast as with arrays of three.
+    (x, y, z) is the vector from the start of the second axis to the start of the first. The algorithm is that of
+    Ericson, Real-Time Collision Detection, 5.1.9. It uses plain floats and is ten times as fast as with arrays of three
+    numbers.
     """
     ux, uy, uz, vx, vy, vz, uu, vv, uv, determinant = axes
     along_u, along_v = ux * x + uy * y + uz * z, vx * x + vy * y + vz * z

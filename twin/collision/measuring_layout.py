@@ -60,12 +60,16 @@ class MeasuringLayout:
         return pose.apply(self.artefact_at(position.station).balls) - self.tool_offset_mm
 
     def reachable(self, position: Position, predicted: Array) -> Mask:
-        """Return (N,) bool: balls of `position` that are inside the travel at `predicted` (N, 3) mm, and accessible."""
+        """Return (N,) bool: True for each ball of `position` that is accessible and whose predicted location,
+        `predicted` (N, 3) in mm, is within the travel.
+        """
         inside = is_reachable(predicted, self.lower_mm, self.upper_mm, np.zeros(3))
         return np.logical_and(inside, self.accessible(position))
 
     def accessible(self, position: Position) -> Mask:
-        """Return (N,) bool: balls of `position` at which no body (artefact, mount, neighbours) obstructs the probe."""
+        """Return (N,) bool: True for each ball of `position` at which no body (artefact, mount, neighbours) obstructs
+        the probe.
+        """
         location = self.location(position.station)
         other_bodies = self.neighbours.get(position.station, ())
         among = position.station if other_bodies else 0
@@ -99,7 +103,7 @@ class MeasuringLayout:
         return sum(own.count for number, own in self.own_artefacts.items() if number < station)
 
     def location(self, station: int) -> Array:
-        """Return the location (3,) mm of a station; DataError if it has none."""
+        """Return the location (3,) mm of a station; raises DataError if the station has no location."""
         if station not in self.locations_mm:
             known = ", ".join(str(number) for number in sorted(self.locations_mm))
             raise DataError(f"station {station} has no location", hint=f"stations with a location: {known}")

@@ -44,7 +44,8 @@ class Phase:
     def time_at(self, distance: float) -> float:
         """Return the first instant at `distance`, which must be within this phase.
 
-        The root is computed as 2s / (v + √(v² + 2as)), which avoids cancellation.
+        The root is computed as 2s / (v + √(v² + 2as)), which avoids cancellation. Here s is the distance from the start
+        of the phase, v the speed there and a the acceleration.
         """
         left = max(distance - self.distance, 0.0)
         root = math.sqrt(max(self.speed**2 + 2.0 * self.acceleration * left, 0.0))

@@ -21,10 +21,12 @@ def neighbour_bodies(
     own_artefacts: Mapping[int, Artefact],
     parked_deg: tuple[float, float],
 ) -> dict[int, tuple[Body, ...]]:
-    """Map each station to the bodies of all other stations' mounts, parked at azimuth and elevation `parked_deg`.
+    """Map each station to the bodies of the mounts of all other stations and of the artefacts on them.
+
+    These mounts are parked at the azimuth and elevation `parked_deg`, in degrees.
 
     The name of a body contains the number of its station. The mount of a station without an artefact of its own is
-    empty, because the artefact that is moved between stations is at the measured one.
+    empty, because the artefact that is moved from station to station is then at the station being measured.
     """
     parked = {
         station: _named(station, _parked_bodies(geometry, location, own_artefacts.get(station), parked_deg))

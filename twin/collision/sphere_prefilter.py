@@ -1,6 +1,6 @@
 """Fast closed-form test that finds straight moves on which two spheres certainly come too close.
 
-On nearly every path that is not free the stylus tip comes too close to a ball, mostly to the same ball as on the path
+On nearly every path that is not free the stylus tip comes too close to a ball, usually the same ball as on the path
 tested before. This test takes a microsecond and is done before the exact search.
 """
 

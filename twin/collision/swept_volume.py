@@ -1,9 +1,9 @@
 """Swept volume of a rotating artefact, and the depth to which the probe may stay in front of it during the rotation.
 
-Both axes of a mount rotate at once, neither is guaranteed to lead, and a mount may also stop halfway. The swept volume
-is therefore the union over every pair of azimuth and elevation between the old and the new angles. Bodies are covered
-by spheres, angles are sampled, and each sphere is enlarged by the largest motion of its points between two samples, so
-the computed volume is never too small.
+Both axes of a mount rotate at the same time, either may be ahead of the other, and a mount may also stop halfway. The
+swept volume is therefore the union over every pair of azimuth and elevation between the old and the new angles. Bodies
+are covered by spheres, angles are sampled, and each sphere is enlarged by the largest motion of its points between two
+samples, so the computed volume is never too small.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ System = Literal["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G5
 
 
 class PartSetupFile(StrictModel):
-    """Contents of the file: axis positions (machine coordinates) and lengths in mm, and tools by the number of H."""
+    """Contents of the file: axis positions (machine coordinates) and lengths in mm; tools are listed by H number."""
 
     work_offsets_mm: dict[System, Triple] = Field(default_factory=dict)
     reference_points_mm: dict[Literal["G28", "G30"], Triple] = Field(default_factory=dict)
@@ -34,7 +34,10 @@ class PartSetupFile(StrictModel):
 
 
 def parse_part_setup(text: str, source: str) -> PartSetup:
-    """Parse the setup from TOML text; FormatError names file and key."""
+    """Parse the setup from TOML text.
+
+    Raises FormatError, naming file and key, if the text cannot be used.
+    """
     read = read_toml(text, source, PartSetupFile)
     return PartSetup(
         work_offsets={str(name): offset for name, offset in read.work_offsets_mm.items()},

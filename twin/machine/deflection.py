@@ -79,7 +79,7 @@ class DeflectionGrid:
 
 @dataclass(frozen=True)
 class CantileverStructure:
-    """Moving-column machine modelled as beams. Loads in N, lengths in mm, bending stiffness E I in N mm².
+    """Moving-column machine modelled as beams. Loads are in N, lengths in mm and the bending stiffness E I in N mm².
 
     At the lower end of Y the ram overhangs the column by `overhang_mm`; travel in Y adds to the overhang. At the lower
     end of Z the ram axis is `column_foot_mm` above the foot of the column. The column's saddle runs on two trucks
@@ -149,14 +149,20 @@ def _ram_moment(parts: CantileverStructure, reach: Array) -> Array:
 
 
 def _ram_droop(parts: CantileverStructure, reach: Array) -> Array:
-    """Return the sag in mm of the ram's end under its own weight w per mm and the head P: w L⁴ / 8EI + P L³ / 3EI."""
+    """Return the sag in mm of the end of the ram, w L⁴ / 8EI + P L³ / 3EI.
+
+    w is the weight of the ram per mm, P the weight of the head, L the overhang (`reach`) and E I the bending stiffness.
+    """
     own = parts.ram_load_n_per_mm * reach**4 / (8.0 * parts.ram_stiffness_n_mm2)
     head: Array = parts.head_weight_n * reach**3 / (3.0 * parts.ram_stiffness_n_mm2)
     return own + head
 
 
 def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Array, Array]:
-    """Return sag (mm), pitch about Y and roll about -X (rad) of the saddle; the bed yields between its supports."""
+    """Return the sag (mm), the pitch about Y (rad) and the roll about -X (rad) of the saddle.
+
+    The bed yields between its supports.
+    """
     half = 0.5 * parts.wheelbase_mm
     front, rear = (np.sin(np.pi * (x + arm) / parts.support_pitch_mm) ** 2 for arm in (half, -half))
     sag = 0.5 * parts.bed_sag_mm * (front + rear)

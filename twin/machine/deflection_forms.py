@@ -1,8 +1,10 @@
-"""Random deflection fields of several structures that no Legendre series of one axis can represent.
+"""Random deflection fields of several kinds of structure.
+
+No Legendre series of one axis can represent these fields.
 
 The misfit model of an identification consists of products of Legendre polynomials. None of these fields is such a
-product: they are beams, sines of any pitch, exponentials and random waves. A coverage found with them is therefore a
-meaningful test of the misfit model.
+product: they are beams, sines of any pitch, exponentials and random waves. A coverage probability found with these
+fields is therefore a meaningful test of the misfit model.
 """
 
 from __future__ import annotations

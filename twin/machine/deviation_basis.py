@@ -26,9 +26,9 @@ def deviation_basis(
 
     The array is C-contiguous.
 
-    `scale` (p,): unit of each parameter in mm or rad; without it, 1 mm and 1 rad. Each parameter displaces the tool
-    point by one of twelve effects (three translations, and three rotations of each of the three axes) times a function
-    of the axis positions.
+    `scale` (p,): unit of each parameter in mm or rad. If None, the units are 1 mm and 1 rad. Each parameter displaces
+    the tool point by one of twelve effects (three translations, and three rotations of each of the three axes) times a
+    function of the axis positions.
     """
     points = as_points(axis_positions, "axis positions")
     arms = _nominal_arms(model, points, as_vector(tool_offset, 3, "tool offset"))

@@ -9,7 +9,7 @@ The sign of squareness is defined here and nowhere else. In A0Z, for example, Z 
 rotated from its nominal direction, and A means that the rotation is about X (B about Y, C about Z). The rotation is
 right-handed, so the deviation d at the axis position y or z is, to first order,
 
-    A0Z  z-travel, about X:  d = (0, -A0Z z, 0)
+A0Z  z-travel, about X:  d = (0, -A0Z z, 0)
     B0Z  z-travel, about Y:  d = (B0Z z, 0, 0)
     C0Y  y-travel, about Z:  d = (-C0Y y, 0, 0)
 
@@ -18,11 +18,11 @@ A squareness rotates only the direction of travel, not the parts that the carria
 The cross-effect of column and ram (the ram's weight bends the column) is added to EYZ and EAZ. With v = (y - y0)/Ly and
 w = (z - z0)/Lz, where y0, z0 are the lower ends and Ly, Lz the lengths of the ranges of Y and Z, it is
 
-    E_YZ(y, z) = (b0 + b1 w + b2 w²) v     b in mm
+E_YZ(y, z) = (b0 + b1 w + b2 w²) v     b in mm
     E_AZ(y, z) = (c0 + c1 w) v             c in rad
 
 b0 is off by default because b0 v is a scale error of Y (EYY[1]); c0 is off because c0 v gives a vertical displacement
-that EZY[2] and A0Z already describe. Both statements hold apart from a rigid motion, and for a machine whose ram
+that EZY[2] and A0Z already describe. Both statements are true up to a rigid motion, and only for a machine whose ram
 carries the tool.
 """
 
@@ -110,7 +110,10 @@ class ErrorModel:
         return len(self.parameters)
 
     def index(self, name: str) -> int:
-        """Return the index of the parameter called `name`; ModelError if the model has none."""
+        """Return the index of the parameter called `name`.
+
+        Raises ModelError if the model has no such parameter.
+        """
         index = self._indices.get(name)
         if index is None:
             raise ModelError(f"the model has no parameter '{name}'", hint="Example names: EYX[2], A0Z, CROSS[b1]")

@@ -40,7 +40,7 @@ class _UnpackedParameters:
     """Parameter vector unpacked for the evaluation.
 
     `series` (3, 6, order + 1): power series coefficients per axis and error motion; `travel`: actual minus nominal
-    direction of travel of each axis; `cross`: b0, b1, b2 (mm), c0, c1 (rad).
+    direction of travel of each axis; `cross`: coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect.
     """
 
     series: Array

@@ -18,11 +18,12 @@ from twin.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class GridQuadrature:
-    """Quadrature rule Σ a(X)ᵀ b(X) = Σ `weights` a(`nodes`)ᵀ b(`nodes`), with the first sum over `count` points X.
+    """Quadrature rule that replaces a sum over `count` points by a weighted sum over fewer nodes.
 
-    The rule is exact for polynomials a and b up to the given degrees. `nodes` (m, 3) mm, `weights` (m,). `lagrange`:
-    for each axis, the Lagrange polynomials of the nodes at the points, (points, nodes); None if the nodes are the
-    points.
+    For two vector fields a and b, the sum of a(X)ᵀ b(X) over all points X is replaced by the sum of w a(N)ᵀ b(N) over
+    all nodes N with weights w. Both sums are equal if a and b are polynomials up to the given degrees. `nodes` (m, 3)
+    mm, `weights` (m,). `lagrange`: for each axis, the Lagrange polynomials of the nodes at the points, (points, nodes);
+    None if the nodes are the points.
     """
 
     count: int
@@ -58,8 +59,9 @@ class GridQuadrature:
 
 
 def _lines(points: Array) -> tuple[Array, Array, Array] | None:
-    """Return the grid nodes along x, y, z of points (n, 3), ordered with x slowest and z fastest; None if there is no
-    grid.
+    """Return the nodes along x, y and z of the grid that the points (n, 3) form, or None if they do not form a grid.
+
+    In the list of points, x must vary slowest and z fastest.
     """
     x, y, z = points.T
     deep = int(np.argmax(np.append(y != y[0], True) | np.append(x != x[0], True)))
@@ -74,9 +76,10 @@ def _lines(points: Array) -> tuple[Array, Array, Array] | None:
 
 
 def _gauss(line: Array, degree: int) -> tuple[Array, Array, Array]:
-    """Return the Gauss rule of one axis: nodes (d + 1,), weights, Lagrange polynomials at the points (n, d + 1).
+    """Return the Gauss rule of one axis: nodes (d + 1,), weights (d + 1,), and Lagrange polynomials (n, d + 1) at the n
+    points.
 
-    d is `degree`. If there are at most d + 1 points, they are the nodes.
+    d is `degree`. If there are at most d + 1 points, the points are the nodes.
     """
     if len(line) <= degree + 1:
         return line, np.ones(len(line)), np.eye(len(line))

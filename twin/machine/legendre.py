@@ -19,7 +19,10 @@ def normalise_positions(positions: Array, axis_range: tuple[float, float]) -> Ar
 
 
 def legendre_values(argument: Array, order: int) -> Array:
-    """Return P_0 … P_order at `argument` of any shape, as (order + 1, *shape), by Bonnet's recurrence (DLMF 18.9.1)."""
+    """Return the Legendre polynomials P_0 … P_order at `argument` as an array (order + 1, *shape of `argument`).
+
+    The values are computed by Bonnet's recurrence (DLMF 18.9.1).
+    """
     values = np.empty((order + 1, *argument.shape))
     values[0] = 1.0
     if order > 0:

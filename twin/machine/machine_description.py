@@ -21,8 +21,8 @@ class MachineDescription:
 
     `model` contains the kinematic chain and the axis ranges; `limits` (mm) are the travel limits, which contain the
     ranges. `tools` are tool offsets (3,) in mm from the ram reference to the stylus centre. `amplitudes` are the
-    half-widths of the machine family as written in the file, so that the family can also be built for another Legendre
-    order.
+    half-widths, as written in the file, of the coefficients in the family of machines. With them the family can also be
+    built for another Legendre order.
     """
 
     name: str
@@ -56,13 +56,16 @@ class MachineDescription:
     def with_order(self, order: int) -> MachineDescription:
         """Return the same machine with one Legendre order for all 18 error motions.
 
-        Its family is computed from `amplitudes` for that order.
+        The family of machines is computed from `amplitudes` for that order.
         """
         orders = dict.fromkeys(ERROR_MOTIONS, order)
         return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))
 
     def with_model(self, model: ErrorModel) -> MachineDescription:
-        """Return the same machine described by another model; ModelError if the chain or the axis ranges differ."""
+        """Return the same machine described by another model.
+
+        Raises ModelError if the chain or the axis ranges of that model differ.
+        """
         if (model.chain, model.ranges_mm) != (self.model.chain, self.model.ranges_mm):
             raise ModelError(
                 f"the model does not belong to the machine {self.name}: its chain or its axis ranges differ"
@@ -70,7 +73,10 @@ class MachineDescription:
         return replace(self, model=model, family=family_from_amplitudes(model, self.amplitudes))
 
     def tool(self, name: str) -> Array:
-        """Return the offset (3,) of the tool called `name`; ModelError lists the known tools."""
+        """Return the offset (3,) in mm of the tool called `name`.
+
+        Raises ModelError, listing the known tools, if there is no such tool.
+        """
         if name not in self.tools:
             raise ModelError(f"the machine has no tool '{name}'", hint=f"Known tools: {', '.join(self.tools)}")
         return self.tools[name]

@@ -1,4 +1,4 @@
-"""Family of machines: the coefficients of its machines are distributed uniformly around zero."""
+"""Family of machines whose error coefficients are distributed uniformly around zero."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class Family:
 
 
 def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | Sequence[float]]) -> Family:
-    """Return the family with the given half-widths per kind of error.
+    """Return the family of machines with the given half-widths for each kind of error.
 
     `positioning_um`, `straightness_um`, `rotation_urad`: one value per Legendre order, starting at the lowest order of
     that kind (order 2 for a straightness, otherwise 1), or a single value for the lowest order. Beyond the last value
     given, the half-widths decrease by the factor `decay` (default 0.6) per order. `squareness_urad`,
-    `cross_displacement_um`, `cross_rotation_urad`: one value each. A kind that is left out is zero.
+    `cross_displacement_um`, `cross_rotation_urad`: one value each. The half-widths of a kind that is left out are zero.
     """
     known = (*SERIES_KINDS, *SINGLE_KINDS, "decay")
     for name in amplitudes:

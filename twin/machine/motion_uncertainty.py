@@ -15,9 +15,9 @@ def motion_uncertainty(model: ErrorModel, covariance: Array) -> Mapping[str, flo
     """Return the standard uncertainty (mm or rad) of each geometric error by its ISO name.
 
     For an error motion it is the root mean square over the range of its axis; for a squareness it is the uncertainty of
-    that parameter. `covariance` (p, p): covariance of the parameters, or their second moments. The mean over the range
-    of the product of the Legendre polynomials P_k P_l is zero for k ≠ l and 1 / (2 k + 1) for k = l, so only variances
-    contribute.
+    that parameter. `covariance` (p, p): covariance of the parameters, or the matrix of their second moments. The mean
+    over the range of the product of the Legendre polynomials P_k P_l is zero for k ≠ l and 1 / (2 k + 1) for k = l, so
+    only variances contribute.
     """
     if covariance.shape != (model.size, model.size):
         raise DataError(f"the covariance has shape {covariance.shape}, but the model has {model.size} parameters")

@@ -1,6 +1,7 @@
 """Displacement fields of small rigid motions.
 
-Measurements of a free artefact cannot observe them, and they are not counted as machine errors.
+Measurements of a free artefact (one whose pose is unknown) cannot observe these motions, and they are not counted as
+machine errors.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""True machine of a simulation, which has effects that the identified model cannot represent.
+"""True machine of a simulation.
 
-These are Legendre terms of higher order and a deflection grid. A simulator is built on one true machine, and studies
-draw many.
+The true machine has effects that the identified model cannot represent: Legendre terms of higher order and a deflection
+grid. A simulator is built on one true machine, and a study draws many of them.
 """
 
 from __future__ import annotations
@@ -54,8 +54,9 @@ def draw_machine(
     with_deflection: bool,
     rng: np.random.Generator,
 ) -> TrueMachine:
-    """Draw one machine of the family, extended to Legendre `order`; the amplitudes of the higher orders decay as in the
-    family.
+    """Draw one machine of the family of machines, extended to Legendre order `order`.
+
+    The half-widths of the additional orders decrease by the same factor as those within the family.
     """
     offset = description.tool(tool)
     nominal = description.model

@@ -1,8 +1,9 @@
 """Volumetric error: rms length of the deviation over a grid, raw and after the best rigid motion is removed.
 
-A rigid motion of the whole workspace is not a machine error, and a free artefact cannot observe it. Every volumetric
-error is therefore given both raw and aligned. For a field that is linear in its parameters E, with basis B at n points,
-the mean square is the quadratic form Eᵀ (Bᵀ B / n) E, so the grid has to be evaluated only once.
+A rigid motion of the whole workspace is not a machine error, and an artefact whose pose is unknown cannot observe it.
+Every volumetric error is therefore given both raw and aligned, which means after the best rigid motion is removed. For
+a field that is linear in its parameters E, with basis B at n points, the mean square is the quadratic form Eᵀ (Bᵀ B /
+n) E, so the grid has to be evaluated only once.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ _END_TOLERANCE = 1e-9  # relative to the range
 
 @dataclass(frozen=True)
 class VolumetricRms:
-    """Rms deviation in mm: `raw_mm` unchanged, `aligned_mm` after the best rigid motion of the workspace is removed."""
+    """Rms deviation in mm.
+
+    `raw_mm`: rms of the deviation itself; `aligned_mm`: rms after the best rigid motion of the workspace is removed.
+    """
 
     raw_mm: float
     aligned_mm: float
@@ -92,8 +96,10 @@ def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
 
 
 def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) -> Array:
-    """Fit the best small rigid motion to `deviation` (n, 3) at tool points (n, 3), and return it at points `elsewhere`
-    (m, 3).
+    """Return the displacements (m, 3) at points `elsewhere` (m, 3) of the small rigid motion that best fits a
+    deviation.
+
+    `deviation` (n, 3) is given at tool points `points` (n, 3).
     """
     at, field, other = (as_points(each, "points") for each in (points, deviation, elsewhere))
     middle, size_mm = at.mean(axis=0), max(float(np.ptp(at, axis=0).max()), 1.0)
@@ -103,14 +109,16 @@ def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) ->
 
 
 def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> VolumetricRms:
-    """Return raw and aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
+    """Return the raw and the aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
     field = as_points(deviation, "deviation")
     return VolumetricRms(rms(field), rms(align_rigidly(points, field)))
 
 
 @dataclass(frozen=True)
 class QuadraticForm:
-    """Mean square, over a grid, of a linear field plus an optional fixed field, as a function of the parameters.
+    """Mean square over a grid of a deviation field, as a function of the parameters.
+
+    The field is linear in the parameters. An optional fixed field can be added to it.
 
     `raw`, `aligned` (p, p): quadratic coefficients in mm² per product of two parameter units. `raw_linear`,
     `aligned_linear` (p,) and `raw_constant`, `aligned_constant` come from the fixed field and are zero without one.
@@ -128,7 +136,7 @@ class QuadraticForm:
 
     @classmethod
     def build(cls, model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> QuadraticForm:
-        """Build the form for grid positions (n, 3) and tool offset (3,)."""
+        """Build the quadratic form for the grid positions (n, 3) and the tool offset (3,)."""
         points = as_points(axis_positions, "axis positions")
         offset = as_vector(tool_offset, 3, "tool offset")
         sums = GridQuadrature.for_points(points, _degrees(model))
@@ -144,7 +152,7 @@ class QuadraticForm:
         return cls(model, points, offset, raw, aligned, np.zeros(model.size), np.zeros(model.size))
 
     def with_field(self, field: ArrayLike) -> QuadraticForm:
-        """Return the form of the linear field plus a fixed `field` (n, 3) in mm on the same grid."""
+        """Return the quadratic form of the linear field plus a fixed `field` (n, 3) in mm on the same grid."""
         fixed = as_points(field, "field")
         if fixed.shape != self.axis_positions.shape:
             raise DataError(f"the field has {len(fixed)} points, the grid {len(self.axis_positions)}")
@@ -168,7 +176,7 @@ class QuadraticForm:
         )
 
     def values(self, parameters: ArrayLike) -> tuple[Array, Array]:
-        """Return raw and aligned rms, (m,) each, in mm of m machines with parameters (m, p)."""
+        """Return the raw and the aligned rms in mm, as arrays (m,), of m machines with parameters (m, p)."""
         vectors = np.asarray(parameters, dtype=np.float64)
         if vectors.ndim != 2 or vectors.shape[1] != self.model.size:
             raise ModelError(f"parameters have shape {vectors.shape}, expected (m, {self.model.size})")
@@ -226,8 +234,9 @@ def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
 
 
 def _degrees(model: ErrorModel) -> tuple[int, int, int]:
-    """Return the highest powers of x, y, z in any basis column, which is a series or cross-effect term times a lever
-    arm.
+    """Return the highest powers of x, y, z in any basis column.
+
+    A column is a term of a Legendre series or of the cross-effect, times a lever arm.
     """
     x, y, z = (max(order, 2) + 1 for order in model.highest_order)
     return x, y, z

@@ -44,7 +44,10 @@ class CountUnit:
         return np.asarray(self.mm * counts, dtype=np.float64)
 
     def whole(self, length_mm: float, what: str) -> int:
-        """Return a length as a number of detection units; DataError if it is not an integer multiple of them."""
+        """Return a length as a number of detection units.
+
+        Raises DataError if it is not an integer multiple of the detection unit.
+        """
         units = 1e3 * length_mm / self.detection_unit_um
         if abs(units - round(units)) > 1e-6:
             unit = f"the detection unit ({self.detection_unit_um:g} µm)"
@@ -54,10 +57,11 @@ class CountUnit:
 
 
 def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, increments: bool) -> CountUnit:
-    """Return the unit with the requested or else the smallest magnification for which all written numbers fit.
+    """Return the unit with the requested magnification or, if none is requested, with the smallest that is sufficient.
 
-    A number fits if its absolute value is at most `most`. `increments`: if True, the written numbers are the
-    differences of successive counts. Raises DataError if no magnification fits.
+    A magnification is sufficient if the absolute values of all written numbers are at most `most`. `increments`: if
+    True, the written numbers are the differences of successive counts. Raises DataError if the requested magnification,
+    or every magnification, is insufficient.
     """
     requested = choices[MAGNIFICATION]
     tried = range(1, LARGEST_MAGNIFICATION + 1) if requested is None else [requested]

@@ -1,8 +1,8 @@
 """FANUC three-dimensional error compensation: a lattice of at most 25 points per axis, with trilinear interpolation.
 
-The additional manual Series 30i-A, A-79351E, describes the interpolation: eight corners weighted by the position within
-the cell. Parameter numbers, order of the points and sign are from experience. The format of the punched data is not
-public, so the export lists the points, to be entered with the machine builder's tool.
+The additional manual Series 30i-A, A-79351E, describes the interpolation, in which the eight corners of a cell are
+weighted by the position within the cell. Parameter numbers, order of the points and sign are from experience. The
+format of the punched data is not public, so the export lists the points, to be entered with the machine builder's tool.
 """
 
 from __future__ import annotations
@@ -52,7 +52,10 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
 
 
 def _points(table: CompensationTable, counts: CountArray) -> str:
-    """Return the CSV list of the points, numbered from 1, with X fastest, then Y, then Z."""
+    """Return the CSV list of the points.
+
+    They are numbered from 1; X varies fastest, then Y, then Z.
+    """
     lines = ["number,x_mm,y_mm,z_mm,x_counts,y_counts,z_counts"]
     shape = table.corrections.shape[:3]
     for number, index in enumerate(np.ndindex(shape[::-1]), start=1):

@@ -2,8 +2,9 @@
 
 The parameter manual 0i-PB (B-63980EN) describes parameters 3620 to 3624 with an example: compensation number n belongs
 to the interval that ends, in positive direction, at reference + (n - P3620) × P3624, where P is the value of the
-parameter. The compensation at a position is the sum of the increments from the reference point to that position. It is
-from experience that the controller adds it to the command, and so is the form of the punched data.
+parameter. The compensation at a position is the sum of the increments from the reference point to that position. Two
+facts are known only from experience: the controller adds this sum to the command, and the punched data have the form
+written here.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ Names = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class WholeNumber:
-    """Option values that are integers from `minimum` to `maximum`; None means no upper bound."""
+    """Option values that are integers from `minimum` to `maximum`; if `maximum` is None, there is no upper bound."""
 
     minimum: int
     maximum: int | None = None
@@ -68,8 +68,8 @@ class FormatOption(Generic[Value]):
 class ExportOptions:
     """Values set by the user, by option key; indexing with an option returns its value or its default.
 
-    `opposite_sign`: write every value with the opposite of the documented sign, for a controller that was found to
-    count the other way.
+    `opposite_sign`: write every value with the opposite of the documented sign, for a controller that was found to use
+    the opposite sign.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)

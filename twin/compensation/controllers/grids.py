@@ -24,7 +24,10 @@ Shape = tuple[int, int, int]
 
 
 def require_small_corrections(table: CompensationTable, largest_mm: float = LARGEST_CORRECTION_MM) -> None:
-    """Raise DataError naming the line of the CSV file with the largest correction if that exceeds `largest_mm`."""
+    """Raise DataError if the largest correction exceeds `largest_mm`.
+
+    The error names the line of the CSV file with that correction.
+    """
     sizes = np.abs(table.corrections).max(axis=-1)
     index = int(np.argmax(sizes))
     found = float(sizes.reshape(-1)[index])
@@ -35,7 +38,10 @@ def require_small_corrections(table: CompensationTable, largest_mm: float = LARG
 
 
 def even_steps(table: CompensationTable) -> tuple[float, float, float]:
-    """Return the steps along X, Y, Z in mm; DataError naming axis and line if the nodes are not evenly spaced."""
+    """Return the steps along X, Y, Z in mm.
+
+    Raises DataError, naming the axis and the line, if the nodes are not evenly spaced.
+    """
     steps = []
     lines = (len(table.y) * len(table.z), len(table.z), 1)
     for axis, nodes, stride in zip(AXES, table.nodes, lines, strict=True):
@@ -61,8 +67,9 @@ def require_points(table: CompensationTable, most: Shape, format_name: str) -> N
 
 
 def _thinned(count: int, most: int) -> int:
-    """Return the largest number of points, at most `most`, that is a subset of `count` points, so that the steps stay
-    round.
+    """Return the largest number of points, at most `most`, that an evenly spaced subset of `count` points can have.
+
+    With a subset of the original points the steps remain round numbers.
     """
     return next(n for n in range(min(count, most), 1, -1) if (count - 1) % (n - 1) == 0)
 
@@ -104,7 +111,10 @@ def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, flo
 
 
 def reference_nodes(table: CompensationTable, point: Array) -> Shape:
-    """Return the indices of the nodes at the reference point; DataError if an axis has none there."""
+    """Return the indices of the nodes at the reference point.
+
+    Raises DataError if an axis has no node there.
+    """
     indices = []
     for axis, nodes, value in zip(AXES, table.nodes, point.tolist(), strict=True):
         index = int(np.argmin(np.abs(nodes - value)))

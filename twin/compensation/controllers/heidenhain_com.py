@@ -1,9 +1,9 @@
 """HEIDENHAIN nonlinear axis error compensation: one `.COM` table per causing axis, and a `.CMA` table that lists them.
 
-Technical manuals MANUALplus 620, 6.10.3, and TNC 407. A `.COM` table has up to 256 evenly spaced rows and a column for
-each affected axis; its rows are positions of the axis in whose column of the `.CMA` table it is listed. The tables
-contain the measured error, and the control moves against it. Only one line of the `.CMA` table is active, so two lines
-are two banks.
+The formats are described in the technical manuals MANUALplus 620, 6.10.3, and TNC 407. A `.COM` table has up to 256
+evenly spaced rows and a column for each affected axis. Its rows are positions of the causing axis, which is the axis in
+whose column the `.CMA` table lists the file. The tables contain the measured error, and the control moves against it.
+Only one line of the `.CMA` table is active, so two lines are two banks.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Volumetric compensation of the ISG kernel (Beckhoff TwinCAT CNC TF5280): error motions by ISO 230-1 in ISG_CSV.
 
-Manual TF5280, "ISG CSV format": a file consists of blocks separated by `#`. Each block has a header line with its
-argument axes and parameter names; values are in mm and rad, and `//` begins a comment. A block may have several
-argument columns, here Y and Z for the cross-effect. The interpolation GRID is linear on a grid. The parameters are
-errors, and the kernel moves against them (P-VOLC-00009 `negate` reverses that).
+According to the section "ISG CSV format" of the manual TF5280, a file consists of blocks separated by `#`. Each block
+has a header line with its argument axes and parameter names; values are in mm and rad, and `//` begins a comment. A
+block may have several argument columns, here Y and Z for the cross-effect. The interpolation mode GRID interpolates
+linearly on a grid. The parameters are errors, and the kernel moves against them (P-VOLC-00009 `negate` reverses that).
 
-The squareness parameters A0Z, B0Z and C0Y are written as zeros in the first block, because the manual does not make
-certain whether they also rotate the parts that the axis carries. Squareness is written as slopes of straightness
+The squareness parameters A0Z, B0Z and C0Y are written as zeros in the first block, because the manual does not state
+clearly whether they also rotate the parts that the axis carries. Squareness is written as slopes of straightness
 instead, whose meaning is unambiguous. The rotation of the table's anchor is also written as slopes of straightness, its
 translation as constants.
 """
@@ -136,7 +136,9 @@ def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, ax
 
 
 def _over_y_and_z(values: Array, table: CompensationTable, axis_positions: Array) -> Array:
-    """Return `values`, given on the nodes of Y and Z, interpolated bilinearly at axis positions (n, 3), as (n,).
+    """Interpolate `values` bilinearly at axis positions (n, 3) and return the result (n,).
+
+    The values are given at the nodes of Y and Z.
 
     Beyond the border the values are constant.
     """

@@ -15,7 +15,10 @@ from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid, rms, volumetric_error
 
 LARGEST_MISMATCH_MM = 3e-4
-"""Largest rms difference in mm between table and estimate, apart from a rigid motion and the rounding of the table."""
+"""Largest permissible rms difference in mm between a table and its estimate.
+
+A rigid motion and the rounding of the table are not counted.
+"""
 
 
 @dataclass(frozen=True)
@@ -23,8 +26,8 @@ class CompensationLoss:
     """Volumetric error over the workspace.
 
     `estimated`: True if the error is that of the estimated machine, False if the errors of the machine are inferred
-    from the table. `unknown_mm`: contribution of the parameter uncertainty (rms, aligned), which does not depend on the
-    table; None without an estimate.
+    from the table. `unknown_mm`: contribution of the parameter uncertainty (rms after the best rigid motion is
+    removed), which does not depend on the table; None if there is no estimate.
     """
 
     before: VolumetricRms
@@ -35,7 +38,10 @@ class CompensationLoss:
 
     @property
     def retained_share(self) -> float:
-        """Improvement by the reduced table as a share of the improvement by the full table, both aligned."""
+        """Improvement by the reduced table as a share of the improvement by the full table.
+
+        Both are computed from aligned errors, which means after the best rigid motion is removed.
+        """
         removed = self.before.aligned_mm - self.full.aligned_mm
         return (self.before.aligned_mm - self.reduced.aligned_mm) / removed if removed > 0.0 else 1.0
 
@@ -73,7 +79,7 @@ def largest_correction(table: CompensationTable, correction: Correction) -> tupl
 
 
 def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> None:
-    """Raise DataError if table and estimate are not of the same machine, tool or night.
+    """Raise DataError if table and estimate do not belong to the same machine, the same tool and the same night.
 
     `resolution_mm`: resolution of the numbers in which the table was stored. Rounding contributes at most half of it
     (rms over three axes).
@@ -97,7 +103,8 @@ def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> No
 def rigid_difference(source: ExportSource) -> tuple[Array, Array]:
     """Return the rigid motion (6,) and the residual (n, 3) mm that remain if the table corrects the estimated machine.
 
-    The residual is at the nodes of the table. The rigid motion is in terms of `rigid_fields` about the anchor.
+    The residual is given at the nodes of the table. The rigid motion is given as the coefficients of the six fields of
+    `rigid_fields` about the anchor.
     """
     identified, table = source.estimate, source.table
     if identified is None:

@@ -27,7 +27,7 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 class Profile:
     """Function of the position of the axis numbered `axis`, as values (n,) at nodes (n,).
 
-    Linear between the nodes, constant beyond the ends.
+    It is linear between the nodes and constant beyond the ends.
     """
 
     axis: int
@@ -62,7 +62,7 @@ class Term:
 def own_axis_profiles(table: CompensationTable, reference: Array) -> tuple[Profile, Profile, Profile]:
     """Return for each axis its correction as a function of its own position, averaged over the other two positions.
 
-    It is zero at the reference point (3,).
+    Each profile is zero at the reference point (3,).
     """
     x, y, z = (_zeroed(_main_effect(table, axis, axis), reference) for axis in range(3))
     return x, y, z
@@ -85,8 +85,8 @@ def select_terms(
     """Select main effects and products, in descending order of the error that a term removes per table it needs.
 
     Terms below `LEAST_RMS_MM` are omitted, as are those that no longer fit into `most_tables`. Interactions are
-    decomposed into products by singular values; no other set of as many products leaves a smaller error. The sum of all
-    terms is zero at the reference point (3,) on every axis that has a main effect.
+    decomposed into products by a singular value decomposition; no other set of as many products leaves a smaller error.
+    The sum of all terms is zero at the reference point (3,) on every axis that has a main effect.
     """
     found = [_as_term(_main_effect(table, source, output), output) for source in range(3) for output in range(3)]
     if products:

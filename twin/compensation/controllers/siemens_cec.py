@@ -1,9 +1,9 @@
 """SINUMERIK sag and angularity error compensation (CEC, `$AN_CEC`) with tables that are multiplied by each other.
 
-Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The values of all tables of an output axis are added.
-If a table names another one in `$AN_CEC_MULT_BY_TABLE` (by its index + 1), its value is the product of both. The
-compensation value is measured minus desired position (4.4.1), and the axis moves against it. Tables that are only
-factors are not enabled themselves (SD41300).
+The source is the Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The values of all tables of an
+output axis are added. If a table names a second table in `$AN_CEC_MULT_BY_TABLE` (by the index of the second + 1), the
+values of both are multiplied. The compensation value is measured minus desired position (4.4.1), and the axis moves
+against it. Tables that are only factors are not enabled themselves (SD41300).
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """SINUMERIK leadscrew and measuring system error compensation (LEC, MSEC): `$AA_ENC_COMP`.
 
-Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.2. A positive value makes the axis move in the negative
-direction. Values are linear between the points, constant beyond the ends and zero at the reference point. Loading is
-possible only while MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS gives the number of points.
+The source is the Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.2. A positive value makes the axis move
+in the negative direction. Values are linear between the points, constant beyond the ends and zero at the reference
+point. Loading is possible only while MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS gives the
+number of points.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ STOPS = frozenset((0, 10, 600, *PROGRAM_END))
 """M codes that take effect after the motion of their block, on every controller."""
 
 FIRST = frozenset((30, 40, 70, 80))
-"""M codes that take effect before or with the motion: spindle and coolant on."""
+"""M codes that take effect before or with the motion: those that switch the spindle or the coolant on."""
 
 _CALLS = frozenset((960, 970, 980, 990))
 _STATES = frozenset((700, 710, 720, 730))

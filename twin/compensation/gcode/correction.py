@@ -21,11 +21,12 @@ def correct_program(
     *,
     name: str = "",
 ) -> CorrectionSummary:
-    """Pass the text of the corrected program to `emit`, some thousand lines at a time, and return a summary.
+    """Pass the text of the corrected program to `emit`, in batches of some thousand lines, and return a summary.
 
     `lines` include their line ends; the output uses the line end of the first one. `name`: name of the table, which is
     written in the comment that marks the program as corrected; without a name there is no such comment. Raises
-    FormatError naming the first line that cannot be corrected; the output passed to `emit` before must be discarded.
+    FormatError naming the first line that cannot be corrected; the caller must then discard the output that `emit` has
+    already received.
     """
     unit_mm = ModalState(setup).unit_mm
     writer = ProgramWriter(table, options, setup.start or UNKNOWN, unit_mm, emit)

@@ -12,7 +12,7 @@ class CorrectionSummary:
     `moves`: moves that were corrected; `divided`: moves among them that were written as several lines; `arcs`: arcs
     among them, written as straight moves. `not_corrected`: rapid moves before all three axes had a known position.
     `outside`: points beyond the table's volume; `held`: points at which the correction was limited, because it would
-    have left the volume. Both are given with their largest amount. `extrapolated`: points in cells with nodes outside
+    have left the volume. For both, the largest amount is stored too. `extrapolated`: points in cells with nodes outside
     the measured region.
     """
 

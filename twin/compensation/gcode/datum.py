@@ -23,7 +23,10 @@ def axes_in_block(block: Block) -> list[int]:
 
 
 def program_zero(block: Block, modal: ModalState) -> Triple:
-    """Return the axis position (mm) of the program's zero point; FormatError if the work offset is not known."""
+    """Return the axis position (mm) of the program's zero point.
+
+    Raises FormatError if the work offset is not known.
+    """
     if modal.offset is None:
         name = modal.system
         block.refuse(f"the work offset {name} is not known", f"Give it: --work-offset {name}=X,Y,Z")

@@ -64,7 +64,7 @@ class Interpreter:
         self._flowing = False
 
     def feed(self, line: int, text: str) -> None:
-        """Process one line without its line end. FormatError if it cannot be corrected."""
+        """Process one line, given without its line end; raises FormatError if it cannot be corrected."""
         if self._flowing and self._plain_move(line, text):
             return
         if text.lstrip().startswith("%"):

@@ -57,7 +57,8 @@ class LineFormatter:
         """Yield the lines of a divided move, one for each piece that changes a rounded axis word and one for the last
         piece.
 
-        With G93 each piece gets its share of the total time, in which F is the reciprocal of the time in minutes.
+        With G93, F is the reciprocal of the time in minutes, so the F of each piece is computed from its share of the
+        total time.
         """
         count, waiting, first = len(values), 0, True
         for number, (piece, bits) in enumerate(zip(values, axes, strict=True), start=1):

@@ -100,9 +100,9 @@ def round_to_words(
 ) -> AxisWords:
     """Round `points` (n, 3) mm to words with `decimals` decimals.
 
-    `rows` (n,) gives the index of each point's frame in `frames`, and the frame decides if its words are absolute or
-    incremental. Absolute words are rounded to a lattice that starts at the frame's zero, incremental words to a lattice
-    that starts at the last absolute position or at `position`, the initial position of the controller.
+    `rows` (n,) gives the index of each point's frame in `frames`, and the frame determines whether its words are
+    absolute or incremental. Absolute words are rounded to a lattice that starts at the frame's zero, incremental words
+    to a lattice that starts at the last absolute position or at `position`, the initial position of the controller.
     """
     step = unit_mm * 10.0**-decimals
     frame = np.array(frames)[rows]

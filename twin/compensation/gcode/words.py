@@ -56,7 +56,10 @@ def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
 
 
 def read_block(text: str, line: int) -> Block:
-    """Parse the words of one line, given without its line end; FormatError if it contains anything but plain words."""
+    """Parse the words of one line, given without its line end.
+
+    Raises FormatError if the line contains anything but plain words.
+    """
     block = Block(line, text)
     code = text.upper()
     if "(" in code or ";" in code or ")" in code:

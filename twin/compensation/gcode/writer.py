@@ -93,7 +93,7 @@ class ProgramWriter:
         self._pen.forget()
 
     def corrected_point(self, point: Triple, block: Block) -> Triple:
-        """Return the corrected axis position of `point` in mm, without counting it.
+        """Return the corrected axis position of `point` in mm, without adding it to the counts of the summary.
 
         `block` is refused if the point is outside the table's volume and this is not allowed.
         """
