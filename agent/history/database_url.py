@@ -21,7 +21,9 @@ _KEY = "history.url"
 
 @dataclass(frozen=True)
 class DatabaseAddress:
-    """Address of the database. `url`: contains the password, must not be printed; `machine`: name of this machine."""
+    """Address of the database. `url` contains the password and must not be printed. `machine` is the name of this
+    machine.
+    """
 
     url: URL
     machine: str
@@ -29,7 +31,7 @@ class DatabaseAddress:
 
     @property
     def text(self) -> str:
-        """URL without password, for messages."""
+        """URL of the database without the password, for use in messages."""
         return self.url.render_as_string(hide_password=True)
 
     @property
@@ -38,8 +40,9 @@ class DatabaseAddress:
 
 
 def database_address(settings: Settings) -> DatabaseAddress:
-    """Return the address. Raise ConfigurationError if the URL is unsupported or contains a password, or if other users
-    can read the credentials file."""
+    """Return the address of the database. Raise ConfigurationError if the URL is not supported or contains a password,
+    or if users other than its owner can read the credentials file.
+    """
     chosen, machine = settings.history, machine_name(settings.model_dump(mode="json"))
     if chosen.url is None:
         url = URL.create("sqlite", database=str(settings.state_directory / FILE_NAME))

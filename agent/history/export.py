@@ -17,7 +17,7 @@ COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
 def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
     """Return one run as a document with the keys of docs/reference/json.md.
 
-    `whole`: include the parameters, temperatures and decisions.
+    If `whole`, the document includes the parameters, temperatures and decisions.
     """
     document = {name: _plain(getattr(run, name)) for name in COLUMNS}
     if whole:

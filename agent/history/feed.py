@@ -1,4 +1,6 @@
-"""Update of the history after a run; a module separate from `agent.history.sync` because it logs."""
+"""Update of the history after a run. It is not in `agent.history.sync` because it writes logs and that module
+does not.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ log = structlog.get_logger()
 
 
 def update_history(settings: Settings, run_id: str) -> str:
-    """Add run `run_id` and all other runs that are missing to the history. Return the error text, or "" on success.
+    """Add run `run_id`, and all other runs that are missing, to the history. Return the text of the error, or an empty
+    text on success.
 
     A failure of the database does not affect the run.
     """

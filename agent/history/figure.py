@@ -1,5 +1,6 @@
-"""Figure of trends with values, uncertainties, fitted lines, uncertainty bands, steps, control limits and
-tolerances."""
+"""Figure of trends. It shows values, uncertainties, fitted lines, uncertainty bands, steps, control limits and
+tolerances.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +38,14 @@ PAGE = Colours(report_style.BLUE, report_style.ORANGE, report_style.PURPLE, repo
 
 
 def trends_png(trends: Sequence[Trend]) -> bytes:
-    """Return a PNG image with one panel per trend, two panels in a row."""
+    """Return a PNG image with one panel per trend and two panels in each row."""
     rows = -(-len(trends) // _COLUMNS)
     size = (9.0, max(_ROW_IN * rows, 2.6) + 0.4)
     return study_style.picture("trends", lambda figure: _panels(figure, trends, PICTURE), size).png
 
 
 def trends_svg(trends: Sequence[Trend]) -> str:
-    """Return the figure of `trends_png` as SVG for a report; its colours follow the theme of the report page."""
+    """Return the figure of `trends_png` as SVG for a report. Its colours follow the theme of the report page."""
     rows = -(-len(trends) // _COLUMNS)
     drawing = report_style.Drawing("trends", 10.4, 2.1 * rows + 0.3, report_style.Margins(bottom=0.45))
     with drawing as figure:

@@ -1,4 +1,4 @@
-"""Metrics of one machine for Prometheus in its text format, from history and current status."""
+"""Metrics of one machine in the text format of Prometheus, from the history and the current status."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ ACCEPTED = "complete"
 def metrics_text(
     machine: str, runs: Sequence[StoredRun], trends: Sequence[Trend], live: Mapping[str, float] | None = None
 ) -> str:
-    """Return all metrics as text. `runs`: all runs of the machine, oldest first; `live`: further gauges of the service
-    by name (`link_errors` becomes `volcal_link_errors`). Metrics of the process itself are not included."""
+    """Return all metrics as text. `runs` are all runs of the machine, oldest first. `live` contains further gauges of
+    the service by name (`link_errors` becomes `volcal_link_errors`). Metrics of the process itself are not included.
+    """
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)
     _of_trends(registry, machine, trends)

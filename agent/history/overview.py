@@ -1,4 +1,4 @@
-"""Trends of one machine, selection of the trends to be shown, and their alarms."""
+"""Trends of one machine, the selection of the trends to be shown, and the alarms of the trends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MOST_SHOWN = 6
 
 
 def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
-    """Return the trends of all series of one machine's runs; `runs` must be sorted, oldest first."""
+    """Return the trends of all series of one machine's runs. `runs` must be sorted, the oldest run first."""
     return tuple(trend_of(series, settings.warn_nights) for series in all_series(runs, settings))
 
 
@@ -34,10 +34,10 @@ def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend,
 
 
 def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Trend, ...]:
-    """Return the `most` most relevant trends: volumetric errors, then series with a tolerance, then series with an
-    alarm.
+    """Return the `most` most relevant trends. The volumetric errors come first, in the order of `trends`.
 
-    Otherwise they are sorted by the significance of their drift.
+    Of the other trends, those with a tolerance come first, then those with an alarm. Otherwise they are sorted by the
+    significance of their drift.
     """
     volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]
@@ -46,8 +46,9 @@ def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Tre
 
 
 def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
-    """Return the alarms of the volumetric errors and of series with a tolerance. Other alarms are omitted, because some
-    of a hundred coefficients exceed their control limits by chance."""
+    """Return the alarms of the volumetric errors and of the series with a tolerance. Other alarms are omitted, because
+    among a hundred coefficients some exceed their control limits by chance.
+    """
     return tuple(
         alarm
         for trend in trends

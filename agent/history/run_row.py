@@ -23,8 +23,9 @@ _TOO_BIG = ("written",)
 
 @dataclass(frozen=True)
 class RunRows:
-    """Database rows of one run. `run`: values of the columns of `StoredRun` except the digest; the other fields: rows
-    of the tables with the same names."""
+    """Database rows of one run. `run` contains the values of the columns of `StoredRun` except the digest. The other
+    fields contain the rows of the tables that have the same names.
+    """
 
     run: Mapping[str, Any]
     parameters: tuple[Mapping[str, Any], ...]
@@ -37,7 +38,9 @@ class RunRows:
 
 
 def machine_name(settings: Mapping[str, Any]) -> str:
-    """Return the machine's name from the history settings, otherwise the name of the machine file without suffix."""
+    """Return the machine's name from the history settings. If they contain no name, return the name of the machine file
+    without its suffix.
+    """
     named = settings.get("history", {}).get("machine")
     return str(named or Path(settings["machine"]).stem)
 
@@ -77,7 +80,7 @@ def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any
 
 
 def _started_by(record: RunRecord) -> str:
-    """Return the source of the first request for the run; a run that was resumed has further requests."""
+    """Return the source of the first request for the run. A run that was resumed has several requests."""
     asked = [note.record for note in record.events if note.kind == "asked"]
     return str((asked[0] if asked else {}).get("source", "command line"))
 
@@ -149,6 +152,7 @@ def _decisions(record: RunRecord) -> tuple[Mapping[str, Any], ...]:
 
 
 def _to_json(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON text in the format of the journal. It was read from JSON, so it contains no numpy
-    values."""
+    """Return a record as JSON text in the format of the journal. The record was read from JSON, so it contains no numpy
+    values.
+    """
     return json.dumps(record, separators=(",", ":"), allow_nan=False)

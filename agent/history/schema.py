@@ -40,9 +40,10 @@ Sha256 = Annotated[str, String(64)]
 
 @dataclass(frozen=True)
 class StoredParameter:
-    """Parameter of the error model with its ISO 230-1 name; value and standard uncertainty are in `unit`, µm or µrad.
+    """Parameter of the error model with its ISO 230-1 name. Its value and its standard uncertainty are in `unit`, which
+    is µm or µrad.
 
-    `place`: index in the order of the parameters.
+    `place` is its index in the order of the parameters.
     """
 
     machine: Name
@@ -68,8 +69,9 @@ class StoredTemperature:
 
 @dataclass(frozen=True)
 class StoredDecision:
-    """Decision of a run, such as a gate, a verification or an acceptance. `place`: index in the order of the run's
-    decisions; `record`: its content as JSON text."""
+    """Decision of a run, such as a gate, a verification or an acceptance. `place` is its index in the order of the
+    run's decisions. `record` is its content as JSON text.
+    """
 
     machine: Name
     run_id: RunId
@@ -81,13 +83,15 @@ class StoredDecision:
 
 @dataclass(frozen=True)
 class StoredRun:
-    """One run. Lengths are in µm, volumetric errors (VE) rigidly aligned. A value is None if the run ended before it
-    was known, or if runs of this kind do not have it.
+    """One run. Lengths are in µm. Volumetric errors (VE) are rigidly aligned, that is, computed after the best-fitting
+    rigid motion is removed. A value is None if the run ended before the value was known, or if runs of this kind do not
+    have it.
 
-    `since`: run of the last accepted night; `nights`: number of nights since then. `ve_before_um`: VE estimated without
-    table; `ve_after_um`: VE predicted with the new table; `ve_now_um`: VE that a night run expects with the table
-    active at its start; `acting_um`: VE with the table active at the end. `digest`: hash of all stored values, so that
-    unchanged runs are not written again. The lists contain the run's rows of the other tables; they are not columns.
+    `since`: identity of the run of the last accepted night; `nights`: number of nights since then. `ve_before_um`: VE
+    estimated without a table; `ve_after_um`: VE predicted with the new table; `ve_now_um`: VE that a night run expects
+    with the table active at its start; `acting_um`: VE with the table active at the end. `digest`: hash of all stored
+    values, with which unchanged runs are recognised and not written again. The lists contain the run's rows of the
+    other tables; they are not columns.
     """
 
     machine: Name
@@ -131,7 +135,7 @@ class StoredRun:
 
 
 def _columns(row: type, keys: tuple[str, ...]) -> Iterator[Column[Any]]:
-    """Yield a column for each field without a default; `keys` form the primary key."""
+    """Yield a column for each field of `row` that has no default. The fields in `keys` form the primary key."""
     hints = get_type_hints(row, include_extras=True)
     for name in (one.name for one in fields(row) if one.default_factory is MISSING):
         parts = get_args(hints[name]) if get_origin(hints[name]) in (Union, UnionType) else (hints[name],)

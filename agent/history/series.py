@@ -1,5 +1,5 @@
-"""Series of values over the nights, from the runs of one machine: volumetric errors, the 21 geometric errors and single
-parameters.
+"""Series of values over the nights, made from the runs of one machine. They cover the volumetric errors, the 21
+geometric errors and the single parameters.
 """
 
 from __future__ import annotations
@@ -32,10 +32,12 @@ _CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Series of a quantity. `nights`: (n,) nights since the first run; `values`: (n,) in `unit`; `sigmas`: (n,)
-    standard uncertainties in `unit`, all 1 unless `stated`; `stated`: the standard uncertainties are known;
-    `tolerance`: None if there is none; `two_sided`: values may have either sign; `steps`: nights at which the machine
-    or its table is known to have changed."""
+    """Series of a quantity over n runs. `nights`: number of nights since the first run, shape (n,). `values`: values in
+    `unit`, shape (n,). `sigmas`: standard uncertainties in `unit`, shape (n,), or all 1 if `stated` is False. `stated`:
+    True if the standard uncertainties are known. `tolerance`: tolerance of the value, or None if there is none.
+    `two_sided`: True if values may have either sign. `steps`: nights at which the machine or its table is known to have
+    changed.
+    """
 
     name: str
     title: str
@@ -51,18 +53,19 @@ class Series:
 
 
 def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Series, ...]:
-    """Return all series of one machine's runs, which must be sorted, oldest first. Series without values are
-    omitted."""
+    """Return all series of one machine's runs. The runs must be sorted, the oldest run first. Series without values are
+    omitted.
+    """
     timeline = nights_of(runs)
     found = [*_volumetric(runs, timeline, settings), *_errors(runs, timeline, settings)]
     return tuple(series for series in found if len(series.values))
 
 
 def nights_of(runs: Sequence[StoredRun]) -> Array:
-    """Return the nights of the runs since the first run, (n,).
+    """Return the time of each run as the number of nights since the first run, shape (n,).
 
-    A run may record the number of nights since the last accepted night, from the calendar or as given by the user. Its
-    night is computed from this number; the nights of other runs are computed from the calendar.
+    A run may record the number of nights since the last accepted night, from the calendar or as given by the user. The
+    time of such a run is computed from this number; that of any other run is computed from the calendar.
     """
     nights: dict[str, float] = {}
     last = 0.0
@@ -90,8 +93,9 @@ class _Point:
 
 
 def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
-    """Yield the series of VE without table, of VE with the table active at the end of each run, and of the rms of the
-    held-out balls with that table."""
+    """Yield three series: the volumetric error (VE) without a table, the VE with the table active at the end of each
+    run, and the rms of the held-out balls with that table.
+    """
     changed = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
     anew = _nights_where(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
     readings: tuple[tuple[str, Callable[[StoredRun], tuple[float | None, float | None]], float | None], ...] = (
@@ -114,7 +118,9 @@ def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySet
 
 
 def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
-    """Yield the series of each geometric error (its largest absolute value along the axis), then of each parameter."""
+    """Yield the series of each geometric error, then the series of each parameter. The value of a geometric error is
+    its largest absolute value along the axis.
+    """
     tolerances = settings.parameter_tolerances
     steps = _nights_where(runs, timeline, lambda run: run.night in _CHANGED_MACHINE)
     whole: dict[str, list[_Point]] = {}
@@ -145,7 +151,7 @@ def title_of(parameter: str) -> str:
 
 
 def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int, StoredParameter]]:
-    """Return the coefficients of each error motion, by its name and by Legendre order."""
+    """Return the coefficients of each error motion, by the name of the error motion and then by Legendre order."""
     errors: dict[str, dict[int, StoredParameter]] = {}
     for parameter in parameters:
         found = _COEFFICIENT.fullmatch(parameter.name)
@@ -157,8 +163,8 @@ def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int
 def _largest(coefficients: Mapping[int, StoredParameter]) -> tuple[float, float]:
     """Return the largest absolute value of an error along the axis, and the standard uncertainty at that point.
 
-    The coefficients are treated as uncorrelated, because the history stores no covariances and only the weight of a
-    night depends on the result.
+    The coefficients are treated as uncorrelated because the history stores no covariances. Only the weight of a night
+    depends on this standard uncertainty.
     """
     orders = list(coefficients)
     rows = legendre_values(np.linspace(-1.0, 1.0, _SAMPLES), max(orders))[orders]

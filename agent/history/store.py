@@ -1,4 +1,4 @@
-"""Storage of the history in its database, with one row per machine and run, which may be rewritten."""
+"""Storage of the history in its database. There is one row per machine and run, and it may be rewritten."""
 
 from __future__ import annotations
 
@@ -50,13 +50,14 @@ _CHILDREN: Mapping[str, tuple[Table, type, str]] = {
     "temperatures": (TEMPERATURES, StoredTemperature, "sensor"),
     "decisions": (DECISIONS, StoredDecision, "place"),
 }
-"""For each list of a `StoredRun`: the table, the class of its rows, and the column by which they are sorted."""
+"""Table for each list of a `StoredRun`, with the class of its rows and the column by which the rows are sorted."""
 
 
 @dataclass(frozen=True)
 class RunEnd:
-    """End of a run. `ended`: time in UTC, None while the run is in progress; `state`: its state; `reason`: of that
-    state."""
+    """End of a run. `ended` is the time in UTC, or None while the run is in progress. `state` is the state of the run,
+    and `reason` is the reason for that state.
+    """
 
     ended: datetime | None
     state: str
@@ -64,7 +65,9 @@ class RunEnd:
 
 
 class HistoryStore:
-    """Open history database. Raise ConfigurationError if it cannot be used, LinkLost if it cannot be reached."""
+    """Open history database. Raise ConfigurationError if the database cannot be used, and LinkLost if it cannot be
+    reached.
+    """
 
     def __init__(self, address: DatabaseAddress) -> None:
         self.address = address
@@ -108,10 +111,10 @@ class HistoryStore:
         return tuple(machine for (machine,) in rows)
 
     def runs(self, machine: str | None = None, last: int | None = None, *, whole: bool = True) -> Sequence[StoredRun]:
-        """Return the runs of one machine (None: of all machines), oldest first.
+        """Return the runs of one machine, oldest first. If `machine` is None, return the runs of all machines.
 
-        `last`: return only this number of newest runs; `whole`: include parameters, temperatures and decisions, which
-        are otherwise empty.
+        If `last` is given, only that number of the newest runs is returned. If `whole` is False, the parameters,
+        temperatures and decisions of the runs are empty.
         """
         query = select(RUNS)
         if machine is not None:
@@ -128,7 +131,9 @@ class HistoryStore:
             return connection.execute(query).all()
 
     def _prepare(self) -> None:
-        """Create the tables if they are missing. Raise ConfigurationError if their version is not supported."""
+        """Create the tables if they are missing. Raise ConfigurationError if the schema version of existing tables is
+        not supported.
+        """
         with self._engine.begin() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
@@ -146,8 +151,9 @@ class HistoryStore:
 
     @contextmanager
     def _translated_errors(self) -> Iterator[None]:
-        """Convert errors of SQLAlchemy in the block to ConfigurationError or LinkLost, with messages without the
-        password."""
+        """Convert errors of SQLAlchemy in the block to ConfigurationError or LinkLost. Their messages do not contain
+        the password.
+        """
         try:
             yield
         except ModuleNotFoundError as error:
@@ -200,8 +206,9 @@ def _add_children(connection: Connection, query: Select[Any], runs: Sequence[Sto
 
 
 def _engine(address: DatabaseAddress) -> Engine:
-    """Return an engine without connection pool, since accesses are minutes apart and servers may be restarted
-    meanwhile."""
+    """Return an engine without a connection pool, since accesses are minutes apart and servers may be restarted in
+    between.
+    """
     seconds = address.timeout_s
     if address.is_file:
         engine = create_engine(address.url, poolclass=NullPool, connect_args={"timeout": seconds})

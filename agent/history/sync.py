@@ -1,4 +1,6 @@
-"""Update of the history from the journal with the runs that are missing or have changed since the last update."""
+"""Update of the history from the journal. It stores the runs that are missing in the history or have changed since the
+last update.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,7 @@ def _store_changed(directory: Path, chosen: Iterable[str], store: HistoryStore) 
 
 
 def _end_of(head: RunHead) -> RunEnd | None:
-    """Return the end of a run; None while the run is in progress or can be resumed."""
+    """Return the end of a run, or None while the run is in progress or can be resumed."""
     row = head.row
     return (
         None if row.ended is None else RunEnd(utc_time(datetime.fromisoformat(row.ended)), row.state, row.reason or "")

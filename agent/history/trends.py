@@ -1,4 +1,6 @@
-"""Trend of a series, with drift per night, control limits, and alarms before a tolerance is reached."""
+"""Trend of a series, with its drift per night, its control limits, and alarms that are raised before a tolerance is
+reached.
+"""
 
 from __future__ import annotations
 
@@ -48,9 +50,10 @@ class TrendAlarm:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Trend of a series. `drift`: None if there are too few values; `chart`, `smoothed`: control charts of the values
-    since the last step, None if there are fewer than `MIN_CHARTED`; `crossing`: None if there is no tolerance or no
-    drift."""
+    """Trend of a series. `drift` is None if there are too few values. `chart` and `smoothed` are control charts of the
+    values since the last step; they are None if there are fewer than `MIN_CHARTED` values. `crossing` states when the
+    fitted line reaches the tolerance; it is None if there is no tolerance or no drift.
+    """
 
     series: Series
     drift: Drift | None
@@ -97,8 +100,9 @@ def trend_of(series: Series, warn_nights: float) -> Trend:
 
 
 def _drift(series: Series) -> Drift | None:
-    """Return the drift; None if there are too few nights for it, or if the standard uncertainties are not stated and
-    there are too few nights to estimate the repeatability."""
+    """Return the drift. Return None if there are too few nights for a fit, or if the standard uncertainties are not
+    stated and there are too few nights to estimate the repeatability.
+    """
     relative = series.sigmas if series.stated else np.ones_like(series.values)
     try:
         steps = find_steps(series.nights, series.values, relative, series.steps)
@@ -129,9 +133,10 @@ def _tolerance_alarm(
 
 
 def _control_alarm(series: Series, chart: IndividualsChart | None, smoothed: EwmaChart | None) -> Iterable[TrendAlarm]:
-    """Yield an alarm for the newest value only, since older ones were reported before.
+    """Yield an alarm only for the newest value, since the alarms for older values were raised before.
 
-    No alarm is raised for a magnitude (a series that is not two-sided) below the centre line: it is an improvement.
+    No alarm is raised if a magnitude (a series that is not two-sided) is below the centre line, because that is an
+    improvement.
     """
     if chart is None or smoothed is None:
         return
