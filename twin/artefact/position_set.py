@@ -24,8 +24,8 @@ POSITION_SETS: dict[str, tuple[tuple[float, float], ...]] = {
     "S2": tuple((az, el) for el in (SPACE_DIAGONAL_DEG, -SPACE_DIAGONAL_DEG) for az in (45.0, -45.0)),
     "S3": ((45.0, 0.0), (-45.0, 0.0), (0.0, 45.0), (0.0, -45.0), (90.0, 45.0), (90.0, -45.0)),
 }
-"""Pairs (azimuth, elevation) in degrees of each set: S1 along the axes, S2 along the space diagonals, S3 along the face
-diagonals (crossed in XY, ZX and YZ).
+"""Pairs (azimuth, elevation) in degrees of each set: S1 along the axes, S2 along the space diagonals, S3 along the two
+crossing face diagonals of each of the planes XY, ZX and YZ.
 """
 
 

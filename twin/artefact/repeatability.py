@@ -47,5 +47,8 @@ def estimate_repeatability(readings: Sequence[float], confidence: float = 0.95) 
 
 
 def _factor(probability: float, freedom: int) -> float:
-    """Return √(ν / χ²) for ν (`freedom`) degrees of freedom, with χ² the quantile at `probability`."""
+    """Return √(ν / χ²), where χ² is the quantile at `probability` of the chi-square distribution.
+
+    ν (`freedom`) is its number of degrees of freedom.
+    """
     return math.sqrt(freedom / (2.0 * float(gammaincinv(0.5 * freedom, probability))))

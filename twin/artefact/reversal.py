@@ -1,9 +1,9 @@
 """Reversal value of a linear axis from touches of oblique points of a ball, with the axis preloaded from either side.
 
-Another axis alone moves the tip against a point whose normal leans towards the tested axis. If the tested axis is
-preloaded from the other side, it is displaced by its lost motion. The tip then meets the ball earlier or later by the
-lost motion times the tangent of the slope. Errors of the touch itself (pretravel, play of the moving axis) are equal in
-both cases and cancel.
+Another axis alone moves the tip against a point whose normal leans towards the tested axis. If the preload of the
+tested axis is changed from one side to the other, this axis is displaced by its lost motion. The tip then meets the
+ball earlier or later by the lost motion times the tangent of the slope. Errors of the touch itself (pretravel, play of
+the moving axis) are equal in both cases and cancel.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Gauss-Newton iteration on the geometric distances. It starts from the algebraic sphere, so two steps are enough. A ball
 has five to twenty-five points, and the fit runs once per ball, also in a preflight. Sums over so few points are faster
-in plain floats than in arrays (measured: a quarter of the time for 5 points); only the 3×3 or 4×4 systems are solved by
-LAPACK.
+in plain floats than in arrays (a quarter of the time was measured for 5 points). Only the 3×3 or 4×4 systems are solved
+by LAPACK.
 """
 
 from __future__ import annotations
@@ -100,7 +100,9 @@ def _frame(points: Points) -> tuple[list[float], float]:
 
 
 def _algebraic(points: Points) -> list[float]:
-    """Return the centre of the algebraic sphere |p|² = 2 p·c + (r² - |c|²), exact for points without error.
+    """Return the centre c of the algebraic sphere |p|² = 2 p·c + (r² - |c|²) fitted to the points p.
+
+    r is the radius. The centre is exact if the points have no error.
 
     The points are given relative to their mean, so the constant drops out of the normal equations.
     """

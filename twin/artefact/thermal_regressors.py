@@ -14,8 +14,9 @@ SMOOTHING_HALF_WINDOW_S = 150.0
 def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: float) -> Array:
     """Return the thermal regressors (n, w) K at instants (n,) in s; both are zero at the first instant.
 
-    The first regressor is the change of the reading of the machine's thermometer (n,), or `change_k` times the relative
-    time if there is no thermometer. The second is the next power of time, for parts with a thermal lag of their own.
+    The first regressor is the change of the smoothed reading `machine_c` (n,) of the machine's thermometer or, if there
+    is none, `change_k` times the relative time t (0 to 1). The second is for parts with a thermal lag of their own. It
+    is proportional to t or, if there is no thermometer, to t².
     """
     first = int(np.argmin(instants_s))
     time = (instants_s - instants_s[first]) / max(float(np.ptp(instants_s)), 1.0)

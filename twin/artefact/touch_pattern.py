@@ -43,7 +43,9 @@ _NEGLIGIBLE = 1e-6
 
 
 def approach_directions(count: int, stylus_axis: Array) -> Array:
-    """Return approach directions (count, 3), unit vectors, of the pattern with `count` touches, the pole first.
+    """Return the approach directions (count, 3) of the pattern with `count` touches, as unit vectors.
+
+    The touch at the pole is the first.
 
     `stylus_axis` (3,): unit vector from the ram towards the tip. Raises DataError if `count` is not 5, 9, 13 or 25.
     """

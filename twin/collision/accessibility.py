@@ -70,8 +70,8 @@ def accessible_balls(
     `contact_mm` is ball radius plus tip radius; a touch begins `approach_mm` outside contact and stops `overtravel_mm`
     beyond it. The whole path is checked: along the stylus from a plane in front of the ball to the start of each touch,
     from there to the stop, and within that plane from one touch to the next. Probe and ram extend straight back along
-    -Y from every tip position, so during the approach along Y only the tip sweeps new volume. A tip elongated backwards
-    represents this volume.
+    -Y from every tip position, so during the approach along Y only the tip sweeps new volume. A tip that is elongated
+    backwards (along -Y) represents this volume.
     """
     # Tip centres relative to the ball centre: start of each touch, and its projection into the plane before the ball.
     out = contact_mm + approach_mm

@@ -1,4 +1,4 @@
-"""Collision bodies: probe and ram on one side, artefact, mount and table on the other.
+"""Collision bodies: the moving bodies are probe and ram, the stationary ones artefact, mount and table.
 
 Moving bodies are given relative to the stylus tip centre; probe and ram point along +Y. The machine axes only
 translate, so these bodies never rotate. Stationary bodies are given in the workpiece frame.

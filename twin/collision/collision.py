@@ -1,4 +1,7 @@
-"""Collisions of probe and ram with other bodies on a straight move: a box test first, then exact distances."""
+"""Collisions of probe and ram with other bodies on a straight move.
+
+Boxes are tested first; exact distances are computed only for bodies whose boxes come within the clearance.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,9 @@ class Hit:
 
 
 class Scene:
-    """Moving bodies (relative to the tip centre) among stationary ones; if the latter move, a new scene is needed.
+    """Moving bodies, given relative to the tip centre, among stationary bodies.
+
+    If a stationary body is moved, a new scene is needed.
 
     The boxes around the moving bodies and the sorted extents of the boxes around the stationary ones are precomputed.
     """
@@ -84,7 +89,7 @@ class Scene:
     def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = (), at_most: float = math.inf) -> float:
         """Return the smallest distance in mm between a moving body and an obstacle with the tip centre at `tip`.
 
-        The distance is negative if they overlap. Distances beyond `at_most` are not computed, which is faster: if all
+        The distance is negative if they overlap. To save time, distances larger than `at_most` are not computed; if all
         are larger, the result is `at_most`. `ignored`: pairs of names (moving, obstacle) that are left out.
         """
         smallest = at_most

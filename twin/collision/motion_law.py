@@ -190,7 +190,7 @@ class StraightPath:
         )
 
     def limit_along(self, per_axis: Sequence[float]) -> float:
-        """Return the largest speed (or acceleration) along the path at which every axis keeps its own limit."""
+        """Return the largest speed (or acceleration) along the path at which no axis exceeds its own limit."""
         largest = math.inf
         for limit, part in zip(per_axis, self.direction, strict=True):
             if part != 0.0 and limit < largest * abs(part):

@@ -1,5 +1,6 @@
-"""Bodies in the workspace while one station is measured: the mounts of the other stations with their parked
-artefacts.
+"""Bodies in the workspace while one station is measured.
+
+These are the mounts of the other stations and the artefacts parked on them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Swept volume of a rotating artefact, and the depth to which the probe may stay in front of it during the rotation.
+"""Swept volume of a rotating artefact, and the largest depth at which the probe may remain in front of it during the
+rotation.
 
 Both axes of a mount rotate at the same time, either may be ahead of the other, and a mount may also stop halfway. The
 swept volume is therefore the union over every pair of azimuth and elevation between the old and the new angles. Bodies
@@ -70,7 +71,7 @@ def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCove
 class TurnSweep:
     """Largest permissible y of the tip centre during a turn, on a grid of x and z relative to the mount location.
 
-    `deepest` (k, k) mm: y of the tip centre; infinite where no body passes. The probe approaches along +Y.
+    `deepest` (k, k) mm: y of the tip centre; infinite if no body passes at this x and z. The probe approaches along +Y.
     """
 
     reach_mm: float
@@ -94,7 +95,7 @@ def turn_sweep(
     *,
     clearance_mm: float,
 ) -> TurnSweep:
-    """Compute how deep the tip may stay during a turn between two pairs of azimuth and elevation in degrees.
+    """Compute the largest permissible y of the tip during a turn between two pairs of azimuth and elevation in degrees.
 
     The result is valid for any order and any speeds of the two rotations.
 

@@ -1,4 +1,6 @@
-"""Order of least cost in which to visit points: exact for few points, improved by exchanges for more.
+"""Order of least cost in which to visit points.
+
+For few points the order is exact; for more points it is improved by exchanges.
 
 The cost of a leg may depend on its direction and may be expensive to compute. Costs are therefore requested one by one
 from the caller's function, and an exchange is not evaluated if the lower bound of its new legs exceeds the cost of the

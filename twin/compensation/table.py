@@ -121,7 +121,7 @@ class MeasuredRegion:
             )
 
     def contains(self, axis_positions: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Return (n,) bool, True for axis positions (n, 3) inside the region."""
+        """Return (n,) bool: True for each of the axis positions (n, 3) that is inside the region."""
         distance = axis_positions @ self.walls[:, :3].T + self.walls[:, 3]
         return np.asarray((distance <= self.margin_mm).all(axis=1))
 

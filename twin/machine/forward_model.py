@@ -73,7 +73,7 @@ def exact_deviation(
     """Return the deviation (n, 3) in mm for axis positions (n, 3) and parameters (p,), by the exact product of
     transforms.
 
-    The deviation and the nominal arm are computed separately, so that no digits are lost over 4 m of travel.
+    The deviation and the nominal arm are computed separately, so that no digits are lost even if the travel is 4 m.
     """
     points = as_points(axis_positions, "axis positions")
     offset = as_vector(tool_offset, 3, "tool offset")

@@ -11,8 +11,9 @@ from twin.arrays import Array
 
 
 def normalise_positions(positions: Array, axis_range: tuple[float, float]) -> Array:
-    """Map axis positions (n,) in mm linearly from `axis_range` to [-1, 1]; positions outside the range map outside [-1,
-    1].
+    """Map axis positions (n,) in mm linearly from `axis_range` to [-1, 1].
+
+    Positions outside the range are mapped to values outside [-1, 1].
     """
     low, high = axis_range
     return (positions - 0.5 * (low + high)) * (2.0 / (high - low))

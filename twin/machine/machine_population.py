@@ -21,7 +21,7 @@ DEFAULT_DECAY = 0.6
 class Family:
     """Distribution of machines in which parameter i of `model` is uniform in ±a_i.
 
-    a = `half_widths` (p,), in mm or rad.
+    a_i is element i of `half_widths` (p,), in mm or rad.
     """
 
     model: ErrorModel

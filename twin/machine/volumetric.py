@@ -1,4 +1,4 @@
-"""Volumetric error: rms length of the deviation over a grid, raw and after the best rigid motion is removed.
+"""Volumetric error, which is the rms length of the deviation over a grid.
 
 A rigid motion of the whole workspace is not a machine error, and an artefact whose pose is unknown cannot observe it.
 Every volumetric error is therefore given both raw and aligned, which means after the best rigid motion is removed. For
@@ -187,7 +187,7 @@ class QuadraticForm:
     def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> VolumetricRms:
         """Return the volumetric error of one machine with parameters (p,).
 
-        For many machines with the same fixed field, call `with_field` once instead.
+        To evaluate many machines with the same fixed field, call `with_field` once and then `values`.
         """
         form = self if field is None else self.with_field(field)
         raw, aligned = form.values(as_vector(parameters, self.model.size, "parameters")[None, :])
@@ -196,7 +196,7 @@ class QuadraticForm:
     def expected(self, covariance: Array) -> VolumetricRms:
         """Return the root of the expected mean square for parameters of mean zero and covariance P (p, p).
 
-        This is sqrt(trace(Q P) + c), with Q the quadratic coefficients and c the mean square of the fixed field.
+        This is sqrt(trace(Q P) + c), where Q is `raw` or `aligned` and c is the mean square of the fixed field.
         """
         raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
         aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant

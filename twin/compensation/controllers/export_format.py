@@ -28,7 +28,7 @@ class TableEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ExportSource:
-    """Table to be exported, and the estimate it was built from if there is one."""
+    """Table to be exported and, if there is one, the estimate from which the table was built."""
 
     table: CompensationTable
     estimate: TableEstimate | None = None

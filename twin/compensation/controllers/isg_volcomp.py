@@ -1,4 +1,5 @@
-"""Volumetric compensation of the ISG kernel (Beckhoff TwinCAT CNC TF5280): error motions by ISO 230-1 in ISG_CSV.
+"""Volumetric compensation of the ISG kernel (Beckhoff TwinCAT CNC TF5280): error motions according to ISO 230-1 in the
+file format ISG_CSV.
 
 According to the section "ISG CSV format" of the manual TF5280, a file consists of blocks separated by `#`. Each block
 has a header line with its argument axes and parameter names; values are in mm and rad, and `//` begins a comment. A

@@ -2,7 +2,7 @@
 
 A row contains `nominal forward reverse`, with ascending nominal positions. The motion module computes trim = nominal -
 forward and adds the trim to the motor's command (`usrmotLoadComp` in usrmotintf.cc, `compute_screw_comp` in control.c).
-The reader stops silently at the first row that is not three numbers, so there is neither header nor comment.
+The reader stops silently at the first row that is not three numbers, so the file contains neither header nor comment.
 """
 
 from __future__ import annotations

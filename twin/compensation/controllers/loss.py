@@ -1,4 +1,6 @@
-"""Volumetric error that remains without a table, with the full table and with the table as reduced for a controller."""
+"""Volumetric error that remains without a table, with the full table, and with the table in its reduced form for a
+controller.
+"""
 
 from __future__ import annotations
 

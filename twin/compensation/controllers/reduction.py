@@ -1,9 +1,9 @@
 """Reduction of a table to functions of one axis position and products of two, as controllers support them.
 
 On an even grid a field decomposes into a mean, a main effect of each axis and an interaction of each pair of axes, all
-orthogonal to each other (analysis of variance). If some of them are omitted, the others are therefore still the best
-fit. Small rigid motions of the workspace consist of means and main effects only, so the reduction that is best before a
-rigid alignment is also the best after it.
+orthogonal to each other (analysis of variance). If some of these parts are omitted, the others are therefore still the
+best fit. Small rigid motions of the workspace consist of means and main effects only, so the reduction that is best
+before a rigid alignment is also the best after it.
 """
 
 from __future__ import annotations

@@ -157,7 +157,7 @@ def _directed(turn: float, clockwise: bool) -> float:
 def _more_turns(block: Block, clockwise: bool) -> float:
     """Return the angle of the additional full turns.
 
-    The word P of an arc is its number of turns, of which the last may be partial.
+    The word P of an arc is its number of turns; the last turn may be partial.
     """
     turns = block.values.get("P", 1.0)
     if not (turns.is_integer() and 1.0 <= turns <= _MOST_TURNS):

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class CorrectionSummary:
     """Counts of a corrected program.
 
-    `moves`: moves that were corrected; `divided`: moves among them that were written as several lines; `arcs`: arcs
-    among them, written as straight moves. `not_corrected`: rapid moves before all three axes had a known position.
+    `moves`: corrected moves; `divided`: corrected moves that were written as several lines; `arcs`: corrected arcs,
+    which were written as straight moves. `not_corrected`: rapid moves before all three axes had a known position.
     `outside`: points beyond the table's volume; `held`: points at which the correction was limited, because it would
     have left the volume. For both, the largest amount is stored too. `extrapolated`: points in cells with nodes outside
     the measured region.

@@ -54,8 +54,9 @@ class LineFormatter:
         return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}{move.comment}"
 
     def lines(self, move: MoveBlock, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
-        """Yield the lines of a divided move, one for each piece that changes a rounded axis word and one for the last
-        piece.
+        """Yield the lines of a divided move.
+
+        There is one line for each piece that changes a rounded axis word, and one for the last piece.
 
         With G93, F is the reciprocal of the time in minutes, so the F of each piece is computed from its share of the
         total time.

@@ -20,9 +20,9 @@ class PartSetup:
     """Setup of a part program. All lengths are in mm, all positions are axis positions (machine coordinates).
 
     `work_offsets`: axis positions of the zero points of G54 and so on; `reference_points`: end points of G28 and G30;
-    `tools`: map from the number of H to the length that G43 adds to the programmed position; `g92`: G92 offset left by
-    an earlier program. `start`: position of the axes before the first line, None if it is unknown. `tool_change_moves`:
-    True if M6 may move the axes.
+    `tools`: map from the number of H to the length that G43 adds to the programmed position; `g92`: G92 offset that an
+    earlier program has left in effect. `start`: position of the axes before the first line, None if it is unknown.
+    `tool_change_moves`: True if M6 may move the axes.
     """
 
     work_offsets: Mapping[str, Triple] = field(default_factory=dict)

@@ -128,7 +128,7 @@ class ProgramWriter:
             lines.clear()
 
     def _moves(self) -> Iterator[list[str]]:
-        """Yield the lines of the collected moves, in batches of some thousand points."""
+        """Yield lists of the lines of the collected moves; each list belongs to a batch of some thousand points."""
         if not self._ends:
             return
         moves = [item for item in self._items if not isinstance(item, str)]
