@@ -28,11 +28,11 @@ _MIN_INFORMATION = 1e-13  # of the largest information of a position: below it t
 
 @dataclass(frozen=True, eq=False)
 class CandidatePositions:
-    """N candidate positions in the order of station, azimuth, elevation, tool.
+    """N candidate positions, sorted by station, azimuth, elevation and tool.
 
-    `balls` (N,): number of measurable balls; `factors` (N, r, P): factor W of each candidate, padded with zero rows to
-    r rows, where WᵀW is the information about the shared unknowns z after projecting out the pose; `precision` (P, P):
-    prior precision of z; `form`: the design criterion.
+    `balls` (N,) is the number of measurable balls of each. `factors` (N, r, P) contains a matrix W for each candidate,
+    padded with zero rows to r rows. WᵀW is the information that the candidate gives about the P shared unknowns z after
+    its pose has been projected out. `precision` (P, P) is the prior precision of z, and `form` the design criterion.
     """
 
     positions: tuple[Position, ...]
@@ -52,18 +52,19 @@ class CandidatePositions:
         return np.asarray(0.5 * (inverse + inverse.T))
 
     def vce(self, chosen: Sequence[int] | Indices) -> VolumetricRms:
-        """Return the expected VCE after measuring the `chosen` candidates; without any, the expected value under the
-        prior."""
+        """Return the expected volumetric compensated error after measuring the `chosen` candidates.
+
+        If none is chosen, the value is the one expected under the prior.
+        """
         return self.form.expected(self.covariance(chosen))
 
 
 def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
-    """Return all (azimuth, elevation) pairs in degrees on a full grid; elevations run from -90° to 90°. Raise DataError
-    if the step does not divide 90°.
+    """Return all (azimuth, elevation) pairs in degrees on a full grid, with elevations from -90° to 90°.
 
-    No two orientations are equivalent, because the ball holders make the artefact asymmetric: if the bar is turned by
-    180° in azimuth and mirrored in elevation, it lies along the same line, but its balls are on the other side of the
-    mount.
+    Raise DataError if the step does not divide 90°. No two orientations are equivalent, because the ball holders make
+    the artefact asymmetric: if the bar is turned by 180° in azimuth and mirrored in elevation, it lies along the same
+    line, but its balls are on the other side of the mount.
     """
     steps = 90.0 / step_deg if step_deg > 0.0 else 0.0
     if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
@@ -86,12 +87,12 @@ def build_candidates(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> CandidatePositions:
-    """Return the candidates among `positions`; duplicates and positions with fewer than three measurable balls are
+    """Return the candidates among `positions`. Duplicates and positions with fewer than three measurable balls are
     omitted.
 
-    `grid` (n, 3) in mm and `tool_offset` (3,) define the error field to be minimised. The formulation and scales of
-    `options` have no effect: ball centres are used, with noise, prior and misfit as stated. Raise DataError if no
-    position can be measured.
+    `grid` (n, 3) in mm and `tool_offset` (3,) in mm define the error field to be minimised. The formulation and the
+    scales in `options` have no effect: ball centres are always used, with the stated noise, prior and misfit. Raise
+    DataError if no position can be measured.
     """
     planned = procedure.plan(sorted(set(positions), key=_order))
     problem = build_problem(family, planned.observations, procedure.artefact, options)
@@ -113,8 +114,10 @@ def _balls(planned: PlannedMeasurement) -> Indices:
 
 
 def _factors(problem: IdentificationProblem) -> Array:
-    """Return the factors (N, r, P): equations of each position, rotated so that the equations used up by its pose
-    become zero and are omitted."""
+    """Return the factors (N, r, P) of the candidates.
+
+    The equations of each position are rotated so that the equations used up by its pose become zero; these are omitted.
+    """
     size = problem.blocks.size
     rows = CentreEquations.build(problem, unit_weights=False).projected(size)
     rows = problem.layout.pad(rows).reshape(problem.layout.positions, -1, size)

@@ -1,4 +1,4 @@
-"""Design criterion: expected mean square of the residual error field, as a quadratic form of all shared unknowns z."""
+"""Design criterion: the expected mean square of the residual error field, as a quadratic form of all shared unknowns z."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ _CROSS_DEGREE = 3
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """Quadratic forms `raw` and `aligned` (P, P) in mm² of the design criterion.
+    """Design criterion as two quadratic forms (P, P) in mm² of the P shared unknowns z.
 
-    If the P unknowns z have covariance C, trace(form · C) is the expected mean square over a grid; `aligned` holds
-    after the best rigid motion. Certificate and strain do not contribute to the field. `unresolved_mm2`: mean square of
-    the part of the misfit whose wavelength is too short for the modes; it is the same for every position set.
+    If the error of z has mean zero and the covariance C, trace(`raw` · C) is the expected mean square of the error
+    field over a grid. For `aligned`, the best-fitting rigid motion is first removed from the field. Certificate and
+    strain are unknowns that do not contribute to the field. `unresolved_mm2` is the mean square of the part of the
+    misfit whose wavelength is too short for the modes. It is the same for every position set.
     """
 
     raw: Array
@@ -33,7 +34,7 @@ class Criterion:
 
     @classmethod
     def build(cls, unknowns: Unknowns, axis_positions: ArrayLike, tool_offset: ArrayLike) -> Criterion:
-        """Build the forms over a grid of axis positions (n, 3) in mm for the tool offset (3,) in mm."""
+        """Build the criterion for a grid of axis positions (n, 3) in mm and a tool offset (3,) in mm."""
         grid, offset = as_points(axis_positions, "axis positions"), as_vector(tool_offset, 3, "tool offset")
         fields = _Fields(unknowns, offset)
         sums = GridQuadrature.for_points(grid, fields.degrees)
@@ -57,14 +58,15 @@ class Criterion:
         )
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Return the roots of the expected mean squares if z has `covariance` (P, P)."""
+        """Return the roots of the expected mean squares if the error of z has `covariance` (P, P). The unresolved
+        misfit is included."""
         raw, aligned = (float(np.vdot(form, covariance)) + self.unresolved_mm2 for form in (self.raw, self.aligned))
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 
 
 @dataclass(frozen=True, eq=False)
 class _Fields:
-    """Unknowns that contribute to the field: parameters and misfit."""
+    """Fields in mm of those unknowns that contribute to the error field: parameters and misfit."""
 
     unknowns: Unknowns
     offset: Array
@@ -81,7 +83,8 @@ class _Fields:
 
     @property
     def degrees(self) -> tuple[int, int, int]:
-        """Upper bounds of the polynomial degrees in x, y, z of series with levers, cross-effect and misfit modes."""
+        """Upper bounds of the polynomial degrees in x, y and z. They cover Legendre series with levers, cross-effect
+        terms and misfit modes."""
         unknowns = self.unknowns
         highest = np.maximum(np.array(unknowns.model.highest_order) + 1, _CROSS_DEGREE)
         if unknowns.modes is not None:
@@ -91,7 +94,7 @@ class _Fields:
 
     @property
     def unresolved_mm2(self) -> float:
-        """Variance of the unresolved misfit in mm², summed over three directions, with all scales 1."""
+        """Variance in mm² of the unresolved misfit, summed over the three directions, if all scales are 1."""
         modes = self.unknowns.modes
         return 0.0 if modes is None else 3.0 * self.unknowns.misfit_mm**2 * float(modes.left_out.sum())
 
@@ -106,7 +109,7 @@ class _Fields:
         return np.concatenate((fields, unknowns.misfit_mm * unknowns.modes.at(points, at_hand)), axis=2)
 
     def embed(self, form: Array) -> Array:
-        """Embed a form (size, size) in a form (P, P) of all unknowns."""
+        """Insert a form (size, size) into a form (P, P) of all unknowns."""
         full = np.zeros((self.unknowns.blocks.size,) * 2)
         full[np.ix_(self.indices, self.indices)] = form
         return full

@@ -13,7 +13,7 @@ from twin.design.search import ExchangeSearch, FeasibleMask, Mask, Selection
 from twin.errors import DataError
 
 MIN_POSITIONS = 2
-"""Minimum number of positions; with fewer, machine and artefact errors cannot be separated, whatever the prior."""
+"""Minimum number of positions. With fewer, machine and artefact errors cannot be separated, whatever the prior."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,10 @@ class TimeSlotGoal:
     minutes: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the chosen candidates. Raise DataError, stating the shortest possible time, if two
-        positions do not fit into the slot."""
+        """Return the indices of the chosen candidates.
+
+        Raise DataError, stating the shortest possible time, if two positions do not fit into the slot.
+        """
         shortest = search.costs.cheapest_pairs()
         if self.minutes < shortest.min():
             raise DataError(
@@ -69,13 +71,16 @@ class TimeSlotGoal:
 
 @dataclass(frozen=True)
 class TargetErrorGoal:
-    """Minimise the machine time subject to an expected VCE (aligned) of at most `vce_mm`."""
+    """Minimise the machine time subject to an expected VCE of at most `vce_mm`, after the best-fitting rigid motion has
+    been removed."""
 
     vce_mm: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the chosen candidates. Raise DataError, stating the best possible VCE, if even all
-        candidates together do not reach the target."""
+        """Return the indices of the chosen candidates.
+
+        Raise DataError, stating the best possible VCE, if even all candidates together do not reach the target.
+        """
         candidates = search.candidates
         wanted = self.vce_mm**2 - candidates.form.unresolved_mm2
         floor = candidates.vce(range(candidates.count)).aligned_mm
@@ -96,20 +101,22 @@ def _count_limit(count: int, candidates: int) -> FeasibleMask:
 
 
 def _last_selection(search: ExchangeSearch, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Selection:
-    """Return the selection after adding as many candidates as `room` allows, or the given one if none can be added."""
+    """Return the selection after as many candidates as `room` allows have been added, or the given selection if none
+    can be added."""
     return deque(chain([selection], search.grow(selection, room, per_minute=per_minute)), maxlen=1).pop()
 
 
 def _best_selection(search: ExchangeSearch, room: FeasibleMask) -> Selection:
-    """Return the better of two selections, grown greedily by gain per minute and by gain, and then improved by exchange
-    and filling."""
+    """Return the better of two selections. One is grown greedily by gain per minute and the other by gain; both are
+    then improved by exchanging and adding positions."""
     start = Selection.of(search.candidates)
     grown = [_last_selection(search, start, room, per_minute=per_minute) for per_minute in (True, False)]
     return min((_exchange_and_fill(search, selection, room) for selection in grown), key=lambda one: one.value)
 
 
 def _exchange_and_fill(search: ExchangeSearch, selection: Selection, room: FeasibleMask) -> Selection:
-    """Alternate between exchanging positions and adding positions in the freed time, until no more can be added."""
+    """Alternate between exchanging positions and adding positions in the time that this frees, until no more can be
+    added."""
     while True:
         exchanged = search.exchange(selection, room)
         filled = _last_selection(search, exchanged, room, per_minute=False)

@@ -1,10 +1,10 @@
 """Selection of held-out positions for the verification: those whose measurement would improve the estimate most.
 
-The verification should be able to fail. If a position set leaves part of the error field uncertain and this matters for
-the volumetric error, a wrong estimate shows most clearly at the position that would lower the expected VCE² most.
-Held-out positions are therefore chosen by the same criterion as the set itself. The gain of each group of positions is
-computed as if everything chosen before, including groups already held out, had been measured, so that two groups do not
-test the same error.
+The verification should be able to fail. If a position set leaves part of the error field uncertain and this part
+matters for the volumetric error, a wrong estimate shows most clearly at the position whose measurement would lower the
+expected VCE² most. Held-out positions are therefore chosen by the same criterion as the set itself. The gain of each
+group of positions is computed as if everything chosen before, including the groups already held out, had been measured,
+so that two groups do not test the same error.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def most_informative_groups(
 ) -> list[list[int]]:
     """Return the `count` most informative of `groups`, chosen one after another.
 
-    A group holds indices measured together, such as one orientation at all stations. Groups that share a position with
-    `chosen` are skipped. Raise DataError if fewer than `count` groups remain.
+    A group contains the indices of positions that are measured together, such as one orientation at all stations.
+    Groups that share a position with `chosen` are skipped. Raise DataError if fewer than `count` groups remain.
     """
     taken = set(chosen)
     left = [list(group) for group in groups if not taken & set(group)]
@@ -45,8 +45,11 @@ def most_informative_groups(
 
 
 def _gain(factors: Array, form: Array, covariance: Array) -> float:
-    """Return trace(Q C Wᵀ (1 + W C Wᵀ)⁻¹ W C) for the factors W (g, r, P) of a group measured together, with the form Q
-    and the covariance C."""
+    """Return the gain of a group of g positions measured together, trace(Q C Wᵀ (1 + W C Wᵀ)⁻¹ W C).
+
+    W stacks the `factors` (g, r, P) of the group, Q is the quadratic form of the criterion, and C is the covariance of
+    the unknowns before the group is measured.
+    """
     rows = factors.reshape(-1, factors.shape[2])
     carried = rows @ covariance
     taken = np.linalg.solve(np.eye(len(rows)) + carried @ rows.T, carried)

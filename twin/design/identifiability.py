@@ -1,16 +1,18 @@
-"""Identifiability of a machine by a planned set-up, and the part of the error field that stays hidden from it.
+"""Identifiability of a machine by a planned set-up, and the part of the error field that remains hidden from this
+set-up.
 
-Take the parameters z in units of their prior, z ~ N(0, 1), and let C (p, p) be their posterior covariance, marginal
-over certificate, thermal strain and misfit. For a machine z, the mean of the estimate over all noise is (1 - C) z. The
-estimate does not follow the remaining part C z, either because the measurements do not depend on it or because noise
-hides it. The projection of C z on the null space of the measurements (basis N) remains, no matter how often they are
-repeated. Over the prior this gives
+The p parameters are collected in a vector z in units of their prior standard deviations, so that a priori z has mean
+zero and covariance 1. Let C (p, p) be the posterior covariance of z, marginal over certificate, thermal strain and
+misfit. For a machine with the parameters z, the mean of the estimate over all noise is (1 - C) z. The estimate does not
+follow the remaining part C z, either because the measurements do not depend on it or because noise hides it. The part
+of C z that lies in the null space of the measurements remains, no matter how often they are repeated. If the columns of
+N are an orthonormal basis of this null space, the two parts have these covariances over the prior:
 
     unseen field   covariance C C,     tends to the blind field as the noise tends to zero
     blind field    covariance N Nᵀ
 
-and the mean square of each field over the workspace is a quadratic form of the parameters, for the measuring tools and
-for any other tool.
+The mean square of each field over the workspace is a quadratic form of the parameters. It is computed for the measuring
+tools and for any other tool.
 """
 
 from __future__ import annotations
@@ -29,7 +31,11 @@ from twin.machine.volumetric import QuadraticForm
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedTool:
-    """Tool for which the field over a grid is evaluated. `measured`: True if the set is measured with this tool."""
+    """Tool for which the field over a grid is evaluated.
+
+    `form` is the quadratic form of the mean square field of the tool. `measured` is True if the position set is
+    measured with this tool.
+    """
 
     name: str
     form: QuadraticForm
@@ -38,11 +44,13 @@ class EvaluatedTool:
 
 @dataclass(frozen=True, eq=False)
 class UnseenField:
-    """Rms values of the error field over the workspace for one tool, in mm, after the best rigid motion.
+    """Rms values in mm of error fields over the workspace for one tool, after the best-fitting rigid motion has been
+    removed.
 
-    `tool_offset` (3,) in mm; `measured`: True if the set is measured with this tool. `prior_mm`: field of the family
-    without compensation; `unseen_mm`: part of the field that the estimate will not follow; `blind_mm`: the part of the
-    unseen field that no repetition of the measurements can reveal.
+    `tool_offset` (3,) is in mm; `measured` is True if the position set is measured with this tool. `prior_mm` is the
+    rms of the field of the family of machines without compensation. `unseen_mm` is the rms of the part of the field
+    that the estimate will not follow. `blind_mm` is the rms of the part that no repetition of the measurements can
+    reveal.
     """
 
     tool: str
@@ -57,9 +65,9 @@ class UnseenField:
 class Identifiability:
     """Identifiability of the p parameters by a set-up.
 
-    `rank`, `null_directions` and `conditioning` describe the measurements alone. `prior_sigma`, `posterior_sigma` (p,):
-    standard deviations of the parameters before and after the measurement in mm or rad; `fields`: unseen field of each
-    evaluated tool.
+    `rank`, `null_directions` and `conditioning` describe the measurements alone. `prior_sigma` (p,) and
+    `posterior_sigma` (p,) are the standard deviations of the parameters, in mm or rad, before and after the
+    measurement. `fields` contains the unseen field of each evaluated tool.
     """
 
     model: ErrorModel
@@ -87,11 +95,11 @@ class Identifiability:
 
 
 def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedTool]) -> Identifiability:
-    """Return the identifiability given by the measurements behind `estimate`; only the ball positions matter, not the
-    values.
+    """Return the identifiability given by the measurements behind `estimate`. Only the ball positions matter, not the
+    measured values.
 
-    The result is valid for full weights with the family as prior, because the covariance of the estimate is then the
-    posterior covariance.
+    The result is valid only if the estimate has full weights and the family as prior, because the covariance of the
+    estimate is then the posterior covariance.
     """
     return Identifiability(
         model=estimate.model,
@@ -105,10 +113,10 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
 
 
 def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
-    """Return the covariance (p, p) of the part of a random machine that the estimate does not follow.
+    """Return the covariance (p, p) in mm and rad of the part of a random machine that the estimate does not follow.
 
-    `covariance` C (p, p) is the posterior covariance. In units of `prior_scale` (p,) the result is C C; a parameter
-    that the family holds at zero does not contribute.
+    `covariance` (p, p) is the posterior covariance; in units of `prior_scale` (p,) it is called C, and the result is C
+    C. A parameter that the family holds at zero does not contribute.
     """
     used = prior_scale > 0.0
     weights = np.zeros_like(prior_scale)
@@ -117,8 +125,11 @@ def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
 
 
 def blind_covariance(information: Array, prior_scale: Array) -> Array:
-    """Return the covariance (p, p) of the part of a random machine that lies in the null space of `information` (p, p).
-    The information matrix is in units of `prior_scale`, the result in mm and rad."""
+    """Return the covariance (p, p) in mm and rad of the part of a random machine that lies in the null space of
+    `information` (p, p).
+
+    The information matrix refers to parameters in units of `prior_scale` (p,).
+    """
     hidden = prior_scale[:, None] * null_space(information)
     return np.asarray(hidden @ hidden.T)
 

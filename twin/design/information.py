@@ -6,8 +6,8 @@ position. Measuring this position lowers trace(Q C) by
     trace((1 + W C Wᵀ)⁻¹ W C Q C Wᵀ)
 
 (Woodbury), so a search needs only two small matrices per candidate. Measuring a position subtracts from C a matrix U
-Uᵀ, whose rank is that of W, and the small matrices of all candidates are updated from one product of their factors with
-U and C Q U, without recomputing them.
+Uᵀ, whose rank is that of W. The small matrices of all candidates are then updated, without being recomputed, from one
+product of their factors with U and C Q U.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from twin.design.candidates import Indices
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """Covariance of the unknowns after measuring a selection, and quantities from which the gain of each candidate
-    follows.
+    """Covariance of the unknowns after a selection has been measured, and the quantities from which the gain of each
+    candidate follows.
 
-    `factors` (n, r, P): information factor W of each candidate considered; `form` (P, P): quadratic form Q of the
-    design criterion in mm²; `covariance` (P, P): covariance C of the unknowns; `spread` (n, r, r): W C Wᵀ of each
-    candidate; `weight` (n, r, r): W C Q C Wᵀ of each candidate; `value`: trace(Q C), the expected mean square error in
-    mm².
+    `factors` (n, r, P) contains the information factor W of each of the n candidates considered. `form` (P, P) is the
+    quadratic form Q of the design criterion in mm², and `covariance` (P, P) the covariance C of the unknowns. `spread`
+    (n, r, r) contains W C Wᵀ and `weight` (n, r, r) contains W C Q C Wᵀ of each candidate. `value` is trace(Q C), the
+    expected mean square error in mm².
     """
 
     factors: Array
@@ -58,11 +58,11 @@ class InformationState:
         )
 
     def gains(self) -> Array:
-        """Return, for each candidate, the decrease (n,) of the value in mm² if it is measured (or measured again)."""
+        """Return the gains (n,) in mm²: the decrease of the value if the candidate is measured once, or once more."""
         return _ratios(np.eye(self.spread.shape[1]) + self.spread, self.weight)
 
     def losses(self, measured: Indices) -> Array:
-        """Return, for each of the m `measured` positions, the increase (m,) of the value in mm² if it is removed."""
+        """Return the losses (m,) in mm²: the increase of the value if one of the m `measured` positions is removed."""
         return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
 
     def after_adding(self, factor: Array) -> InformationState:
@@ -70,11 +70,11 @@ class InformationState:
         return self._changed(factor, -1.0)
 
     def after_removing(self, factor: Array) -> InformationState:
-        """Return the state without a measured position with `factor` (r, P)."""
+        """Return the state after removing a measured position with `factor` (r, P)."""
         return self._changed(factor, 1.0)
 
     def _changed(self, factor: Array, sign: float) -> InformationState:
-        """Return the state with covariance C + sign U Uᵀ, where U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ."""
+        """Return the state with the covariance C + sign U Uᵀ, where U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ and W is `factor`."""
         carried = factor @ self.covariance
         root, _ = dpotrf(np.eye(len(factor)) - sign * (carried @ factor.T), lower=1)
         u = dtrtrs(root, carried, lower=1)[0].T
@@ -96,5 +96,5 @@ class InformationState:
 
 
 def _ratios(below: Array, above: Array) -> Array:
-    """Return trace(below⁻¹ above) (n,) of symmetric matrices (n, r, r)."""
+    """Return trace(below⁻¹ above) as an array (n,), for symmetric matrices (n, r, r)."""
     return np.asarray(np.einsum("nij,nij->n", np.linalg.inv(below), above))

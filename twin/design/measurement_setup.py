@@ -18,12 +18,16 @@ from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_population import Family
 
 AS_STATED = Options(estimate_scales=False, outliers="none")
-"""Options for planning: nothing has been measured yet, so noise, prior and misfit have their stated scales."""
+"""Options for planning. Nothing has been measured yet, so the scales of noise, prior and misfit are not estimated."""
 
 
 @dataclass(frozen=True, eq=False)
 class SetUp:
-    """Planned measurement. Each of `positions` names its tool; None means the first tool of the procedure."""
+    """Planned measurement.
+
+    Each of `positions` names its tool; if the name is None, the position is measured with the first tool of the
+    procedure.
+    """
 
     model: ErrorModel
     family: Family
@@ -37,8 +41,8 @@ class SetUp:
 
     @property
     def tool_axis(self) -> int:
-        """Index of the axis along which the first tool is longest; if its offset is zero, of the axis that carries
-        it."""
+        """Index of the machine axis along which the first tool is longest. If the offset of the tool is zero, it is the
+        index of the axis that carries the tool."""
         offset = np.abs(self.procedure.layout().tool_offset_mm)
         if offset.any():
             return int(offset.argmax())
@@ -49,8 +53,8 @@ class SetUp:
         return self.procedure.plan(self.positions)
 
     def estimate(self) -> Estimate:
-        """Return the estimate expected from the planned ball positions; its covariance is that of the coming
-        measurement.
+        """Return the estimate expected from the planned ball positions. Its covariance is that of the estimate from the
+        future measurement.
 
         Raise DataError if no position can be measured, and SingularSet if the set determines nothing.
         """
@@ -65,18 +69,18 @@ class SetUp:
         return replace(self, positions=(*self.positions, *positions))
 
     def with_tool(self, name: str, tool_offset: Array) -> SetUp:
-        """Return the set-up in which the positions of the first tool are also measured with another tool, planned for
-        its offset."""
+        """Return the set-up in which the positions of the first tool are also measured with another tool. Their layout
+        is planned for the offset (3,) in mm of that tool."""
         layouts = {**self.procedure.layouts, name: layout_for(self.procedure.layout(), tool_offset, self.tool_axis)}
         procedure = replace(self.procedure, layouts=layouts)
         return replace(self, procedure=procedure).with_positions(replace(p, tool=name) for p in self.first_positions())
 
 
 def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:
-    """Return the layout for another tool offset (3,) in mm; the length of the probe changes by the difference of the
+    """Return the layout for another tool offset (3,) in mm. The length of the probe changes by the difference of the
     offsets along the tool axis.
 
-    Collisions are checked for a straight probe that is at least as long as stem and body of the layout's probe
+    Collisions are checked for a straight probe. It is at least as long as the stem and the body of the layout's probe
     together.
     """
     longer = float((np.abs(tool_offset) - np.abs(layout.tool_offset_mm))[tool_axis])
@@ -89,5 +93,5 @@ def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> M
 
 
 def shortest_reach_mm(probe: ProbeGeometry) -> float:
-    """Return the shortest possible length of a probe with this stem and body."""
+    """Return the length in mm of the shortest probe that has this stem and this body."""
     return probe.stem_length_mm + 2.0 * probe.body_radius_mm

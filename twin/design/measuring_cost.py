@@ -16,9 +16,9 @@ from twin.errors import DataError
 class MeasuringCosts:
     """Measuring time of N candidates.
 
-    `minutes` (N,): time to measure each candidate if the mount is already at its station; `stations` (N,): station of
-    each candidate; `carry_minutes`: time to move the mount to another station; `standing_at`: initial station of the
-    mount, None if it is at no station.
+    `minutes` (N,) is the time to measure each candidate if the mount is already at its station. `stations` (N,) is the
+    station of each candidate. `carry_minutes` is the time to move the mount to another station. `standing_at` is the
+    initial station of the mount, or None if it is at no station.
 
     A position set is measured station by station, so each of its stations other than the initial one costs one move.
     """
@@ -45,8 +45,8 @@ class MeasuringCosts:
         return np.asarray(self.minutes + self.carry_minutes * ~np.isin(self.stations, here))
 
     def cheapest_pairs(self) -> Array:
-        """Return, for each candidate, the minutes (N,) needed to measure it together with the second candidate that
-        adds least."""
+        """Return, for each candidate, the minutes (N,) needed to measure it together with whichever second candidate
+        adds least time."""
         cheapest = np.empty(len(self.minutes))
         for index in range(len(cheapest)):
             beside = self.marginal([index])

@@ -1,4 +1,4 @@
-"""Planned measuring procedure: the balls measured in a set of positions, and the covariance of their centres."""
+"""Planned measuring procedure: the balls that are measured in a set of positions, and the covariance of their centres."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from twin.errors import DataError
 IndexArray = NDArray[np.intp]
 
 MIN_BALLS = 3
-"""Minimum number of balls per position; fewer give no information, since the pose has six unknowns."""
+"""Minimum number of balls per position. Fewer balls give no information, since the pose has six unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedMeasurement:
     """Measurement planned for a set of positions.
 
-    `observations`: ball centres that an error-free machine would measure; `observations.position` contains indices of
-    `positions`. `left_out`: positions with fewer than three measurable balls; `unreachable_balls`: number of
-    unreachable balls over all positions.
+    `observations` contains the ball centres that an error-free machine would measure; `observations.position` contains
+    indices of `positions`. `left_out` contains the positions with fewer than three measurable balls.
+    `unreachable_balls` is the number of unreachable balls over all positions.
     """
 
     observations: Observations
@@ -41,8 +41,8 @@ class PlannedMeasurement:
 class Procedure:
     """Tools and layouts of a measurement.
 
-    `layouts`: layout by tool name; the first tool is that of a run; `covariance_mm2` (3, 3): covariance of one ball
-    centre.
+    `layouts` contains the layout of each tool by name; the first tool is that of the run. `covariance_mm2` (3, 3) is
+    the covariance of one ball centre.
     """
 
     layouts: Mapping[str, MeasuringLayout]
@@ -62,7 +62,8 @@ class Procedure:
         return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
 
     def layout(self, tool: str | None = None) -> MeasuringLayout:
-        """Return the layout of `tool`, or that of the first tool if it is None. Raise DataError for an unknown tool."""
+        """Return the layout of `tool`, or that of the first tool if `tool` is None. Raise DataError for an unknown
+        tool."""
         if tool is None:
             return next(iter(self.layouts.values()))
         if tool not in self.layouts:

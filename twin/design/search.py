@@ -1,8 +1,8 @@
-"""Greedy search for a position set: repeatedly add the best position, then exchange positions as long as this lowers
-the expected error.
+"""Greedy search for a position set: add the best position again and again, then exchange positions as long as this
+lowers the expected error.
 
 Every gain is computed exactly at every step. Lazy evaluation is not used: it assumes that gains can only fall, but
-under the trace criterion one position may increase the gain of another, and with `InformationState` it would save
+under the trace criterion one position may increase the gain of another. With `InformationState` it would also save
 little.
 """
 
@@ -21,7 +21,7 @@ from twin.design.measuring_cost import MeasuringCosts
 
 Mask = NDArray[np.bool_]
 FeasibleMask = Callable[[Sequence[int]], Mask]
-"""Function from the chosen indices to the mask (N,) of candidates that may still be added."""
+"""Function that takes the chosen indices and returns the mask (N,) of the candidates that may still be added."""
 
 _MIN_DECREASE = 1e-9  # relative decrease of the value below which an exchange is not made
 _MAX_ROUNDS = 10
@@ -30,7 +30,7 @@ _ALL_CANDIDATES = 200  # up to this number all candidates take part in an exchan
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Chosen candidates and the information state after measuring them."""
+    """Chosen candidates, and the information state after measuring them."""
 
     chosen: tuple[int, ...]
     information: InformationState
@@ -42,8 +42,10 @@ class Selection:
 
     @property
     def value(self) -> float:
-        """Expected mean square of the aligned residual field in mm², without the unresolved misfit, which is the same
-        for all sets."""
+        """Expected mean square in mm² of the residual field after the best-fitting rigid motion has been removed.
+
+        The unresolved misfit is not included, since it is the same for all sets.
+        """
         return self.information.value
 
     @property
@@ -61,8 +63,8 @@ class Selection:
         return Selection(kept, self.information.after_removing(self.information.factors[index]))
 
     def by_rising_loss(self) -> tuple[list[int], Array]:
-        """Return the chosen indices in the order of rising loss, and the losses: the increase of the value in mm² if
-        one is removed."""
+        """Return the chosen indices in the order of rising loss, and these losses. A loss is the increase of the value
+        in mm² if the position is removed."""
         losses = self.information.losses(np.array(self.chosen, dtype=np.intp))
         order = np.argsort(losses, kind="stable")
         return [self.chosen[rank] for rank in order], losses[order]
@@ -82,8 +84,11 @@ class ExchangeSearch:
     min_improvement: float = 5e-3
 
     def grow(self, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Iterator[Selection]:
-        """Yield selections, each with one more position: the feasible one with the largest gain or gain per minute.
-        Stop if no feasible position has a gain."""
+        """Yield selections, each with one more position than the one before.
+
+        The added position is the feasible one with the largest gain or, if `per_minute`, the largest gain per minute.
+        The search stops if no feasible position has a gain.
+        """
         while True:
             worth = selection.information.gains()
             if per_minute:
@@ -97,7 +102,7 @@ class ExchangeSearch:
     def exchange(self, selection: Selection, room: FeasibleMask) -> Selection:
         """Replace each chosen position by the best feasible candidate if this lowers the value (Fedorov's exchange).
 
-        Positions are tried in the order of rising loss; each round considers only the most promising candidates.
+        Positions are tried in the order of rising loss. Each round considers only the most promising candidates.
         """
         for _ in range(_MAX_ROUNDS):
             before = selection.value
@@ -116,8 +121,11 @@ class ExchangeSearch:
         return tuple(int(kept[index]) for index in near.chosen)
 
     def _promising(self, selection: Selection) -> Indices:
-        """Return, in candidate order, the chosen positions and the other candidates with the largest gains: half of all
-        candidates, but at least `_ALL_CANDIDATES` if there are as many."""
+        """Return, in candidate order, the chosen positions and the other candidates with the largest gains.
+
+        Half of all candidates are returned in addition to the chosen ones, but at least `_ALL_CANDIDATES` if there are
+        as many.
+        """
         gains = np.where(selection.free, selection.information.gains(), np.inf)
         count = max(len(gains) // 2, min(len(gains), _ALL_CANDIDATES)) + len(selection.chosen)
         return np.sort(np.argsort(-gains, kind="stable")[:count])

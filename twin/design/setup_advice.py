@@ -12,7 +12,7 @@ _NEGLIGIBLE_UM = 0.005
 
 
 def describe_trial(trial: SetUpTrial) -> str:
-    """Return the proposed change, such as `the positions again with a stylus 100 mm aside along -Z`."""
+    """Return the proposed change in words, such as `the positions again with a stylus 100 mm aside along -Z`."""
     tool = trial.tool
     if tool is not None and tool.lateral:
         sign = "+" if tool.by_mm > 0.0 else "-"
@@ -23,10 +23,10 @@ def describe_trial(trial: SetUpTrial) -> str:
 
 
 def describe_gain(gain: TrialGain) -> str:
-    """Return the benefit, such as `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24
-    positions more`.
+    """Return the benefit in words, such as `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm;
+    24 positions more`.
 
-    Values in µm are rms over the workspace and all evaluated tools.
+    Values in µm are rms values over the workspace and all evaluated tools.
     """
     before, after = gain.before, gain.after
     parts = [_parameters(gain), f"unseen {_change(before.unseen_mm, after.unseen_mm)}"]

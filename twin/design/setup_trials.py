@@ -1,4 +1,5 @@
-"""Trial changes of a set-up that could reveal more errors: probe length, lateral stylus, more positions, repetition."""
+"""Trial changes of a set-up that could reveal more errors: another probe length, a lateral stylus, more positions, or
+repetition."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ _SAME_TOOL_MM = 1.0
 class TrialTool:
     """Hypothetical tool with `offset` (3,) in mm.
 
-    It is `by_mm` longer than the first tool or, if `lateral`, displaced by `by_mm` along `axis`.
+    It is `by_mm` longer than the first tool or, if `lateral`, its tip is displaced by `by_mm` along the machine axis
+    `axis`.
     """
 
     offset: Array
@@ -57,8 +59,11 @@ class SetUpTrial:
 
 @dataclass(frozen=True, eq=False)
 class TrialGain:
-    """Identifiability after a trial compared with the set-up itself; `positions`: number of added measurable
-    positions."""
+    """Comparison of the identifiability before and after a trial.
+
+    `before` is the identifiability by the set-up itself, and `after` that by the set-up of the trial. `positions` is
+    the number of added positions that can be measured.
+    """
 
     trial: SetUpTrial
     before: Identifiability
@@ -67,18 +72,19 @@ class TrialGain:
 
     @property
     def rank(self) -> int:
-        """Number of additional parameters determined."""
+        """Number of additional parameters that the trial determines."""
         return self.after.rank - self.before.rank
 
     @property
     def revealed(self) -> tuple[str, ...]:
-        """Names of errors (motions, squareness, cross-effect) that were in a null direction only before the trial."""
+        """Names of the errors (motions, squareness, cross-effect) that were in a null direction before the trial and
+        are in none after it."""
         hidden = _hidden_errors(self.after)
         return tuple(name for name in _hidden_errors(self.before) if name not in hidden)
 
     @property
     def unseen_removed_mm(self) -> float:
-        """Decrease in mm of the unseen rms over the workspace and the evaluated tools."""
+        """Decrease in mm of the rms of the unseen field over the workspace and the evaluated tools."""
         return self.before.unseen_mm - self.after.unseen_mm
 
 
@@ -100,8 +106,11 @@ def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
 
 
 def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
-    """Return the tools to evaluate: those of the set-up, the first trial tool of another length, and one lateral stylus
-    for each direction across it."""
+    """Return the tools for which the error field is evaluated.
+
+    These are the tools of the set-up, the first trial tool of another length, and, for each of the two machine axes
+    perpendicular to the probe, the first trial tool with a lateral stylus along this axis.
+    """
     used = {position.tool or set_up.first_tool for position in set_up.positions}
     own = [(name, layout.tool_offset_mm, name in used) for name, layout in set_up.procedure.layouts.items()]
     others: dict[int, TrialTool] = {}
@@ -124,10 +133,10 @@ def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
 
 
 def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[EvaluatedTool]) -> tuple[TrialGain, ...]:
-    """Return the gain of each trial, largest decrease of the unseen field first; trials that add no measurable position
-    are omitted.
+    """Return the gain of each trial, the one with the largest decrease of the unseen field first. Trials that add no
+    measurable position are omitted.
 
-    `before`: identifiability of the set-up itself, evaluated for the tools `views`.
+    `before` is the identifiability by the set-up itself, evaluated for the tools `views`.
     """
     measured = len(set_up.plan().positions)
     found = []
@@ -139,7 +148,8 @@ def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[Evaluate
 
 
 def _hidden_errors(seen: Identifiability) -> tuple[str, ...]:
-    """Return the errors that take part in a null direction, in model order: EBY for EBY[1], EBY[2], …"""
+    """Return the errors that take part in a null direction, in the order of the model. A coefficient such as EBY[1]
+    counts as its error, EBY."""
     names = {name for direction in seen.null_directions for name in direction.loadings}
     return tuple(dict.fromkeys(p.error for p in seen.model.parameters if p.name in names))
 
@@ -152,7 +162,8 @@ def _trial_tool(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> TrialT
 
 
 def _new_positions(set_up: SetUp, name: str) -> tuple[Position, ...]:
-    """Return the positions of the set `name`, at the set-up's stations, that the first tool does not measure yet."""
+    """Return the positions of the set `name` at the stations of the set-up, without those that are already measured
+    with the first tool."""
     there = {(p.station, p.azimuth_deg, p.elevation_deg) for p in set_up.first_positions()}
     stations = sorted({station for station, _, _ in there})
     wanted = [(station, *orientation) for station in stations for orientation in POSITION_SETS[name]]

@@ -21,15 +21,18 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Valuation:
-    """Expected volumetric error of the family before compensation, including misfit (`before`), and expected VCE
-    (`after`)."""
+    """Expected volumetric error of the family of machines.
+
+    `before` is the expected error without compensation, including misfit. `after` is the expected volumetric
+    compensated error (VCE).
+    """
 
     before: VolumetricRms
     after: VolumetricRms
 
     @property
     def percent(self) -> float:
-        """Expected reduction of the volumetric error in percent, rigidly aligned.
+        """Expected reduction of the volumetric error in percent, after the best-fitting rigid motion has been removed.
 
         The result is 0 for a set without information, 100 if no error remains, and negative if compensation makes
         machines worse.
@@ -45,7 +48,8 @@ def valuation(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> Valuation:
-    """Return the valuation of planned ball centres for an identification with prior, full weights and all scales 1."""
+    """Return the valuation of planned ball centres. The identification uses the prior and full weights, and all scales
+    are 1."""
     problem = build_problem(family, observations, artefact, options)
     form = Criterion.build(problem.unknowns, grid, tool_offset)
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))

@@ -1,2 +1,2 @@
-"""File formats that do not depend on a controller: conversion of text to values and back. The caller reads and writes
-the files."""
+"""File formats that do not depend on a controller: conversion of text to values and of values to text. The caller reads
+and writes the files."""

@@ -22,8 +22,8 @@ from twin.formats.toml_reading import StrictModel, read_toml
 from twin.units import REFERENCE_TEMPERATURE_C
 
 ReadText = Callable[[str], str]
-"""Function that takes a file name as written in another file, resolves it relative to that file, and returns the
-text."""
+"""Function that takes a file name as written in another file, resolves it relative to that file, and returns the text
+of the named file."""
 
 Coordinates = tuple[float, float, float]
 
@@ -66,7 +66,7 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
     """Return the artefact described by TOML text.
 
     Raise FormatError, naming `source` and key, for invalid text, and DataError for impossible values. `read_text` reads
-    the covariance file.
+    the covariance file if the text names one.
     """
     document = read_toml(text, source, ArtefactDocument)
     balls, holder = _balls(document)
@@ -107,8 +107,10 @@ def _covariance(document: ArtefactDocument, count: int, source: str, read_text: 
 
 
 def _parse_covariance(text: str, source: str, size: int) -> Array:
-    """Return the matrix (size, size) in µm² from CSV text without header: one row per coordinate, ball by ball in the
-    order x, y, z."""
+    """Return the covariance matrix (size, size) in µm² from CSV text without a header.
+
+    The text has one row for each coordinate, ball by ball in the order x, y, z.
+    """
     rows = [row for row in csv.reader(io.StringIO(text)) if row]
     if len(rows) != size:
         raise FormatError(f"{len(rows)} rows, expected {size} (3 per ball)", file=source)

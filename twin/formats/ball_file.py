@@ -1,5 +1,7 @@
-"""Ball file (CSV): one measured ball centre per line; x, y, z are axis positions, to which the tool offset is not
-added."""
+"""Ball file (CSV): each line contains one measured ball centre.
+
+The columns x, y and z are axis positions; the tool offset is not added to them.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +39,8 @@ DEFAULT_TEMPERATURE_C = 20.0
 class BallFile:
     """Contents of a ball file.
 
-    `observations`: rows in file order, with positions renumbered 0 ... K-1 in the order of their numbers in the file;
-    `positions` (K): station and orientation of each position.
+    `observations` contains the rows in file order; their positions are renumbered from 0 to K-1 in ascending order of
+    their numbers in the file. `positions` contains the station and the orientation of each of the K positions.
     """
 
     observations: Observations
@@ -52,9 +54,10 @@ def parse_balls(
     default_sigma_um: float = DEFAULT_SIGMA_UM,
     default_temperature_c: float = DEFAULT_TEMPERATURE_C,
 ) -> BallFile:
-    """Return the contents of a ball file given as CSV text. `tools`: offsets (3,) in mm of the machine's tools by name.
+    """Return the contents of a ball file given as CSV text.
 
-    The defaults replace empty cells. Raise FormatError naming `source`, row and column.
+    `tools` contains the offsets (3,) in mm of the machine's tools by name. The defaults replace empty cells. Raise
+    FormatError naming `source`, row and column.
     """
     rows = list(read_rows(text, source, COLUMNS))
     if not rows:
@@ -82,11 +85,10 @@ def parse_balls(
 
 
 def format_balls(observations: Observations, positions: Sequence[Position], tool_names: Sequence[str]) -> str:
-    """Return the ball file as CSV text. The observations' position and tool numbers are indices of `positions` (K) and
-    `tool_names` (T).
+    """Return the ball file as CSV text.
 
-    The covariance of a ball is written as one standard deviation: the root of the mean variance of the three
-    coordinates.
+    The position and tool numbers in `observations` are indices of `positions` and `tool_names`. The covariance of a
+    ball is written as one standard deviation: the root of the mean variance of the three coordinates.
     """
     lines = [",".join(COLUMNS)]
     sigma_um = 1e3 * np.sqrt(np.einsum("nii->n", observations.covariance) / 3.0)
@@ -124,7 +126,7 @@ def _check_duplicates(rows: list[CsvRow], numbers: list[int], tool: list[int], b
 
 
 def _positions(rows: list[CsvRow], numbers: list[int]) -> dict[int, Position]:
-    """Return the positions by their number in the file. Raise FormatError if rows of a position give it different
+    """Return the positions by their number in the file. Raise FormatError if rows of the same position have different
     stations or angles."""
     found: dict[int, tuple[CsvRow, Position]] = {}
     for row, number in zip(rows, numbers, strict=True):

@@ -1,4 +1,4 @@
-"""Conversion of CSV text to rows of named cells; errors name file, row (the header is row 1) and column."""
+"""Conversion of CSV text to rows of named cells. Errors name file, row (the header is row 1) and column."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.errors import FormatError
 
 @dataclass(frozen=True)
 class CsvRow:
-    """One line of a CSV file. `number`: line number; `cells`: text of each cell by column name."""
+    """One line of a CSV file. `number` is its line number, and `cells` contains the text of each cell by column name."""
 
     source: str
     number: int
@@ -46,7 +46,8 @@ class CsvRow:
 
 
 def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[CsvRow]:
-    """Yield the rows of a CSV text whose header names exactly `columns`, in any order; blank lines are skipped."""
+    """Yield the rows of a CSV text. The header must contain exactly the names in `columns`, in any order. Blank lines
+    are skipped."""
     lines = csv.reader(text.removeprefix("\ufeff").splitlines())
     header = [name.strip() for name in next(lines, [])]
     _check_header(header, source, columns)

@@ -1,4 +1,7 @@
-"""Deflection file (CSV): `x_mm,y_mm,z_mm,ux_um,uy_um,uz_um`, one line per grid node, columns in any order."""
+"""Deflection file (CSV) with one line per grid node.
+
+The columns are `x_mm,y_mm,z_mm,ux_um,uy_um,uz_um`, in any order.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ def parse_deflection(text: str, source: str) -> DeflectionGrid:
 
 
 def format_deflection(grid: DeflectionGrid) -> str:
-    """Return a grid as CSV text. Over the lines z varies fastest and x slowest; displacements are rounded to 0.1 nm."""
+    """Return a grid as CSV text. From line to line z varies fastest and x slowest. Displacements are rounded to 0.1 nm."""
     x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
     lines = [",".join(COLUMNS)]
     for point, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):
@@ -47,7 +50,7 @@ def format_deflection(grid: DeflectionGrid) -> str:
 
 
 def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
-    """Return the values (n, 6) in the order of `COLUMNS`, and the file row (n) of each line of values."""
+    """Return the values (n, 6), with columns in the order of `COLUMNS`, and the row number in the file of each line."""
     lines = csv.reader(text.removeprefix("\ufeff").splitlines())
     header = [name.strip() for name in next(lines, [])]
     _check_header(header, source)

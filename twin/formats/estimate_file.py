@@ -1,4 +1,4 @@
-"""Estimate file (JSON): parameters by ISO name with covariance, observability, and provenance.
+"""Estimate file (JSON): parameters by ISO name with their covariance, observability, and provenance.
 
 The file also contains everything that is needed to use the estimate as the prior of the next one.
 """
@@ -39,7 +39,7 @@ class EstimatedModelSection(StrictModel):
 
 
 class ParameterSection(StrictModel):
-    """One parameter; `value` and `standard_uncertainty` in `unit`.
+    """One parameter. `value` and `standard_uncertainty` are stated in `unit`.
 
     Legendre coefficients refer to the axis range normalised to [-1, 1].
     """
@@ -72,7 +72,7 @@ class RejectedBallSection(StrictModel):
 
 
 class OrderSection(StrictModel):
-    """Evidence of a Legendre order; `relative_log_evidence` is 0 for the likeliest of the orders compared."""
+    """Evidence of a Legendre order. `relative_log_evidence` is 0 for the likeliest of the orders compared."""
 
     order: int
     relative_log_evidence: float
@@ -103,8 +103,8 @@ class EstimateFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class StoredEstimate:
-    """Estimate as stored in a file: sufficient for building a compensation table, for comparison, and as the prior of
-    the next estimate."""
+    """Estimate as stored in a file. It is sufficient for building a compensation table, for comparison, and as the
+    prior of the next estimate."""
 
     model: ErrorModel
     parameters: Array
@@ -124,7 +124,8 @@ class StoredEstimate:
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
     """Return the estimate as JSON text.
 
-    `provenance`: software version, time, names and checksums of the input files. All entries are stored unchanged.
+    `provenance` contains the software version, the time, and the names and checksums of the input files. All its
+    entries are stored unchanged.
     """
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -161,8 +162,8 @@ def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _text(value: object) -> str:
-    """Return JSON text. Each entry of an object has its own line, and so has each entry of a list of lists or
-    objects."""
+    """Return `value` as JSON text. Each entry of an object has its own line, and so has each entry of a list of lists
+    or objects."""
     if isinstance(value, dict):
         lines = ",\n".join(f"{json.dumps(key)}: {_text(entry)}" for key, entry in value.items())
         return f"{{\n{lines}\n}}"
@@ -173,7 +174,7 @@ def _text(value: object) -> str:
 
 
 def parse_estimate(text: str, source: str) -> StoredEstimate:
-    """Return the stored estimate given as JSON text. Raise FormatError naming `source` and key."""
+    """Return the stored estimate given as JSON text. Raise FormatError, naming `source` and key, for invalid text."""
     document = read_json(text, source, EstimateFile)
     try:
         chain = parse_chain(document.model.chain)

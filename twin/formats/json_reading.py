@@ -1,4 +1,4 @@
-"""Conversion of JSON text to a validated value; errors name file and key path."""
+"""Conversion of JSON text to a validated value. Errors name file and key path."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Section = TypeVar("Section", bound=StrictModel)
 
 
 def read_json(text: str, source: str, kind: type[Section]) -> Section:
-    """Return the value of type `kind` given as JSON text; raise FormatError if it is invalid or contains NaN or
+    """Return the value of type `kind` given as JSON text. Raise FormatError if the text is invalid or contains NaN or
     infinity."""
     try:
         document = json.loads(text, parse_constant=_refuse_constant)

@@ -27,8 +27,8 @@ CrossTerm = Literal["b0", "b1", "b2", "c0", "c1"]
 
 
 class AxisSection(StrictModel):
-    """One linear axis. `range_mm`: range in which the error model is valid; `travel_mm`: soft limits, equal to
-    `range_mm` if not given."""
+    """One linear axis. `range_mm` is the range in which the error model is valid. `travel_mm` contains the soft limits;
+    if it is not given, they are equal to `range_mm`."""
 
     range_mm: tuple[float, float]
     travel_mm: tuple[float, float] | None = None
@@ -48,10 +48,10 @@ class ToolSection(StrictModel):
 
 
 class FamilySection(StrictModel):
-    """Half-widths of the uniform distributions of the family, by kind of error. A list gives one half-width per
-    Legendre order, starting with the lowest order of that kind.
+    """Half-widths of the uniform distributions of the family of machines, by kind of error.
 
-    The defaults are the amplitudes of the case study.
+    A list gives one half-width per Legendre order, starting with the lowest order of that kind. The defaults are the
+    amplitudes of the case study.
     """
 
     positioning_um: HalfWidths = (8.0, 5.0, 3.0, 1.8, 1.1)
@@ -64,8 +64,11 @@ class FamilySection(StrictModel):
 
 
 class ModelSection(StrictModel):
-    """Error model. `order`: one Legendre order for all error motions, or a table of orders by error motion (5 for
-    motions not listed)."""
+    """Error model.
+
+    `order` is one Legendre order for all error motions, or a table of orders by error motion. A motion that the table
+    does not list has order 5.
+    """
 
     order: Order | dict[str, Order] = DEFAULT_ORDER
     cross_effect: bool | tuple[CrossTerm, ...] = True
@@ -73,7 +76,7 @@ class ModelSection(StrictModel):
 
 
 class DeflectionSection(StrictModel):
-    """Deflection of the machine. `grid`: CSV file, path relative to the machine file."""
+    """Deflection of the machine. `grid` is the path of a CSV file, relative to the machine file."""
 
     grid: Annotated[str, Field(min_length=1)]
 
@@ -90,7 +93,7 @@ class MachineSection(StrictModel):
 
 
 def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> MachineDescription:
-    """Return the machine described by TOML text; `source` names the file in errors.
+    """Return the machine described by TOML text. `source` names the file in errors.
 
     `read_text` takes a path relative to the machine file and returns the text of that file; it is used for the
     deflection grid. Raise FormatError with file, key and hint.

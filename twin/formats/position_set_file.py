@@ -1,4 +1,5 @@
-"""Position set file (CSV or TOML): `station`, `azimuth_deg`, `elevation_deg`, in measuring order.
+"""Position set file (CSV or TOML) with `station`, `azimuth_deg` and `elevation_deg` of each position, in measuring
+order.
 
 A column `tool` is needed if several tools are used; an empty cell means the tool of the run.
 """
@@ -32,7 +33,8 @@ class _PositionDocument(StrictModel):
 def parse_positions(text: str, source: str) -> tuple[Position, ...]:
     """Return positions from CSV text, or from TOML text (``[[positions]]``) if `source` ends in ``.toml``.
 
-    Raise FormatError naming `source` and key, or row (the header is row 1) and column.
+    Raise FormatError. It names `source` and the key in TOML text, or `source`, row (the header is row 1) and column in
+    CSV text.
     """
     positions = _from_toml(text, source) if source.endswith(".toml") else _from_csv(text, source)
     _check_listed(positions, source)

@@ -1,5 +1,5 @@
-"""Section of an estimate file for using the estimate as a prior: joint mean and covariance of all unknowns, and their
-meaning.
+"""Section of an estimate file that is needed to use the estimate as a prior. It contains the joint mean and covariance
+of all unknowns, and the meaning of each unknown.
 
 The misfit modes are stored explicitly, since another computer may compute the same modes with opposite signs.
 """
@@ -25,7 +25,10 @@ KEY = "carried_over"
 
 
 class ArtefactSection(StrictModel):
-    """Identity of an artefact with N balls, and the factor of its certificate's covariance (3N rows, in mm)."""
+    """Identity of an artefact with N balls, and its uncertainties.
+
+    `certificate_mm` is the factor of the certificate's covariance; it has 3N rows and is in mm.
+    """
 
     balls_mm: tuple[Triple, ...]
     cte_per_k: float
@@ -35,7 +38,7 @@ class ArtefactSection(StrictModel):
 
 
 class MisfitSection(StrictModel):
-    """Misfit fields, which the model cannot represent; see `twin.identification.misfit`."""
+    """Misfit: fields that the model cannot represent. See `twin.identification.misfit`."""
 
     rms_mm: float
     tool_offset_mm: Triple
@@ -48,8 +51,11 @@ class MisfitSection(StrictModel):
 
 
 class CarriedOverSection(StrictModel):
-    """Posterior of all unknowns: `mean`, in units of the prior standard deviations, and `covariance`, of which the
-    lower triangle is stored row by row. `scale`: unit of each parameter in mm or rad."""
+    """Posterior of all unknowns.
+
+    `mean` and `covariance` are in units of the prior standard deviations; only the lower triangle of the covariance is
+    stored, row by row. `scale` contains the unit of each parameter in mm or rad.
+    """
 
     scale: Row
     artefact: ArtefactSection
@@ -59,7 +65,7 @@ class CarriedOverSection(StrictModel):
 
 
 def carried_over_document(unknowns: Unknowns, mean: Array, covariance: Array) -> dict[str, Any]:
-    """Return the section as a JSON object, as it is written to the file."""
+    """Return the section as the JSON object that is written to the file."""
     errors = unknowns.artefact
     return {
         "scale": unknowns.scale.tolist(),
@@ -130,8 +136,8 @@ def _sizes(sizes: tuple[int, ...], count: int, source: str) -> tuple[int, ...]:
 
 
 def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[Array, Array]:
-    """Return mean (P,) and covariance (P, P) of a section for P = `size` unknowns. Raise FormatError if the stored
-    sizes differ."""
+    """Return the mean (P,) and the covariance (P, P) in a section for P = `size` unknowns. Raise FormatError if the
+    stored sizes differ."""
     mean = _array(section.mean, (size,), source, "mean")
     if [len(row) for row in section.covariance] != list(range(1, size + 1)):
         message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"

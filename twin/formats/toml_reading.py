@@ -1,4 +1,4 @@
-"""Conversion of TOML text to a validated pydantic model; errors name file and key path."""
+"""Conversion of TOML text to a validated pydantic model. Errors name file and key path."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ def forbid_unknown_keys(kind: type) -> BeforeValidator:
 
 
 def read_toml(text: str, source: str, kind: type[Section]) -> Section:
-    """Return the value of type `kind` given as TOML text; `source` names the file in a FormatError."""
+    """Return the value of type `kind` given as TOML text. Raise FormatError, naming the file `source`, if the text is
+    invalid."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -62,8 +63,8 @@ def validate_document(document: dict[str, Any], source: str, kind: type[Section]
 def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
     """Return `document` with the former keys of `kind` and of its sections replaced by the current ones.
 
-    This is meant for documents stored by an earlier version of this program; files written by users are refused
-    instead.
+    This is meant for documents that were stored by an earlier version of this program. Files written by users are
+    refused instead.
     """
     former = kind.former_keys if issubclass(kind, StrictModel) else {}
     current = {former.get(key, key): value for key, value in document.items()}
