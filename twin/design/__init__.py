@@ -1,1 +1,1 @@
-"""Optimal design: choice of the positions that minimise the error after compensation within the available machine time."""
+"""Optimal design: choice of positions that minimise the error after compensation within the available machine time."""

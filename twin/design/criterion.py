@@ -1,4 +1,4 @@
-"""Design criterion: the expected mean square of the residual error field, as a quadratic form of all shared unknowns z."""
+"""Design criterion: expected mean square of the residual error field, as a quadratic form of all shared unknowns z."""
 
 from __future__ import annotations
 

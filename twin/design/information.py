@@ -74,7 +74,7 @@ class InformationState:
         return self._changed(factor, 1.0)
 
     def _changed(self, factor: Array, sign: float) -> InformationState:
-        """Return the state with the covariance C + sign U Uᵀ, where U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ and W is `factor`."""
+        """Return the state with covariance C + sign U Uᵀ, where U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ and W is `factor`."""
         carried = factor @ self.covariance
         root, _ = dpotrf(np.eye(len(factor)) - sign * (carried @ factor.T), lower=1)
         u = dtrtrs(root, carried, lower=1)[0].T

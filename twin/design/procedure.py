@@ -1,4 +1,4 @@
-"""Planned measuring procedure: the balls that are measured in a set of positions, and the covariance of their centres."""
+"""Planned measuring procedure: the balls measured in a set of positions, and the covariance of their centres."""
 
 from __future__ import annotations
 

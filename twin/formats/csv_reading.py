@@ -12,7 +12,7 @@ from twin.errors import FormatError
 
 @dataclass(frozen=True)
 class CsvRow:
-    """One line of a CSV file. `number` is its line number, and `cells` contains the text of each cell by column name."""
+    """One line of a CSV file. `number` is the line number; `cells` contains the text of each cell by column name."""
 
     source: str
     number: int

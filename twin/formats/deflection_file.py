@@ -40,7 +40,7 @@ def parse_deflection(text: str, source: str) -> DeflectionGrid:
 
 
 def format_deflection(grid: DeflectionGrid) -> str:
-    """Return a grid as CSV text. From line to line z varies fastest and x slowest. Displacements are rounded to 0.1 nm."""
+    """Return a grid as CSV text. Over the lines z varies fastest and x slowest; displacements are rounded to 0.1 nm."""
     x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
     lines = [",".join(COLUMNS)]
     for point, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):
