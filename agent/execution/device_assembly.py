@@ -26,8 +26,10 @@ from drivers.roles import (
 LOCKSTEP_SLICE_S = 0.5
 """Longest part of a wait between two checks with a lockstep simulator, whose machine time advances in jumps."""
 REAL_SLICE_S = 0.02
-"""Longest part of a wait between two checks on the wall clock: short enough that even a busy computer sends STOP
-within 100 ms of an abort."""
+"""Longest part of a wait between two checks on the wall clock.
+
+It is so short that even a busy computer sends STOP within 100 ms of an abort.
+"""
 
 
 def make_clock(settings: ClockSettings) -> Clock:

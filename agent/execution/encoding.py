@@ -1,4 +1,7 @@
-"""Conversion of steps and results to JSON for the journal and back. Floats are not rounded: repr round-trips."""
+"""Conversion of steps and results to JSON for the journal and back.
+
+Floats are not rounded; each is read back with exactly the value that was written.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ def encode_result(result: object) -> str | None:
 def decode_result(kind: str, text: str | None) -> Any:
     """Return the result of a step of type `kind` from the text that `encode_result` wrote.
 
-    Of a table only the shape and the digest were written: ``{"shape": …, "crc32": …}``.
+    For a table, only the shape and the digest were written: ``{"shape": …, "crc32": …}``.
     """
     value: Any = None if text is None else json.loads(text)
     if kind == TouchTowards.__name__:
@@ -41,7 +44,10 @@ def to_json(value: object) -> str:
 
 
 def table_digest(table: TableImage) -> int:
-    """Return the CRC-32 of the counts in the form sent over the link: big-endian, x slowest, dx dy dz innermost."""
+    """Return the CRC-32 of the counts in the form in which they are sent over the link.
+
+    The counts are big-endian. The index of x varies slowest; dx, dy and dz of a node follow one another.
+    """
     return zlib.crc32(table.counts.astype(">i4").tobytes())
 
 

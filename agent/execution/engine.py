@@ -1,7 +1,10 @@
-"""Engine: takes a step from a plan, journals it, carries it out, journals its result, and sends it to the plan.
+"""Engine that carries out the steps of a plan.
 
-The engine is one short synchronous loop on one thread and depends neither on the meaning of a step nor on the devices:
-actions, looked up by type of step, carry the steps out, a `StepJournal` records them, and an observer is informed.
+It takes a step from the plan, journals it, carries it out, journals its result, and sends the result to the plan.
+
+The engine is one short synchronous loop on one thread and depends neither on the meaning of a step nor on the devices.
+Actions, which are looked up by the type of the step, carry the steps out; a `StepJournal` records them, and an observer
+is informed.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ class StepJournal(Protocol):
 
 
 class Engine:
-    """Engine that runs plans. `actions`: type of a step → action that carries it out."""
+    """Engine that runs plans. `actions` maps each type of step to the action that carries it out."""
 
     def __init__(
         self,
@@ -60,8 +63,9 @@ class Engine:
     def run(self, plan: Plan[T]) -> T:
         """Run `plan` to its end and return its conclusion.
 
-        A `VolcalError` raised by a step is re-raised with the key of that step; one raised by the plan itself, with the
-        key of the step whose result the plan had received last. The plan is closed in any case.
+        A `VolcalError` raised by a step is re-raised with the key of that step. A `VolcalError` raised by the plan
+        itself is re-raised with the key of the step whose result the plan had received last. The plan is closed in any
+        case.
         """
         do = self._do if self._journal is None else self._do_durably
         observer = self._observer

@@ -1,4 +1,4 @@
-"""Writer of the journal: one SQLite database in the state directory, the single source of truth about runs.
+"""Writer of the journal, which is one SQLite database in the state directory and the only source of truth about runs.
 
 The database uses WAL with ``synchronous=FULL``: a commit has reached the disk when it returns. With NORMAL a power cut
 can lose commits although the integrity check still reports ok. A step that moves or changes something is durable before
@@ -30,7 +30,9 @@ _DISK_HINT = "check the disk under `state_directory`"
 
 
 class Journal:
-    """Database of all runs, created if it does not exist. One writer at a time; others (page, reports) read meanwhile.
+    """Database of all runs, created if it does not exist.
+
+    There is one writer at a time. Others (page, reports) may read at the same time.
 
     Raises ConfigurationError if the database can be neither opened nor created.
     """
@@ -186,12 +188,12 @@ class RunJournal:
             self._execute("INSERT INTO decisions VALUES (?,?,?,?,?)", values)
 
     def estimate(self, record: str) -> None:
-        """Store an estimate. `record`: JSON text of the estimate file."""
+        """Store an estimate. `record` is the JSON text of the estimate file."""
         if not self._recorded.consume("estimates", comparable_estimate(record)):
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
-        """Store a whole table. `role`: ``backup`` (before anything is written), ``staged`` or ``restored``."""
+        """Store a whole table. `role` is ``backup`` (before anything is written), ``staged`` or ``restored``."""
         if self._recorded.consume("tables", role, str(bank), "" if image is None else str(table_digest(image))):
             return
         values: tuple[object, ...] = (None,) * 6
@@ -210,7 +212,7 @@ class RunJournal:
         )
 
     def stored_table(self, crc32: int) -> TableImage | None:
-        """Return the table with that CRC-32 that this run stored; None if there is none."""
+        """Return the table that this run stored with that CRC-32; None if there is none."""
         try:
             return JournalReader(self._connection).image_with_digest(self._run, crc32)
         except sqlite3.Error as error:

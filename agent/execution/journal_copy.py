@@ -20,9 +20,9 @@ from agent.execution.journal_schema import FILE_NAME
 def copy_journal(directory: Path, target: Path, edit_settings: Callable[[Any], Any]) -> Path:
     """Copy the journal of a state directory into the existing directory `target` and return the path of the copy.
 
-    A run may write to the journal meanwhile. `edit_settings` maps the settings document of each run to the one in the
-    copy; the original text does not remain in free pages of the copy. Raise JournalFailed if the journal cannot be read
-    or the copy cannot be written.
+    A run may write to the journal at the same time. `edit_settings` maps the settings document of each run to the
+    document stored in the copy; the original text does not remain in free pages of the copy. Raise JournalFailed if the
+    journal cannot be read or the copy cannot be written.
     """
     path = target / FILE_NAME
     with open_journal(directory, JournalFailed) as reader:

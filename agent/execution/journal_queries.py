@@ -1,4 +1,6 @@
-"""SQL statements of the journal's reader. Each selects the columns of one row type in the order of its fields.
+"""SQL statements of the journal's reader.
+
+Each statement selects the columns of one row type in the order of the fields of that type.
 
 They are separate from the reader so that a change of the database tables affects only this module and
 `journal_schema.sql`. A list of kinds is passed as one JSON parameter, so that every statement is constant. The reader

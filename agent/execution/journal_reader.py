@@ -1,7 +1,7 @@
 """Reader of the journal, which returns typed rows, changes nothing and never delays the writer.
 
-Methods take the number of a run in its journal (`RunRow.run`). They do not migrate an older journal and can read it;
-only `origin` and `procedure_only` need columns that a journal of version 1 lacks.
+Methods take the number of a run in its journal (`RunRow.run`). They can read an older journal and do not migrate it.
+Only `origin` and `procedure_only` need columns that a journal of version 1 lacks.
 """
 
 from __future__ import annotations
@@ -71,11 +71,11 @@ class JournalReader:
         self._path = path
 
     def run_ids(self) -> tuple[str, ...]:
-        """Return the identities of all runs in the order started."""
+        """Return the identities of all runs in order of their start."""
         return self._rows(str, "SELECT run_id FROM runs ORDER BY run")
 
     def runs(self) -> tuple[RunRow, ...]:
-        """Return all runs in the order started."""
+        """Return all runs in order of their start."""
         return self._rows(RunRow, queries.RUN + "ORDER BY run")
 
     def run(self, run_id: str) -> RunRow | None:
@@ -116,7 +116,10 @@ class JournalReader:
         return self._first(OriginRow, queries.ORIGIN, run=run)
 
     def steps(self, run: int, kind: str | None = None, *, procedure_only: bool = False) -> tuple[StepRow, ...]:
-        """Return the steps of a run in order. `procedure_only`, here and below: without withdrawals and returns."""
+        """Return the steps of a run in order.
+
+        If `procedure_only` is set, here and in the methods below, withdrawals and returns are omitted.
+        """
         query = queries.STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
         return self._rows(StepRow, _restricted(query, procedure_only), run=run, kind=kind)
 
@@ -170,7 +173,8 @@ class JournalReader:
     ) -> tuple[EventRow, ...]:
         """Return the events with numbers greater than `after`, in the order written.
 
-        `kinds`: None for all kinds. `limit`: largest number of events returned; negative for all.
+        If `kinds` is None, events of all kinds are returned. `limit` is the largest number of events returned; if it is
+        negative, all are returned.
         """
         query = _restricted(queries.EVENT, procedure_only)
         return self._rows(EventRow, query, run=run, kinds=_listed(kinds), after=after, limit=limit)
@@ -209,7 +213,7 @@ class JournalReader:
         return self._rows(TableRow, _restricted(query, procedure_only), run=run)
 
     def latest_tables(self, limit: int) -> tuple[TableRow, ...]:
-        """Return the latest stored tables of all runs, the latest first; at most `limit`."""
+        """Return at most `limit` of the latest tables stored by all runs, the latest first."""
         return self._rows(TableRow, queries.TABLE + "ORDER BY tables.rowid DESC LIMIT :limit", limit=limit)
 
     def last_table(self, run: int, role: str) -> TableRow | None:
@@ -217,13 +221,15 @@ class JournalReader:
         return self._first(TableRow, query, run=run, role=role)
 
     def last_backup(self, run: int | None = None) -> TableRow | None:
-        """Return the backup stored by `run`; if `run` is None, by the last run that stored one."""
+        """Return the backup stored by `run`. If `run` is None, return the backup of the last run that stored one."""
         query = queries.TABLE + "WHERE role = 'backup' AND run = coalesce(:run, run) ORDER BY run DESC LIMIT 1"
         return self._first(TableRow, query, run=run)
 
     def last_active_table(self, accepting: Collection[str]) -> TableRow | None:
-        """Return the latest stored table that should be active: a backup, a restored table, or a staged table whose
-        run has a decision of one of the kinds `accepting`; None if there is none."""
+        """Return the latest stored table that should be active; None if there is none.
+
+        This is a backup, a restored table, or a staged table whose run has a decision of one of the kinds `accepting`.
+        """
         return self._first(TableRow, queries.ACTIVE_TABLE, kinds=_listed(accepting))
 
     def image(self, table: TableRow) -> TableImage | None:
@@ -235,7 +241,7 @@ class JournalReader:
         return self._image("run = :run AND crc32 = :crc32 AND counts IS NOT NULL", run=run, crc32=crc32)
 
     def copy_to(self, path: Path) -> None:
-        """Write a consistent copy of the journal to a new file; a run may write to the journal meanwhile."""
+        """Write a consistent copy of the journal to a new file. A run may write to the journal at the same time."""
         self._connection.execute("VACUUM INTO ?", (str(path),))
 
     def _image(self, where: str, **values: int) -> TableImage | None:
@@ -267,7 +273,7 @@ class JournalReader:
 def _restricted(query: str, procedure_only: bool) -> str:
     """Return the statement without rows of withdrawals and returns if `procedure_only`.
 
-    Otherwise it does not name the column `aside`, which journals of version 1 lack.
+    Otherwise the statement does not name the column `aside`, which journals of version 1 lack.
     """
     return query.format(aside=" AND NOT aside" if procedure_only else "")
 

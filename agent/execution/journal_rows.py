@@ -16,7 +16,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class RunRow:
-    """A run. `started`, `ended`: UTC, ISO 8601; `ended` is None before its end. `state`: value of a `RunState`."""
+    """A run.
+
+    `started` and `ended` are UTC times in ISO 8601; `ended` is None before the end of the run. `state` is the value of
+    a `RunState`.
+    """
 
     run: int
     run_id: str
@@ -39,7 +43,11 @@ class RunCounts:
 
 @dataclass(frozen=True)
 class OriginRow:
-    """Start of a run. `begun_s`, `begun_at`: machine seconds and UTC at the end of the preflight, None before."""
+    """Start of a run.
+
+    `begun_s` and `begun_at` are the machine seconds and the UTC time at the end of the preflight; they are None before
+    it.
+    """
 
     run: int
     run_id: str
@@ -77,7 +85,7 @@ class StepRow:
 
 @dataclass(frozen=True)
 class TouchRow:
-    """A touch of the procedure that has a result; `at_s` in machine seconds."""
+    """A touch of the procedure that has a result. `at_s` is its machine time in s."""
 
     ordinal: int
     key: str
@@ -112,7 +120,7 @@ class TemperatureRow:
 
 @dataclass(frozen=True)
 class EventRow:
-    """An event of a run. `at`: UTC, ISO 8601."""
+    """An event of a run. `at` is its UTC time in ISO 8601."""
 
     number: int
     at: str
@@ -126,7 +134,7 @@ class EventRow:
 
 @dataclass(frozen=True)
 class DecisionRow:
-    """A decision of a run. `at`: UTC, ISO 8601."""
+    """A decision of a run. `at` is its UTC time in ISO 8601."""
 
     run: int
     run_id: str
@@ -142,7 +150,7 @@ class DecisionRow:
 
 @dataclass(frozen=True)
 class TableRow:
-    """A stored compensation table without its counts. `role`: backup, staged or restored.
+    """A stored compensation table without its counts. `role` is backup, staged or restored.
 
     `crc32` and the fields after it are None for an empty bank. Origin, step and shape are JSON lists as written.
     """

@@ -22,7 +22,10 @@ _UNREPLAYED_DECISIONS = frozenset({"inputs", "outcome"})
 
 @dataclass(frozen=True, slots=True)
 class RecordedStep:
-    """Step from the journal, with its result decoded. `finished_s`: machine seconds; None if the step did not end."""
+    """Step from the journal, with its result decoded.
+
+    `finished_s` is the time of its end in machine seconds; it is None if the step did not end.
+    """
 
     ordinal: int
     key: str
@@ -36,9 +39,9 @@ class RecordedStep:
 class ReplayLog:
     """Queues of the records of a run; the replay consumes each record instead of writing it again.
 
-    `unfinished`: the step that began and did not end. `entries`: database table → its rows, each compared as a whole.
-    `ordinal`: the last one assigned in the run. `resumptions`: how often the run has been resumed. No queue contains
-    records of withdrawals and returns.
+    `unfinished` is the step that began and did not end. `entries` maps each database table to its rows, each of which
+    is compared as a whole. `ordinal` is the last ordinal assigned in the run. `resumptions` is the number of times that
+    the run has been resumed. No queue contains records of withdrawals and returns.
     """
 
     steps: deque[RecordedStep] = field(default_factory=deque)
@@ -93,7 +96,10 @@ def _recorded(step: StepRow) -> RecordedStep:
 
 
 def _entries(reader: JournalReader, run: int) -> dict[str, deque[tuple[str, ...]]]:
-    """Return the rows written by the plans, by table; states, notes and faults are omitted: the process wrote them."""
+    """Return the rows written by the plans, by table.
+
+    States, notes and faults are omitted, because the process wrote them and not a plan.
+    """
     events = reader.events(run, procedure_only=True)
     decisions = reader.decisions(run, procedure_only=True)
     tables = reader.tables(run, procedure_only=True)

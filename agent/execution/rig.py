@@ -53,7 +53,10 @@ STANDSTILL_POLL_S = 0.05
 
 @dataclass
 class Rig:
-    """Devices of one machine, opened, closed and stopped together. `mounts`: number of the station → mount."""
+    """Devices of one machine, opened, closed and stopped together.
+
+    `mounts` maps the number of each station to its mount.
+    """
 
     devices: Mapping[str, Device]
     machine: Machine
@@ -107,8 +110,8 @@ class Rig:
     def actions(self, run: int | None = None) -> dict[type, Action]:
         """Return the action for each type of step, for the engine.
 
-        `run`: number of the run in the journal, with which devices that trace steps are informed of each moving step;
-        None: they are not informed.
+        `run` is the number of the run in the journal. Devices that trace steps are informed of each moving step, with
+        this number; if `run` is None, they are not informed.
         """
         announce = _announce_nothing if run is None else self._step_announcer(run)
 

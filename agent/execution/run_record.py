@@ -19,8 +19,11 @@ _NO_RUN = "check `state_directory`: no run has begun there"
 
 @dataclass(frozen=True)
 class OperatorQuestion:
-    """Question to the operator. `minute`: machine minutes after the first step; `answered`: True if the answer was yes;
-    `error`: text of the error that the question ended with, empty if none."""
+    """Question to the operator.
+
+    `minute` is its time in machine minutes after the first step. `answered` is True if the answer was yes. `error` is
+    the text of the error with which the question ended; it is empty if there was none.
+    """
 
     minute: float
     text: str
@@ -32,9 +35,10 @@ class OperatorQuestion:
 class RunRecord:
     """Complete record of a run.
 
-    `ordinal`: number of the run in this journal. `settings_text`: JSON as written. `temperatures`: machine minutes
-    after the first step, and sensor names → °C. `estimate`: JSON text of the last estimate, None if there is none.
-    `balls`, `touches`: how many were measured. `minutes`: machine time from the first step to the end of the last.
+    `ordinal` is the number of the run in this journal. `settings_text` is the JSON text of the settings as written.
+    `temperatures` gives the machine minutes after the first step, and the temperature in °C by sensor name. `estimate`
+    is the JSON text of the last estimate, or None. `balls` and `touches` are the numbers of balls and touches measured.
+    `minutes` is the machine time in minutes from the start of the first step to the end of the last one.
     """
 
     ordinal: int

@@ -13,7 +13,7 @@ from agent.execution.states import FINAL, RunState, may_follow
 
 @dataclass(frozen=True)
 class Announcement:
-    """Announcement to the caller of a run. `kind`: ``state``, ``progress`` or ``note``."""
+    """Announcement to the caller of a run. `kind` is ``state``, ``progress`` or ``note``."""
 
     kind: str
     text: str
@@ -27,7 +27,8 @@ class RunStateTracker:
     """State of one run. It journals and announces every change of the state."""
 
     def __init__(self, journal: RunJournal, listener: Listener, replayed: deque[RunState] | None = None) -> None:
-        """`replayed`: recorded states of a resumed run; they are not announced when the replay enters them again."""
+        """`replayed` contains the recorded states of a resumed run; they are not announced when the replay enters them
+        again."""
         self._replayed = deque[RunState]() if replayed is None else replayed
         self._silent = False
         self._journal = journal

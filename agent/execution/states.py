@@ -64,8 +64,10 @@ FINAL = frozenset({S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED})
 
 
 def may_follow(now: RunState, after: RunState) -> bool:
-    """Return True if `after` may follow `now`: it is listed in `FORWARD`, or it is aborting or faulted and `now` is not
-    final."""
+    """Return True if `after` may follow `now`.
+
+    It may follow if it is listed in `FORWARD`, or if it is aborting or faulted and `now` is not final.
+    """
     if now in FINAL:
         return False
     return after in FORWARD[now] or after in (S.ABORTING, S.FAULTED)

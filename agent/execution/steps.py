@@ -19,7 +19,7 @@ Point: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MoveTo:
-    """Move in a straight line; rapid if no feed is given. Every move near the artefact is guarded."""
+    """Move in a straight line, which is a rapid move if no feed is given. Every move near the artefact is guarded."""
 
     key: str
     target_mm: Point
@@ -29,8 +29,10 @@ class MoveTo:
 
 @dataclass(frozen=True, slots=True)
 class Retrace:
-    """Guarded move that repeats the end of the earlier step with the key `of`: the same position, approached from the
-    same side, so that the play of the axes is taken up in the same direction."""
+    """Guarded move that repeats the end of the earlier step with the key `of`.
+
+    It approaches the same position from the same side, so that the play of the axes is taken up in the same direction.
+    """
 
     key: str
     target_mm: Point
@@ -65,28 +67,31 @@ class OrientTo:
 
 @dataclass(frozen=True, slots=True)
 class ReadTemperatures:
-    """Result: mapping of sensor names to °C."""
+    """Reading of all sensors. The result maps sensor names to temperatures in °C."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class ReadClock:
-    """Result: seconds of machine time on the clock of the run; a resumed run continues from its last reading."""
+    """Reading of the clock of the run.
+
+    The result is the machine time in s; a resumed run continues from its last reading.
+    """
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class ReadPosition:
-    """Result: the axis positions as a `Point`; nothing moves."""
+    """Reading of the axis positions. The result is a `Point`; nothing moves."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class CheckPermissions:
-    """Raises PermissionMissing if the controller does not permit motion."""
+    """Check that raises PermissionMissing if the controller does not permit motion."""
 
     key: str
 
@@ -100,7 +105,7 @@ class ResetFault:
 
 @dataclass(frozen=True, slots=True)
 class CheckProbe:
-    """Raises MeasurementFault if the probe is not loaded, not healthy, or deflected."""
+    """Check that raises MeasurementFault if the probe is not loaded, is not healthy, or is deflected."""
 
     key: str
 
@@ -133,14 +138,14 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class ReadActiveBank:
-    """Result: number of the active bank, an int."""
+    """Reading of the number of the active bank. The result is an int."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class AwaitActive:
-    """Raises NotActiveYet if the controller has accepted `bank` but not yet activated it."""
+    """Check that raises NotActiveYet if the controller has accepted `bank` but not yet activated it."""
 
     key: str
     bank: int
@@ -148,7 +153,7 @@ class AwaitActive:
 
 @dataclass(frozen=True, slots=True)
 class ReadTable:
-    """Result: `TableImage`; None if the bank is empty."""
+    """Reading of a table. The result is a `TableImage`, or None if the bank is empty."""
 
     key: str
     bank: int

@@ -25,7 +25,7 @@ def observations_of(
     """Return observations at bare axis positions, which are displayed positions plus corrections of the active table.
 
     `correction` maps displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
-    `thermal_regressors`: (n, w) in K for w regressors; None if the machine did not drift.
+    `thermal_regressors` contains (n, w) values in K for w regressors; it is None if the machine did not drift.
     """
     displayed = np.array([ball.found.centre_mm for ball in balls])
     return Observations(

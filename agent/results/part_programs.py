@@ -1,4 +1,4 @@
-"""Correction of part program files with a table file; the output file is written completely or not at all."""
+"""Correction of part program files with a table file. The output file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def correct_file(
 
     `name`: name of the table, written into the corrected program.
 
-    Raises InputError with file and line for a block that cannot be corrected; `out` is then unchanged.
+    Raises InputError, naming file and line, if a block cannot be corrected; `out` is then unchanged.
     """
     if out is not None and out.resolve() == part.resolve():
         message = "the corrected program would replace the original program"

@@ -24,7 +24,9 @@ class PredictedAccuracy:
 
 
 def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy:
-    """Return rank and predicted VCE for the positions `measured` in a preflight, without the held-out ones.
+    """Return the rank and the predicted volumetric error for the positions `measured` in a preflight.
+
+    The held-out positions are not used.
 
     Raises ConfigurationError if these positions cannot identify the machine.
     """

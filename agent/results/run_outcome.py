@@ -14,8 +14,8 @@ from agent.probing.reversal import AxisReversal
 class Proof:
     """Proof of a new table at held-out positions.
 
-    `before_um`, `after_um`: rms residual per ball before and after activation of the table; `predicted_um`: prediction
-    of the latter. `chi2_normalised`: of the residuals after activation against their prediction.
+    `before_um` and `after_um` are the rms residuals per ball before and after activation of the table. `predicted_um`
+    is the prediction of `after_um`. `chi2_normalised` compares the residuals after activation with their prediction.
     """
 
     accepted: bool
@@ -42,7 +42,8 @@ class Decision(Enum):
 class SuspectedError:
     """Machine error that may have jumped.
 
-    `error`: its ISO 230-1 name; `change`: size of the jump in `unit`; `evidence`: ln of the likelihood ratio for it.
+    `error` is its ISO 230-1 name. `change` is the size of the jump in `unit`. `evidence` is the natural logarithm of
+    the likelihood ratio in favour of the jump.
     """
 
     error: str
@@ -59,12 +60,14 @@ class SuspectedError:
 class NightReport:
     """Comparison of the machine with the last accepted night, and the decision of this nightly run or verification.
 
-    `since`: identity of the run of the last accepted night; `nights`: nights since then.
-    `ve_before_um`, `ve_now_um`, `ve_after_um`: expected VE, aligned: with the active table at the end of the last
-    accepted night, with the active table now, and with a table from the present estimate. `held_out_um`: rms of the
-    held-out balls at displayed positions; `held_out_predicted_um`: its prediction. `chi2_normalised`: of all ball
-    centres against their prediction. `jumped`: errors whose jump is established by sufficient evidence; `likeliest`:
-    the errors whose jump would best explain the measurement, the likeliest first, whether or not any has jumped.
+    `since` is the identity of the run of the last accepted night, and `nights` the number of nights since then.
+    `ve_before_um`, `ve_now_um` and `ve_after_um` are expected volumetric errors after removal of the best-fitting rigid
+    motion: `ve_before_um` with the active table at the end of the last accepted night, `ve_now_um` with the active
+    table now, and `ve_after_um` with a table from the present estimate. `held_out_um` is the rms residual of the
+    held-out balls at displayed axis positions, and `held_out_predicted_um` is its prediction. `chi2_normalised`
+    compares all ball centres with their prediction. `jumped` lists the errors whose jump is established by sufficient
+    evidence. `likeliest` lists the errors whose jump would best explain the measurement, the likeliest first, whether
+    or not any has jumped.
     """
 
     decision: Decision

@@ -29,7 +29,9 @@ def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
 
 
 def table_of(image: TableImage, tool_offset_mm: Array) -> CompensationTable:
-    """Return the corrections that a controller applies: interpolated trilinearly, constant outside the grid.
+    """Return the corrections that a controller applies.
+
+    They are interpolated trilinearly and are constant outside the grid.
 
     A controller stores neither the anchor nor the measured region. In the returned table the anchor is therefore the
     grid's first node, and no node counts as extrapolated.

@@ -11,7 +11,10 @@ from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 
 def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:
-    """Return the estimated VE and the VCE expected after compensation, over the standard grid, in µm."""
+    """Return the estimated VE of the bare machine and the VCE expected after compensation.
+
+    Both are in µm and computed over the standard grid.
+    """
     grid = evaluation_grid(estimate.model.ranges_mm)
     form = QuadraticForm.build(estimate.model, grid, tool_offset)
     before = form.value(estimate.parameters)
@@ -27,7 +30,7 @@ def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSumm
 def _of_estimate(value_mm: float, form: Array, estimate: Estimate) -> Quantity:
     """Return the VE and its standard uncertainty u in µm.
 
-    For parameters E with covariance P and the quadratic form Q, the VE is v = sqrt(E'QE); to first order
+    If the parameters are E, their covariance is P and the matrix `form` is Q, the VE is v = sqrt(E'QE). To first order,
     u² = E'Q P Q E / v².
     """
     gradient = form @ estimate.parameters / max(value_mm, 1e-12)
@@ -38,8 +41,8 @@ def _of_estimate(value_mm: float, form: Array, estimate: Estimate) -> Quantity:
 def _expected(value_mm: float, form: Array, covariance: Array) -> Quantity:
     """Return the expected VCE and, as its uncertainty, the standard deviation of the VCE of one machine, in µm.
 
-    For normal parameter errors e with covariance P and the quadratic form Q, VCE² = e'Qe has the variance
-    2 trace(QPQP).
+    If the parameter errors e are normally distributed with covariance P, and the matrix `form` is Q, then VCE² = e'Qe
+    has the variance 2 trace(QPQP).
     """
     product = form @ covariance
     variance = 2.0 * float(np.einsum("ij,ji->", product, product))
