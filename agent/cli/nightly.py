@@ -1,6 +1,6 @@
-"""`volcal verify` and `volcal nightly`, which check the machine against the last accepted night.
+"""Commands `volcal verify` and `volcal nightly`. Both check the machine against the last accepted night.
 
-`verify` writes nothing; `nightly` uses the rest of its time slot to improve the compensation.
+`verify` writes nothing to the controller. `nightly` uses the rest of its time slot to improve the compensation.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Progress of a run on stderr: one line per state, and a bar with the minutes left."""
+"""Progress of a run on stderr. It shows one line per state, and a bar with the remaining minutes."""
 
 from __future__ import annotations
 

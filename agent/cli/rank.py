@@ -1,4 +1,6 @@
-"""`volcal rank`: errors that a set-up can determine, errors that it cannot, and changes that would determine more."""
+"""`volcal rank`: errors that a set-up can determine, errors that it cannot determine, and changes of the set-up that
+would determine more of them.
+"""
 
 from __future__ import annotations
 

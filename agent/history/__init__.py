@@ -1,2 +1,3 @@
-"""History of the runs of all machines, with trends and alarms. It is derived from the journals, which remain
-authoritative."""
+"""History of the runs of all machines, with trends and alarms. It is derived from the journals, which remain the
+authoritative record.
+"""

@@ -90,7 +90,7 @@ class HistoryStore:
         return {run_id: RunEnd(utc_time(ended), state, reason) for run_id, ended, state, reason in rows}
 
     def put(self, rows: RunRows) -> None:
-        """Insert or replace the rows of a run in one transaction."""
+        """Insert the rows of a run, or replace those already stored, in one transaction."""
         values = {**rows.run, "digest": rows.digest, **{at: _parse_time(rows.run[at]) for at in ("started", "ended")}}
         key = {name: values[name] for name in ("machine", "run_id")}
         with self._translated_errors(), self._engine.begin() as connection:

@@ -14,11 +14,11 @@ from agent.history.store import HistoryStore, RunEnd, utc_time
 
 
 def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
-    """Store all runs of the journal in state directory `directory`. Return the identities of the runs written, in
-    order.
+    """Store all runs of the journal in the state directory `directory`. Return the identities of the runs written, in
+    the order in which they were written.
 
-    Runs that are stored and unchanged are skipped. Raise LinkLost if the connection to the database is lost; the next
-    call then stores the remaining runs.
+    Runs that are already stored and unchanged are skipped. Raise LinkLost if the connection to the database is lost;
+    the next call then stores the remaining runs.
     """
     return _store_changed(directory, run_ids(directory), store)
 
@@ -26,11 +26,12 @@ def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
 def sync_ends(directory: Path, store: HistoryStore) -> tuple[str, ...]:
     """Store the runs that have not ended and those whose end is not stored yet.
 
-    Return the identities of the runs written, in order. Raise LinkLost if the connection to the database is lost.
+    Return the identities of the runs written, in the order in which they were written. Raise LinkLost if the connection
+    to the database is lost.
 
-    This is for commands that only show the history. If the end of a run is stored, only the head of its record is read,
-    which saves about 50 ms per run with an estimate of 1.5 MB. `sync`, in contrast, compares all runs completely; it is
-    called after every run.
+    This function is for commands that only show the history. If the end of a run is stored, it reads only the head of
+    the run's record, which saves about 50 ms per run with an estimate of 1.5 MB. `sync`, in contrast, compares all runs
+    completely; it is called after every run.
     """
     stored: dict[str, dict[str, RunEnd]] = {}
     changed = []

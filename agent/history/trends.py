@@ -51,8 +51,8 @@ class TrendAlarm:
 @dataclass(frozen=True, eq=False)
 class Trend:
     """Trend of a series. `drift` is None if there are too few values. `chart` and `smoothed` are control charts of the
-    values since the last step; they are None if there are fewer than `MIN_CHARTED` values. `crossing` states when the
-    fitted line reaches the tolerance; it is None if there is no tolerance or no drift.
+    values since the last step; they are None if there are fewer than `MIN_CHARTED` values. `crossing` predicts when the
+    series will reach its tolerance; it is None if there is no tolerance or no drift.
     """
 
     series: Series

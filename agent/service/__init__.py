@@ -1,1 +1,3 @@
-"""Calibration service: the single owner of the machine, and the endpoints for people, panels and other programs."""
+"""Calibration service. It consists of the single owner of the machine and of the endpoints for people, panels and other
+programs.
+"""

@@ -1,1 +1,1 @@
-"""Life of the service process: endpoints, signals, systemd notification and logging."""
+"""Service process: its endpoints, signals, systemd notification and logging."""

@@ -21,7 +21,7 @@ _BEAT = PANEL[0].address
 
 
 class PanelSession:
-    """`RegisterTable` of one connection; used by one thread."""
+    """`RegisterTable` of one connection. Only one thread may use it."""
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway

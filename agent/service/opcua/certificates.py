@@ -1,4 +1,6 @@
-"""OPC UA certificates: the server's own certificate, generated at its first start, and those of the trusted clients."""
+"""OPC UA certificates. They are the server's own certificate, which is generated at its first start, and the
+certificates of the trusted clients.
+"""
 
 from __future__ import annotations
 

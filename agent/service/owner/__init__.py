@@ -1,1 +1,1 @@
-"""The owner of the machine, which accepts requests from every endpoint and carries out one run at a time."""
+"""Owner of the machine. It accepts requests from every endpoint and carries out one run at a time."""

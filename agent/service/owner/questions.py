@@ -16,7 +16,7 @@ POLL_S = 0.1
 
 
 class Questions:
-    """Questions of the run in progress, of which at most one is open at a time."""
+    """Questions of the run in progress. At most one question is open at a time."""
 
     def __init__(self, changed: Callable[[Question | None, str], None]) -> None:
         self._changed = changed

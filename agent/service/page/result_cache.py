@@ -1,4 +1,6 @@
-"""Results of a run as numbers for figures: error functions with uncertainty bands, and maps of the workspace."""
+"""Results of a run as numbers for figures. They are the error functions with uncertainty bands, and maps of the
+workspace.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ MAX_CACHED = 16
 
 
 class ResultCache:
-    """Cache of the results of the latest runs; safe to use from any thread."""
+    """Cache of the results of the latest runs. It is safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()

@@ -1,4 +1,4 @@
-"""Expected benefit of the position set, and loss of accuracy if any one of its positions were omitted."""
+"""Expected benefit of the position set, and the loss of accuracy if any one of its positions were left out."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Document = dict[str, Any]
 
 
 class SetValueCache:
-    """Cache of the document that was computed last; safe to use from any thread."""
+    """Cache of the document that was computed last. It is safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()

@@ -32,8 +32,9 @@ CONTENT_SECURITY_POLICY = "; ".join(
 
 
 def mount_page(app: FastAPI, _: AppState) -> None:
-    """Add `/`, `/assets/…`, `/drawing/…` and `/api/page/…`. Browsers must revalidate files each time, since the file
-    names contain no version."""
+    """Add the routes `/`, `/assets/…`, `/drawing/…` and `/api/page/…`. Browsers must revalidate the files each time,
+    since the file names contain no version.
+    """
     own, drawing = _directory("agent.service.page") / "assets", _directory("agent.planning.preview")
     scripts = {path.name: path for path in drawing.glob("*.js")}
 

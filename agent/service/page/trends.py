@@ -24,7 +24,9 @@ Document = dict[str, Any]
 
 
 class TrendCache:
-    """Cache of the trends, which are computed again only if the runs have changed; safe to use from any thread."""
+    """Cache of the trends, which are computed again only if the runs or the history settings have changed. It is safe
+    to use from any thread.
+    """
 
     def __init__(self) -> None:
         self._lock = Lock()

@@ -23,8 +23,9 @@ class UnknownRun(InputError):
 
 @dataclass(frozen=True)
 class Archive:
-    """Runs, balls, events and tables of the journal in the state directory `directory`; `reports` returns the path of a
-    report, rendered if necessary."""
+    """Runs, balls, events and tables of the journal in the state directory `directory`. `reports` is a function that
+    returns the path of a report and renders the report if necessary.
+    """
 
     directory: Path
     reports: Callable[[str], Path]
@@ -66,7 +67,9 @@ class Archive:
             return [{"key": ball.key, **ball.record} for ball in reader.balls(_run(reader, run_id).run)]
 
     def temperatures(self, run_id: str) -> list[Document]:
-        """Return the temperature readings. `minutes`: machine time in min since the first step of the run."""
+        """Return the temperature readings of a run. `minutes` of a reading is the machine time in min since the first
+        step of the run.
+        """
         with self._reading() as reader:
             rows = reader.temperatures(_run(reader, run_id).run)
         return [{"minutes": row.minutes, "celsius": row.record} for row in rows]
@@ -89,8 +92,9 @@ class Archive:
         return document
 
     def report(self, run_id: str) -> Path:
-        """Return the path of the report. Raise UnknownRun if the run has not ended, InputError if it cannot be
-        rendered."""
+        """Return the path of the report. Raise UnknownRun if the run has not ended, and InputError if the report cannot
+        be rendered.
+        """
         with self._reading() as reader:
             ended = _run(reader, run_id).ended
         if ended is None:

@@ -1,4 +1,6 @@
-"""Events of the service, numbered without gaps: a ring buffer of the latest events, and queues of subscribers."""
+"""Events of the service, numbered without gaps. A ring buffer contains the latest events, and each subscriber has a
+queue.
+"""
 
 from __future__ import annotations
 

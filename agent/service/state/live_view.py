@@ -1,7 +1,7 @@
-"""Data of the live view: machine, artefact in every position, and the path of the tip.
+"""Data of the live view: the machine, the artefact in every position, and the path of the stylus tip.
 
-During a run the path comes from the preflight of that run. Otherwise it is the plan made from the settings, computed
-once and cached.
+During a run the path comes from the preflight of that run. Between runs it comes from the plan that is made from the
+settings; this plan is computed once and cached.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Document = dict[str, Any]
 
 
 class LiveView:
-    """Document of the live view, computed once per plan; safe to use from any thread."""
+    """Cache of the document of the live view, which is computed once per plan. It is safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

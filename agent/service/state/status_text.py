@@ -34,7 +34,9 @@ _MOVING = frozenset({S.MEASURING, S.VERIFYING, S.HELD})
 
 
 def doing(state: RunState, step: str, kind: str | None) -> str:
-    """Return the activity as one line, which includes station, orientation and ball during a measurement."""
+    """Return the activity as one line. During a measurement the line includes the station, the orientation and the
+    ball.
+    """
     words = _STATES[state]
     place = _place(step) if state in _MOVING else ""
     if state is S.MEASURING and not place and kind is not None:
