@@ -133,7 +133,7 @@ def retreat_of(
 
 
 def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> FreePathRules:
-    """Return the rules of free paths, with the same dynamics and command latency as in the computation of machine
+    """Return the rules of free paths. They have the same dynamics and command latency as the computation of machine
     time."""
     times = time_model(machine, timing)
     travel = np.array(machine.limits)

@@ -47,8 +47,8 @@ def checked_plan(
 
 @dataclass
 class _Rules:
-    """Rules, and the state of a plan after the steps so far. `stands_at`: station of the carried artefact, None if not
-    known."""
+    """Rules, and the state of a plan after the steps that were checked so far. `stands_at` is the station of the
+    carried artefact, or None if it is not known."""
 
     fastest_mm_per_s: float
     station_count: int

@@ -24,8 +24,8 @@ from twin.collision.neighbour_stations import neighbour_bodies
 
 @dataclass(frozen=True, eq=False)
 class Artefacts:
-    """Artefacts of a run. `all`: all of them as one artefact, with balls numbered as in an estimate. `own`: station →
-    artefact that always stands there, empty if one artefact is carried."""
+    """Artefacts of a run. `all` joins the balls of all artefacts into one artefact, numbered as in an estimate. `own`
+    maps each station to the artefact that always stands there; it is empty if one artefact is carried."""
 
     all: Artefact
     own: Mapping[int, Artefact] = field(default_factory=dict)

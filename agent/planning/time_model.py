@@ -37,8 +37,8 @@ class TimeModel:
     carrying_s: float = 0.0
 
     def move_s(self, start_mm: Point, target_mm: Point, feed_mm_per_s: float | None) -> float:
-        """Return the time in s of a straight move from rest to rest, without latency; rapid traverse if the feed is
-        None."""
+        """Return the time in s of a straight move from rest to rest, without latency. If the feed is None, the move is
+        made at rapid traverse."""
         path = straight_path(start_mm, target_mm)
         speed = min(feed_mm_per_s or math.inf, path.limit_along(self.rapid_mm_per_s))
         return travel_time_s(path.length, speed, path.limit_along(self.acceleration_mm_per_s2))

@@ -1,4 +1,5 @@
-"""Measurement of one ball: make the touches of the pattern, fit a sphere, check its limits, repeat a few times."""
+"""Measurement of one ball. The touches of the pattern are made, a sphere is fitted, and its limits are checked. If a
+limit is exceeded, the measurement is repeated a few times."""
 
 from __future__ import annotations
 
@@ -48,11 +49,10 @@ def measure_ball(
 ) -> Plan[FittedBall | LostBall]:
     """Measure the ball at its expected centre; if a limit is exceeded, repeat the doubtful touches, then the ball.
 
-    If all repeats fail, raise MeasurementFault if `probing.stop_on_failure`, else return LostBall.
-    If the search has a guarded feed, the ball is first located by touches that stay away from its holder.
-    After the first miss the wide search is used; after a miss of the wide search the ball is given up. A ball found far
-    from its expected centre is measured again about the centre found, so that all balls are touched along the same
-    normals.
+    If all repeats fail, raise MeasurementFault if `probing.stop_on_failure`, else return LostBall. If `search` has a
+    guarded feed, the ball is first located by touches that stay away from its holder. After the first miss, the touches
+    use the wide search distances. After a miss with these, the ball is given up. A ball found far from its expected
+    centre is measured again about the centre found, so that all balls are touched along the same normals.
     """
     ball = _Ball(key, predicted_mm, probing, search, path)
     if search.guarded_feed_mm_per_s is not None:
@@ -143,8 +143,8 @@ class _Ball:
     def _repeat_doubtful(
         self, key: str, fit: SphereFit, points: Vector, gate: FailedGate
     ) -> Plan[tuple[SphereFit | None, Vector, FailedGate | None]]:
-        """Repeat the doubtful touches along the same lines; this corrects touches of a loose particle and false
-        trips."""
+        """Repeat the doubtful touches along the same lines. This replaces false trips, and touches made on a loose
+        particle."""
         again = doubtful_touches(fit, self._probing)
         then = f"clean-up of touch {', '.join(str(index) for index in again)}"
         yield Record(f"{key}/clean-up", "event", gate.payload(self._key, then))

@@ -11,7 +11,7 @@ from twin.artefact.sphere_fit import SphereFit
 from twin.units import UM_PER_MM
 
 TIE_RATIO = 0.95
-"""Fraction of the largest standardised residual above which touches cannot be distinguished from the worst one.
+"""Fraction of the largest standardised residual above which a touch cannot be distinguished from the worst touch.
 
 The actual touch directions deviate from the pattern, because the ball may be off its expected centre by up to the
 re-centring limit, a few percent of its radius."""
@@ -71,7 +71,8 @@ def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
 
 
 def doubtful_touches(fit: SphereFit, probing: ProbingParameters) -> tuple[int, ...]:
-    """Return the indices of the touches to repeat: the worst, and those that the pattern cannot distinguish from it.
+    """Return the indices of the touches to repeat: the worst touch, and all touches that the pattern cannot distinguish
+    from it.
 
     Residuals are divided by √redundancy (Baarda's test). With five points and a free radius, a wrong touch on the
     equator changes the residuals of all four equator touches equally, so all four are repeated.

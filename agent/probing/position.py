@@ -1,5 +1,6 @@
-"""Measurement of one position: move clear, turn the mount, measure both end balls, align the other balls to them,
-measure these, and measure the first ball again."""
+"""Measurement of one position. The plan moves the tip clear, turns the mount, and measures both end balls. It aligns
+the expected centres of the other balls to the end balls, measures the other balls, and measures the first ball
+again."""
 
 from __future__ import annotations
 
@@ -79,8 +80,8 @@ class MeasuredBall:
 
 @dataclass(frozen=True)
 class MeasuredPosition:
-    """Result of one position. `again`: first ball measured again at the end, None if it was lost then. `drift_mm` (3,):
-    displacement of that ball, NaN if it was lost. `lost`: number of lost balls."""
+    """Result of one position. `again`: repeated measurement of the first ball, None if that ball was lost in the
+    repetition. `drift_mm` (3,): displacement of that ball, NaN if it was lost. `lost`: number of lost balls."""
 
     balls: tuple[MeasuredBall, ...]
     lost: int
@@ -119,7 +120,7 @@ def measure_position(
     before: Sequence[Conditions] = (),
     planner: PathPlanner | None = None,
 ) -> Plan[MeasuredPosition]:
-    """Measure every reachable ball of `task`; without a `planner` the plan ends at the retreat plane.
+    """Measure every reachable ball of `task`. If `planner` is None, the plan ends at the retreat plane.
 
     `here` (3,): axis positions at the start of the plan. Both end balls are measured first (wide search); the expected
     locations of the others are aligned to them. The first ball is measured again at the end to find the drift.
@@ -147,7 +148,8 @@ def measure_position(
 
 
 class _Measuring:
-    """Measurement of the balls of one position, with the balls found and the numbers of lost balls and touches."""
+    """State of the measurement of one position: the balls found, the number of lost balls, and the number of
+    touches."""
 
     def __init__(self, task: PositionTask, rules: PositionRules, planner: PathPlanner) -> None:
         self._task = task

@@ -20,8 +20,8 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class DriftLimits:
-    """Limits of the first ball's displacement: above `event_mm` the recorded event has a note, above `fault_mm`
-    MeasurementFault is raised."""
+    """Limits of the first ball's displacement: if it exceeds `event_mm`, the recorded event has a note; if it exceeds
+    `fault_mm`, MeasurementFault is raised."""
 
     event_mm: float
     fault_mm: float

@@ -25,8 +25,8 @@ from twin.collision.measuring_layout import MeasuringLayout
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """Checks before a run; a check that is None is not made. `layout`: layout in which a ball is reachable only if it
-    is accessible for the dense touch pattern and for the moves of the checks."""
+    """Checks before a run. If the rules of a check are None, the check is omitted. `layout`: layout in which a ball is
+    reachable only if it is accessible for the dense touch pattern and for the moves of the checks."""
 
     check: ProbeCheck | None
     qualification: QualificationRules | None
@@ -90,7 +90,7 @@ def prepare_probe(
 
 
 def _park_all_mounts(rules: PositionRules) -> Plan[None]:
-    """Park all mounts: the pose in which a person or an earlier run left them is not known."""
+    """Park all mounts, because the pose in which a person or an earlier run left them is not known."""
     if rules.change.own_mounts:
         yield CheckPermissions(f"{PREFIX}/mounts/permissions")
         here = np.array((yield ReadPosition(f"{PREFIX}/mounts/here")))
@@ -162,8 +162,8 @@ def _datum_ball(
 def _first_free_ball(
     order: MeasuringOrder, layouts: Sequence[MeasuringLayout], wanted: int | None
 ) -> tuple[Position, int] | None:
-    """Return the first position and its first ball that is reachable in all `layouts`; None if there is none. `wanted`:
-    number of the only ball considered, None for all."""
+    """Return the first position and its first ball that is reachable in all `layouts`; None if there is none. If
+    `wanted` is a number, only the ball with this number is considered."""
     for position in order.positions:
         nominal = layouts[0].nominal(position)
         free = np.logical_and.reduce([layout.reachable(position, nominal) for layout in layouts])

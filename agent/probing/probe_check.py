@@ -1,4 +1,5 @@
-"""Check of the probe's repeatability: compare 2σ of n touches of one point, with confidence interval, to a limit."""
+"""Check of the repeatability of the probe. Twice the standard deviation (2σ) of n touches at one point is compared with
+a limit, with regard to the confidence interval of 2σ."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ class ProbeCheck:
 
 @dataclass(frozen=True)
 class Repeatability:
-    """Repeatability as 2σ of `touches` touches at the pole, with its confidence interval `interval_um` at the level
-    `confidence`."""
+    """Repeatability, stated as 2σ of `touches` touches at the pole. `interval_um` is the confidence interval of 2σ at
+    the level `confidence`."""
 
     two_sigma_um: float
     limit_um: float

@@ -20,8 +20,8 @@ class Search:
     """Search distances of a touch. `approach_mm`: distance before the expected surface at which the touch begins.
     `beyond_mm`: distance beyond it at which a miss is declared.
 
-    `guarded_feed_mm_per_s`: feed of the moves beside a ball that must be located first; None: rapid traverse, beside a
-    ball whose location is known.
+    `guarded_feed_mm_per_s`: feed of the moves beside a ball that must be located first. It is None if the location of
+    the ball is known; these moves are then made at rapid traverse.
     """
 
     approach_mm: float
@@ -122,7 +122,8 @@ class ProbingParameters:
 
     @property
     def required_travel_mm(self) -> tuple[Array, Array]:
-        """Travel (3,) in mm needed below, and (3,) above, a ball's axis positions to touch it with the wide search."""
+        """Travel in mm that is needed to touch a ball with the wide search: (3,) below and (3,) above the axis
+        positions of the ball."""
         starts = -self.directions * (self.contact_mm + self.wide_search.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + PLACEMENT_ALLOWANCE_MM
         return below, np.maximum(0.0, starts.max(axis=0)) + PLACEMENT_ALLOWANCE_MM

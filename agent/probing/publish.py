@@ -22,8 +22,8 @@ from drivers.roles import Activation, TableImage
 
 @dataclass(frozen=True)
 class ActiveCompensation:
-    """Active compensation. `bank`: number of the active bank, 0 for no compensation; `table`: its table, None for bank
-    0."""
+    """Active compensation. `bank` is the number of the active bank, or 0 if there is no compensation. `table` is the
+    table in that bank, or None if `bank` is 0."""
 
     bank: int
     table: TableImage | None

@@ -1,4 +1,5 @@
-"""First motion after a fault or an abort: back along the last approach direction, then along the stylus."""
+"""First motion after a fault or an abort. The tip moves back along the last approach direction, then along the
+stylus."""
 
 from __future__ import annotations
 

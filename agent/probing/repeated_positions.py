@@ -1,4 +1,5 @@
-"""Repeated positions: if the machine's temperature has changed, the first positions are measured again at the end.
+"""Repeated positions. If the temperature of the machine has changed, the positions measured first are measured again at
+the end.
 
 Stations are measured one after the other, so a change with time looks like a change along the travel: a scale that
 grows with time and a nonlinear scale give the same readings. Only positions measured twice, early and late, distinguish
@@ -24,8 +25,8 @@ REPEAT_PREFIX = "close"
 @dataclass(frozen=True)
 class RepeatRules:
     """Rules of repeated positions. If the machine's temperature changes by `threshold_k` or more, the first `count`
-    measured positions among `candidates` are repeated. `declared_k`: change assumed if the machine has no
-    thermometer."""
+    measured positions among `candidates` are repeated. `declared_k` is the change of temperature that is assumed if the
+    machine has no thermometer."""
 
     threshold_k: float
     declared_k: float

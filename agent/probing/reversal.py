@@ -1,4 +1,5 @@
-"""Lost motion of the linear axes at reversal, from oblique touches of the datum ball reached from either side.
+"""Lost motion of the linear axes at reversal. It is measured by oblique touches of the datum ball, before which the
+tested axis moves to the start of the touch from one side or from the other.
 
 Ball centres do not show lost motion: the approach directions are the same on every ball, so it shifts all centres
 equally, and a freely placed artefact cannot reveal a common shift. It is therefore measured separately; the report
@@ -33,9 +34,9 @@ LIMITATION = (
 
 @dataclass(frozen=True)
 class ReversalCheck:
-    """Rules of the reversal check. `touches`: number of touches from either side at each of two points per axis;
+    """Rules of the reversal check. `touches`: number of touches from each side at each of two points per axis;
     `limit_mm`: largest lost motion without a warning; `stop`: True if a lost motion reliably above the limit stops the
-    run before it measures."""
+    run before the first position is measured."""
 
     touches: int
     limit_mm: float

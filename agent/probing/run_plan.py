@@ -40,8 +40,9 @@ class MeasuringOrder:
 
 @dataclass(frozen=True)
 class MeasuredPositions:
-    """Measured positions of a plan. `left_out`: keys of positions with too few balls within reach. `standing_at`:
-    station of the artefact at the end. `mount_poses`: estimated mount poses by station."""
+    """Measured positions of a plan. `left_out` has the keys of the positions with too few balls within reach.
+    `standing_at` is the station of the artefact at the end. `mount_poses` maps each station to its estimated mount
+    pose."""
 
     positions: tuple[MeasuredPosition, ...]
     left_out: tuple[str, ...]

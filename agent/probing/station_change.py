@@ -31,7 +31,7 @@ class RetreatLocations(Protocol):
 @dataclass(frozen=True)
 class StationChange:
     """Rules for a station change. `own_mounts`: stations with a mount of their own, empty for a single mount that is
-    carried. `parked_deg`: azimuth and elevation of such a mount while another station is measured."""
+    carried. `parked_deg`: azimuth and elevation of a station's own mount while another station is measured."""
 
     carried: CarriedItem = CarriedItem.MOUNT
     own_mounts: tuple[int, ...] = ()

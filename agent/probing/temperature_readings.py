@@ -1,4 +1,4 @@
-"""Temperature readings with every ball, so that each ball centre has its own temperature and time."""
+"""Temperature readings. They are taken with every ball, so that each ball centre has its own temperature and time."""
 
 from __future__ import annotations
 

@@ -18,8 +18,8 @@ TREND_WINDOW_S = 600.0
 
 @dataclass(frozen=True)
 class SettlingRules:
-    """Limits of the artefact's rate of temperature change and its departure from 20 °C; interval of the readings during
-    the wait, and longest wait."""
+    """Rules of the wait for a settled artefact: limits of its rate of temperature change and of its departure from 20
+    °C, interval of the readings during the wait, and longest wait."""
 
     thermometers: Thermometers = field(default_factory=Thermometers)
     max_rate_k_per_h: float = math.inf

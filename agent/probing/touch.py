@@ -86,8 +86,8 @@ def touch_ball(
     search: Search,
     path: TouchPath | None = None,
 ) -> Plan[TouchResult]:
-    """Touch the ball at `centre` along `direction`. `path`: path to the start and back, by default by the plane in
-    front of the ball."""
+    """Touch the ball at `centre` along `direction`. `path` gives the path to the start of the touch and back. By
+    default, it is the path by way of the plane in front of the ball."""
     touch = PlannedTouch(centre, direction, search, probing.contact_mm)
     chosen = path or PlainTouchPath(probing)
     yield from chosen.approach(key, touch)

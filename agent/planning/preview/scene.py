@@ -58,8 +58,8 @@ class Visit:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """Point of the path. `ends_s`: time at which the tip reaches it; `ball`: ball being measured; `touch`: True if the
-    step is a touch."""
+    """Point of the path. `ends_s` is the time at which the tip reaches the point. `ball` is the number of the ball
+    being measured. `touch` is True if the step is a touch."""
 
     tip_mm: Point
     ends_s: float
@@ -105,7 +105,7 @@ class Preview:
 
     @property
     def minutes(self) -> float:
-        """Machine time in minutes of the whole path; for a refused plan, up to the refusal."""
+        """Machine time in minutes of the whole path. If the plan was refused, the path ends at the refusal."""
         return self.path[-1].ends_s / 60.0 if self.path else 0.0
 
     @property

@@ -24,8 +24,8 @@ _BALL = re.compile(r"/ball-(\d+)")
 
 @dataclass(frozen=True)
 class Waypoint:
-    """State after a step. `tip_mm`: tip centre (workpiece frame); `ends_s`: time since the start of the plan;
-    `standing`: station and mount angles of the artefact."""
+    """State after a step. `tip_mm` is the tip centre in the workpiece frame, and `ends_s` the time in s since the start
+    of the plan. `standing` gives the station and the mount angles of the artefact."""
 
     step: Step
     tip_mm: Point

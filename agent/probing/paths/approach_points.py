@@ -15,19 +15,22 @@ DETOUR_RADII = (1.05, 1.2, 1.4, 1.7)
 """Distances of detour corners from the ball centre, as multiples of the larger `out_mm` of both path ends."""
 
 DETOUR_SETBACKS = (0.0, 0.4, 0.8, 1.6)
-"""Setbacks of detour corners along the stylus, added to the sum of both outward unit vectors."""
+"""Displacements of detour corners along the stylus axis. They are added to the sum of the outward unit vectors at both
+path ends."""
 
 MIN_LATERAL_COMPONENT = 0.1
-"""Minimum length of the summed direction vector; below it the touches are opposite and no corner lies between."""
+"""Minimum length of the sum of both direction vectors. If it is shorter, the touches are on opposite sides and no
+corner lies between them."""
 
 MIN_LIFT_OFF_COSINE = 0.15
 """Minimum cosine between surface normal and first move after a touch, so that the stylus leaves the surface at once."""
 
 MIN_MOVE_MM = 1e-3
-"""Length below which a move counts as no move."""
+"""Length in mm below which a move is ignored."""
 
 LIFT_OFF_MM = 3.0
-"""Lift-off along the surface normal before the stylus withdraws, for paths that do not leave the surface at once."""
+"""Length in mm of the move along the surface normal that precedes the withdrawal if a path does not leave the surface
+at once."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +59,8 @@ def detour_corners(centre: Array, start: TipLocation, end: TipLocation, stylus_a
 
 
 def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
-    """Return corners (1, k, 3) of a path that lifts off, moves along Y, then along Z, then to `last`, past a bar
-    end."""
+    """Return the corners (1, k, 3) of a path that passes a bar end: it lifts off, moves along Y, then along Z, then to
+    `last`."""
     beside = point(np.array(first) - LIFT_OFF_MM * np.array(start.direction)) if start.touching else first
     low = min(beside[1], last[1])
     out = [(beside[0], low, beside[2]), (beside[0], low, last[2])]

@@ -1,4 +1,5 @@
-"""Measuring order of the balls of one position: both end balls first, then the others on the fastest path back."""
+"""Measuring order of the balls of one position. Both end balls are measured first, then the other balls on the fastest
+path back."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ def _sequence(
     first: int,
     last: int,
 ) -> list[int]:
-    """Order the balls by the times of straight paths, because a detour between neighbours takes about the same time."""
+    """Return the order with the shortest total time of straight paths. Detours are ignored, because each takes about
+    the same time."""
     contact_mm, out_mm = probing.contact_mm, probing.contact_mm + probing.narrow_search.approach_mm
     starts = [TipLocation(ball, point(probing.directions[-1]), contact_mm, touching=True) for ball in balls]
     ends = [TipLocation(ball, point(probing.directions[0]), out_mm) for ball in balls]

@@ -1,8 +1,8 @@
 """Fastest collision-free paths of one run: from touch to touch, from ball to ball, and from one pose to the next.
 
-Paths are searched among the nominal bodies, in coordinates relative to the mount's location, so that a path found once
-holds at every station and each time a position is measured. The uncertainty of the pose is added to the clearance.
-The corners are then shifted to the measured location of the artefact.
+Paths are searched among the nominal bodies, in coordinates relative to the mount's location, so a path that was found
+once can be used at every station and whenever a position is measured. The uncertainty of the pose is added to the
+clearance. The corners are then shifted to the measured location of the artefact.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class ArtefactPose:
 
 @dataclass(frozen=True)
 class TurningPath:
-    """Path from a ball in the old pose to a waiting point, at which the tip stays while the mount turns, and from there
-    to a ball in the new pose.
+    """Path with two parts: from a ball in the old pose to a waiting point, where the tip stays while the mount turns,
+    and from the waiting point to a ball in the new pose.
 
     Corners and `waiting_point` are relative to the mount's location. `seconds`: time of both parts without the turn.
     """
@@ -84,7 +84,8 @@ class TurningPath:
 
 @dataclass(eq=False)
 class _PosedBodies:
-    """Ball centres (N, 3) as an array and as tuples, and all bodies, relative to the mount's location."""
+    """Bodies and ball centres in one pose, relative to the location of the mount. The centres are stored as an array
+    (N, 3) and as tuples."""
 
     centres: Array
     centre_points: Sequence[Point]
@@ -178,7 +179,8 @@ class FreePathFinder:
         return self._paths[key]
 
     def straight_seconds(self, pose: ArtefactPose, starts: Sequence[TipLocation], ends: Sequence[TipLocation]) -> Array:
-        """Return the times (n, m) in s of straight paths from each start to each end, lower bounds for free paths."""
+        """Return the times (n, m) in s of straight paths from each of n starts to each of m ends. They are lower bounds
+        for the times of free paths."""
         first, last = (
             np.array([self.tip_at(pose, location) for location in locations]) for locations in (starts, ends)
         )
@@ -208,9 +210,11 @@ class FreePathFinder:
     def min_turning_seconds(
         self, before: ArtefactPose, starts: Sequence[TipLocation], after: ArtefactPose, ends: Sequence[TipLocation]
     ) -> float:
-        """Return a lower bound in s of the fastest path from any of `starts` to any of `ends`, without the turn itself.
+        """Return a lower bound, in s, for the time of the fastest path from any of `starts` to any of `ends`. The time
+        of the turn is not included.
 
-        It assumes that every path in front of the turning artefact is free; `turning_path` is rarely much slower.
+        The bound assumes that every path in front of the turning artefact is free. The path of `turning_path` is rarely
+        much slower.
         """
         reach = self._reach_mm(after)
         pairs = product([self.tip_at(before, start) for start in starts], [self.tip_at(after, end) for end in ends])
@@ -261,17 +265,18 @@ class FreePathFinder:
         return direct_path(posed.prefiltered.scene, self.rules.dynamics, first, last, clearances)
 
     def _corners(self, pose: ArtefactPose, start: TipLocation, last: Point, beside_mm: float) -> list[Array]:
-        """Return arrays of candidate corners (n, k, 3) from `start`; after a touch, some first lift off by
-        `beside_mm`."""
+        """Return arrays (n, k, 3), each with the k corners of n candidate paths from `start`. If the tip touches the
+        ball, some paths first lift off by `beside_mm`."""
         aside = -beside_mm * np.array(start.direction) if start.touching else None
         retract_limit = float(self._travel(pose)[0] @ np.abs(self.rules.stylus_axis))
         return retract_candidates(self.tip_at(pose, start), last, -self.rules.stylus_axis, retract_limit, aside)
 
     def _clearance_options(self, start: TipLocation, end: TipLocation, uncertainty_mm: float) -> Iterator[Clearances]:
-        """Yield two options of the clearances from all bodies, the stricter one first.
+        """Yield two sets of clearances from all bodies, the stricter set first.
 
-        In both, the balls at both ends of the path have a smaller clearance, because they are touched. In the second,
-        their holders have no allowance for the uncertainty of the pose, because a holder moves with its ball.
+        In both sets, the balls at the path ends have a smaller clearance, because they are touched. In the second set,
+        the clearance from the holders of these balls does not include the uncertainty of the pose, because a holder
+        moves with its ball.
         """
         clearance_mm = self.rules.clearance_mm + uncertainty_mm
         balls = {start.ball, end.ball}
@@ -320,8 +325,8 @@ class FreePathFinder:
         end: TipLocation,
         faster_than_s: float,
     ) -> TurningPath | None:
-        """Return the path by way of `waiting_point`; None if a part is not free or the whole takes `faster_than_s` or
-        more."""
+        """Return the path by way of `waiting_point`; None if one of its two parts is not free, or if it takes
+        `faster_than_s` or longer."""
         exit_path = self.path_to_point(before, start, waiting_point)
         if (
             exit_path is None
@@ -342,8 +347,8 @@ class FreePathFinder:
     def _waiting_points(
         self, before: ArtefactPose, after: ArtefactPose, first: Array, last: Array, x_range: tuple[float, float]
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return waiting points (c, n, 3) for c pairs of path ends (c, 3), and a mask (c, n) of points within the
-        travel.
+        """Return n waiting points for each of c pairs of path ends, as an array (c, n, 3), and a mask (c, n) that is
+        True for points within the travel. `first` and `last` have the shape (c, 3).
 
         The points lie in front of the volume swept by the turn, on a grid in X and Z that also contains the X and Z of
         both path ends.
@@ -360,7 +365,8 @@ class FreePathFinder:
 
     @staticmethod
     def _grid_along(first: Array, last: Array, low: float, high: float) -> Array:
-        """Return coordinates (c, n) along one axis: both path ends (c,), their midpoint, and a grid over the travel."""
+        """Return n coordinates along one axis for each of c pairs of path ends, as an array (c, n). They are those of
+        both ends, their midpoint, and a grid over the travel."""
         grid = np.arange(low, high, _GRID_MM)
         every = np.broadcast_to(grid, (len(first), len(grid)))
         return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))

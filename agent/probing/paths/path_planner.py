@@ -34,8 +34,8 @@ class PlannedPosition(Protocol):
 
 
 class PathPlanner(Protocol):
-    """Path planner of one plan. A plan starts and ends at the retreat plane; between positions the tip may stay
-    closer."""
+    """Path planner of one plan. A plan starts and ends at the retreat plane. Between two positions, the tip may stay
+    closer to the artefact."""
 
     def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
         """Return the end ball measured first and again last, the balls between the ends in measuring order, and the
@@ -61,7 +61,8 @@ class PathPlanner(Protocol):
     def from_ball(self, key: str, centre: Array) -> Plan[None]: ...
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Start planning with the tip in the plane in front of `ball`, which was found at `centre` (3,)."""
+        """Start planning paths from the plane in front of `ball`, where the tip is. The ball was found at `centre`
+        (3,)."""
         ...
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
@@ -70,8 +71,8 @@ class PathPlanner(Protocol):
 
 
 class PlainPathPlanner:
-    """Planner that withdraws by `retract_mm` from every ball, and moves by the retreat plane and the park location
-    between positions."""
+    """Planner that withdraws by `retract_mm` from every ball, and moves between positions by way of the retreat plane
+    and the park location."""
 
     def __init__(self, retreat: Retreat, probing: ProbingParameters) -> None:
         self._retreat = retreat

@@ -17,9 +17,9 @@ class Retreat:
     """Safe locations, and the rules for paths between them.
 
     `retreat_axis`: index of the axis along which the stylus points. `retreat_mm`: position of this axis that no part of
-    artefact or mount reaches. `station_axis`: index of the axis along which the stations stand. `park_mm`: by station,
-    position of that axis clear of the turning artefact. `path_rules`: rules for free paths; None for plain paths by way
-    of `withdrawn_from` and `park_location`.
+    artefact or mount reaches. `station_axis`: index of the axis along which the stations stand. `park_mm`: station →
+    position of that axis at which the probe is clear of the turning artefact. `path_rules`: rules for free paths; None
+    for plain paths by way of `withdrawn_from` and `park_location`.
     """
 
     retreat_axis: int

@@ -21,14 +21,15 @@ from twin.collision.geometry import Point as Corner
 from twin.collision.measuring_layout import MeasuringLayout
 
 PARK_OFFSETS_MM = ((0.0, 0.0, 0.0), *((0.0, 0.0, height) for height in (150.0, -150.0, 300.0, -300.0)))
-"""Offsets of the park locations tried: none first, then above and below a bar end that is in the path."""
+"""Offsets of the park locations, in the order in which they are tried: first no offset, then offsets above and below a
+bar end that is in the path."""
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(eq=False)
 class _CurrentPose:
-    """Pose being measured. `nominal` (N, 3): axis positions of the balls by the drawings. `centres` (N, 3): the
-    positions known so far, with the uncertainty `uncertainty_mm`."""
+    """Pose being measured. `nominal` (N, 3) has the axis positions of the balls according to the drawings. `centres`
+    (N, 3) has the axis positions as known so far, with the uncertainty `uncertainty_mm`."""
 
     artefact_pose: ArtefactPose
     station: int
@@ -44,7 +45,7 @@ class _CurrentPose:
 
 @dataclass(frozen=True, eq=False)
 class _TipState:
-    """Tip location at a ball, and the `offset` (3,) of the ball from its nominal location assumed for it."""
+    """Tip location at a ball. `offset` (3,) is the assumed displacement of the ball from its nominal location."""
 
     location: TipLocation
     offset: Array
@@ -158,7 +159,8 @@ class ShortestPathPlanner:
         return np.asarray(free)
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Start planning with the tip in the plane in front of `ball`, which was found at `centre` (3,)."""
+        """Start planning paths from the plane in front of `ball`, where the tip is. The ball was found at `centre`
+        (3,)."""
         station = position.station
         artefact_pose = self._finder.pose_at(station, position.azimuth_deg, position.elevation_deg)
         nominal = self._finder.ball_axes(artefact_pose, station)
@@ -247,8 +249,8 @@ class ShortestPathPlanner:
         ]
 
     def _plain_corners(self, tip: _TipState, touch: PlannedTouch) -> list[Array]:
-        """Return the corners of a plain path: by the plane in front of the ball if the tip is at that ball already,
-        else by the retreat plane."""
+        """Return the corners of a plain path. It leads by way of the plane in front of the ball if the tip is already
+        at that ball, else by way of the retreat plane."""
         here = self._here
         beside = here - np.array(tip.location.direction) * (touch.out_mm - tip.location.out_mm)
         leaving = [beside] if tip.location.touching else []
