@@ -1,4 +1,4 @@
-"""Measurements of a run: axis positions at which the stylus centre coincides with each ball centre."""
+"""Measurements of a run, as the axis positions at which the stylus centre coincides with each ball centre."""
 
 from __future__ import annotations
 

@@ -52,8 +52,8 @@ class Scene:
     ) -> Hit | None:
         """Return the first contact (within `clearance_mm`) of a straight move of the tip centre from `start` to `end`.
 
-        `ignored`: pairs of names (moving, obstacle) that are allowed to touch. Coordinates in mm. The result is exact,
-        because the bodies only translate. Returns None if there is no contact.
+        `ignored`: pairs of names (moving, obstacle) that are allowed to touch. Coordinates are in mm. The result is
+        exact, because the bodies only translate. Returns None if there is no contact.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         first: Hit | None = None

@@ -55,7 +55,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class MotionLaw:
-    """Distance along a path as a function of time; at rest before the first phase and after the last."""
+    """Distance along a path as a function of time; the motion is at rest before the first phase and after the last."""
 
     phases: tuple[Phase, ...]
 

@@ -156,7 +156,7 @@ def _turned(
 def _front(centres: tuple[Array, Array, Array], radii: Array, half: int) -> Array:
     """Return for each grid cell (x, z) the smallest y of all spheres over it.
 
-    Spheres of similar size are dilated sideways together.
+    Spheres of similar size are processed together, by one dilation in x and z.
     """
     x, y, z = centres
     width = 2 * half + 1
@@ -177,14 +177,14 @@ def _cells(lengths_mm: Array) -> NDArray[np.intp]:
 
 
 def _samples(start_deg: float, end_deg: float) -> tuple[Array, float]:
-    """Return sampled angles in rad, both ends included, and half of the step between them."""
+    """Return the sampled angles in rad, both ends included, and half of the step between two successive angles."""
     count = math.ceil(abs(end_deg - start_deg) / STEP_DEG) + 1
     angles = np.radians(np.linspace(start_deg, end_deg, count))
     return angles, 0.5 * math.radians(abs(end_deg - start_deg)) / max(count - 1, 1)
 
 
 def _dilated(front: Array, by_mm: float) -> Array:
-    """Return for each cell the minimum of `front` within `by_mm` sideways.
+    """Return for each cell the minimum of `front` over all cells within `by_mm` in x and z.
 
     One more cell is included on every side, because positions are rounded to cells.
     """

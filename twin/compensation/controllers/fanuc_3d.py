@@ -2,7 +2,8 @@
 
 The additional manual Series 30i-A, A-79351E, describes the interpolation, in which the eight corners of a cell are
 weighted by the position within the cell. Parameter numbers, order of the points and sign are from experience. The
-format of the punched data is not public, so the export lists the points, to be entered with the machine builder's tool.
+format of the punched data is not public, so the export lists the points, which have to be entered with the machine
+builder's tool.
 """
 
 from __future__ import annotations

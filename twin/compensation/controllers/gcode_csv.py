@@ -1,4 +1,4 @@
-"""Input files of `volcal gcode correct`: the neutral CSV table and its JSON side file."""
+"""Input files of `volcal gcode correct`, which are the neutral CSV table and its JSON side file."""
 
 from __future__ import annotations
 

@@ -148,7 +148,10 @@ def _check_radii(block: Block, radius: float, end_radius: float) -> None:
 
 
 def _directed(turn: float, clockwise: bool) -> float:
-    """Return the angle of rotation in the requested direction, greater than zero and at most a full turn."""
+    """Return the signed angle of rotation in rad, negative if clockwise.
+
+    Its absolute value is greater than zero and at most a full turn.
+    """
     if clockwise:
         return turn if turn < -_NO_TURN_RAD else turn - math.tau
     return turn if turn > _NO_TURN_RAD else turn + math.tau

@@ -97,7 +97,7 @@ class TableCurvature:
 
 
 def _pieces(length: Array, jump: Array, rate: Array, limit_mm: float) -> NDArray[np.int64]:
-    """Return the number of pieces, whose length h satisfies h/4 (jump + rate h) <= limit.
+    """Return the smallest number of equal pieces whose length h satisfies h/4 (jump + rate h) <= `limit_mm`.
 
     The root of the quadratic is computed in its numerically stable form, without division by zero.
     """

@@ -40,8 +40,8 @@ class MovePaths:
     def points(self, first: int, pieces: Indices) -> tuple[Array, Indices, Flags]:
         """Return the end points of all pieces of the moves from index `first` on.
 
-        The result is the points (n, 3) mm, the index of the move of each point, and a flag that is True for the last
-        piece of a move.
+        The result is the points (n, 3) mm, the index of the move of each point, and for each point a flag that is True
+        if its piece is the last of a move.
         """
         total = int(pieces.sum())
         rows = np.repeat(np.arange(len(pieces)), pieces) + first

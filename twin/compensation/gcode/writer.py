@@ -128,7 +128,7 @@ class ProgramWriter:
             lines.clear()
 
     def _moves(self) -> Iterator[list[str]]:
-        """Yield lists of the lines of the collected moves; each list belongs to a batch of some thousand points."""
+        """Yield for each collected move the list of its lines; the points are computed in batches of some thousand."""
         if not self._ends:
             return
         moves = [item for item in self._items if not isinstance(item, str)]
@@ -205,7 +205,10 @@ _OUTSIDE_HINT = (
 
 
 def _without_rounding(options: CorrectionOptions) -> float:
-    """Return the permissible chord error minus the rounding error of words; DataError if nothing remains."""
+    """Return the permissible chord error minus the rounding error of words.
+
+    Raises DataError if nothing remains.
+    """
     step = max(10.0**-options.decimals, MM_PER_INCH * 0.1 ** (options.decimals + 1))
     rounding: float = 0.5 * math.sqrt(3.0) * step
     if rounding >= options.max_chord_error_mm:
