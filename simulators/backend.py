@@ -212,7 +212,7 @@ class SimulatedMachineDevice:
         return controller.motion_ends_s
 
     def _sleep_until(self, ends_s: Callable[[], float | None]) -> None:
-        """Sleep until `ends_s` no longer returns an instant; stop all motion if the wait is interrupted."""
+        """Sleep until `ends_s` returns None instead of an instant; stop all motion if the wait is interrupted."""
         end = ends_s()
         if end is None:
             return

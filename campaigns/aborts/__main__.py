@@ -4,8 +4,8 @@
 
 The run (probe check, qualification, measuring, identification, staging, activation, verification) starts with a former
 table active and is carried out once in each worker. At each step the process is forked once for every kind of
-interruption, and the forked copy runs to its end. The kinds are: abort by request, link lost for good or once, fault of
-the machine, a refused command, a guarded move that trips, a full disk, an operator who declines, and a software
+interruption, and the forked copy runs to its end. The kinds are: abort by request, link lost permanently or once, fault
+of the machine, a refused command, a guarded move that trips, a full disk, an operator who declines, and a software
 defect. They happen before the step, in the middle of its motion, or after its effect but before the effect is
 journaled. `--every K` selects each K-th step; steps near those that read, write or activate tables are always selected.
 The exit code is 0 only if the former table is active after every interruption.

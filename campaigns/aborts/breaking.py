@@ -105,7 +105,7 @@ class Interrupter:
         return InterruptibleRig(self, given)
 
     def perform(self, action: Action, step: s.Step) -> Any:
-        """Fork one child per interruption, in which the step is interrupted; then perform the step in the parent."""
+        """If the step is selected, fork one child per interruption; then perform the step in the parent."""
         if self.forks.is_child:
             return action(step)
         self.ordinal += 1

@@ -81,7 +81,7 @@ class CollisionJudge:
         self._snapshot: object = None
 
     def watch(self, before_s: float, after_s: float) -> None:
-        """Check the motion between two instants."""
+        """Check the motion from machine time `before_s` to `after_s`."""
         mount = self._world.workpiece.mount
         if mount.settled_s > before_s + 1e-9:
             self._watch_turn(before_s, after_s)

@@ -2,11 +2,12 @@
 
 Whole calibrations are carried out on the simulated case study, in this process and on virtual time. The hall warms at
 once; bar and machine follow. The machine's scales, spindle and ram grow, its column bends with a lag behind its
-thermometer, the bar bows, and the thermometers have noise, lag and offsets. The results are true volumetric errors,
-rigidly aligned, with the table written by the run. They are evaluated for the machine as it was at the last ball of the
-set, which is the state that the estimate describes. The same machine and bar are also calibrated twice at constant
-temperature: at 20 °C, and at 23 °C, where the bar's expansion is as uncertain as in the warm run. The ball centres of
-the warm run are also identified without a drift of the machine, and in addition with the bar assumed to be at 20 °C.
+thermometer, the bar bows, and the thermometers have noise, lag and offsets. The results are true volumetric errors with
+the table written by the run, after the best-fitting rigid motion is removed. They are evaluated for the machine as it
+was at the last ball of the set, which is the state that the estimate describes. The same machine and bar are also
+calibrated twice at constant temperature: at 20 °C, and at 23 °C, where the bar's expansion is as uncertain as in the
+warm run. The ball centres of the warm run are also identified without a drift of the machine, and in addition with the
+bar assumed to be at 20 °C.
 
     python -m campaigns.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
 

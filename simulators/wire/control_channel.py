@@ -32,7 +32,8 @@ class VolumetricTruth(Protocol):
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
         """Return the raw error and the rigidly aligned error in µm, with the table of `bank`.
 
-        If `bank` is None or 0, the errors are those without table.
+        The aligned error remains after the best-fitting rigid motion is removed. If `bank` is None or 0, the errors are
+        those without table.
         """
         ...
 

@@ -122,8 +122,9 @@ class Controller:
         return self._motion.forecast.free_s if self._motion is not None and self._deflected else None
 
     def displayed_at(self, instant_s: float) -> Point:
-        """Return the axis positions in mm that will be displayed at `instant_s` (not in the past) if nothing
-        intervenes.
+        """Return the axis positions in mm displayed at `instant_s`, which must not be in the past.
+
+        They are forecast for the case that no other command or fault occurs until then.
         """
         if self._motion is None:
             return self._position

@@ -36,7 +36,8 @@ class MachineTruth:
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
         """Return the raw and the rigidly aligned rms error in µm on the 60×20×20 grid, with the table of `bank`.
 
-        If `bank` is None or 0, the errors are those without table.
+        The aligned error remains after the best-fitting rigid motion is removed. If `bank` is None or 0, the errors are
+        those without table.
         """
         displayed = self._grid
         correction = np.zeros_like(displayed)

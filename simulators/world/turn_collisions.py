@@ -29,8 +29,9 @@ class TurnCrash:
 
 
 def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision of probe or ram with the turning artefact between two instants, if nothing
-    intervenes.
+    """Return the first collision of probe or ram with the turning artefact between two instants, or None.
+
+    It is forecast for the case that no other command or fault occurs.
     """
     if _stays_outside(workpiece, controller, start_s):
         return None
