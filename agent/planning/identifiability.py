@@ -1,4 +1,4 @@
-"""Identifiability of a machine by a procedure before any measurement, computed from settings files and names of
+"""Identifiability of a machine by a procedure. It is computed before any measurement, from settings files and names of
 sets."""
 
 from __future__ import annotations

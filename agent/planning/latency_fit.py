@@ -1,4 +1,5 @@
-"""Comparison of the time model with a finished run: predicted and observed times of its steps, and fitted latencies."""
+"""Comparison of the time model with a finished run. It gives predicted and observed times of the steps, and fitted
+latencies."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Preparation of a run on one ball: locate the ball, check the probe, qualify the stylus, measure the axes'
-reversal."""
+"""Preparation of a run on one ball. The ball is located, the probe is checked, the stylus is qualified, and the
+reversal of the axes is measured."""
 
 from __future__ import annotations
 
@@ -139,8 +139,8 @@ def _datum_ball(
 ) -> Plan[tuple[Position, int, Preparation]]:
     """Return position and number of the first ball accessible for the dense pattern, and the preparation to be made.
 
-    If there is no such ball, the reversal is left out and the probe check is made on any reachable ball. Raises
-    MeasurementFault if a qualification is requested or no ball can be used.
+    If no ball is accessible for the dense pattern, the reversal check is left out, and the probe check is made on any
+    reachable ball. Raises MeasurementFault if a qualification is requested or no ball can be used.
     """
     wanted = preparation.qualification.ball if preparation.qualification else None
     free = _first_free_ball(order, (preparation.layout, layout), wanted)

@@ -1,4 +1,5 @@
-"""Qualification of the stylus on one densely touched ball: effective radius and, if set, pretravel by direction."""
+"""Qualification of the stylus on one densely touched ball. It gives the effective radius and, if a pretravel map is
+requested, the pretravel by direction."""
 
 from __future__ import annotations
 

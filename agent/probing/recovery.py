@@ -21,8 +21,8 @@ def withdraw(
     retreat plane.
 
     `last_motion`: motion by which the tip arrived. All moves are guarded; a guarded move may start with a deflected
-    probe in order to leave the contact, so the first two moves are slow. The plan does not clear a fault of the
-    machine: a person must check the machine first.
+    probe in order to leave the contact. For this reason the first two moves are slow. The plan does not clear a fault
+    of the machine: a person must check the machine first.
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))

@@ -20,8 +20,8 @@ from twin.artefact.reversal import SLOPE, ObliqueTouch, fit_lost_motion, plan_ob
 from twin.units import UM_PER_MM
 
 PRELOAD_MM = 1.0
-"""Travel of an axis past the start before it reverses: far more than any machine's play, and still clear of the
-ball."""
+"""Distance in mm that the tested axis moves before a touch starts, so that the direction of its last motion is known.
+It is far longer than the play of any machine, and short enough to stay clear of the ball."""
 WITHIN, BEYOND = "within", "beyond"
 COVERAGE_FACTOR = 2.0
 """Coverage factor: lost motion reliably exceeds its limit if the excess is more than this many standard

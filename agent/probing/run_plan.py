@@ -1,5 +1,5 @@
-"""Measurement of all positions of a run, station by station. For each position the ball locations are predicted, the
-balls measured, and the estimated mount pose updated."""
+"""Measurement of all positions of a run, station by station. For each position, the ball locations are predicted, the
+balls are measured, and the estimated mount pose is updated."""
 
 from __future__ import annotations
 

@@ -12,7 +12,8 @@ from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_
 from twin.units import S_PER_MIN
 
 MIN_TREND_S = 60.0
-"""Minimum time span of the readings; over a shorter one their slope shows the thermometer's noise, not a rate."""
+"""Minimum time span of the readings in s. Over a shorter span, their slope shows the noise of the thermometer, not a
+rate of change."""
 TREND_WINDOW_S = 600.0
 
 

@@ -1,4 +1,5 @@
-"""One touch on a ball: approach, touch the surface, retract. Only the position latched at the trip is used."""
+"""One touch on a ball. The tip approaches the ball, touches its surface and retracts. Only the position latched at the
+trip is used."""
 
 from __future__ import annotations
 
@@ -55,8 +56,8 @@ class TouchPath(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlainTouchPath:
-    """Path along the stylus from the plane in front of the ball, and back to it; it is free if the ball is
-    accessible."""
+    """Path along the stylus from the plane in front of the ball, and back to that plane. It is free of collisions if
+    the ball is accessible."""
 
     probing: ProbingParameters
 

@@ -88,8 +88,8 @@ class EvaluatedSet:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate the named sets, designs for time slots and for the VCE of the reference set, and designs for one time
-    slot with other artefacts and touches."""
+    """Evaluate three groups of sets: the named sets, the designs for time slots and for the VCE of the reference set,
+    and the designs for one time slot with other artefacts and touches."""
     evaluator = SetEvaluator.of(case)
     base = variants_of(case.job, Path())[0]
     named = [evaluator.evaluate_named(base, name, case.positions(name)) for name in SETS]

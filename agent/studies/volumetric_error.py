@@ -41,7 +41,8 @@ class FamilyErrors:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the distribution over `case.machines` machines, and a map of the machine nearest to the median."""
+    """Compute the distribution of the volumetric error over `case.machines` machines, and a map of the deviation of the
+    machine nearest to the median."""
     what, family = "volumetric error", case.assumptions.family
     case.progress(what, 0, 2)
     grid = evaluation_grid(family.model.ranges_mm)

@@ -17,8 +17,8 @@ from twin.collision.geometry import Point, point, translate_point
 
 
 def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], visit: int) -> Refusal:
-    """Return the refusal. `waypoints`: waypoints up to the refused step, which is the last one; `visit`: index of the
-    visit to which that step belongs."""
+    """Return the refusal. `waypoints` are those up to the refused step, which is the last one. `visit` is the index of
+    the visit to which that step belongs."""
     bodies: tuple[str, ...] = ()
     tip = translate_point(lower_end(job), point(job.tool_offset_mm))
     if waypoints:

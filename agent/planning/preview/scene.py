@@ -81,8 +81,8 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Preview:
-    """Preview of a plan. `travel`: travel of the tip; `table`: drawn part of the table; `probe`: bodies of the probe
-    relative to the tip centre."""
+    """Preview of a plan. `travel` is the travel of the tip, and `table` the drawn part of the table. `probe` has the
+    bodies of the probe, relative to the tip centre."""
 
     machine: str
     artefact: str

@@ -38,7 +38,7 @@ class Waypoint:
 
     @property
     def ball(self) -> int | None:
-        """Number of the ball to which the step belongs; None if it belongs to no ball."""
+        """Number of the ball to which the step belongs, or None if the step belongs to no ball."""
         named = _BALL.search(self.step.key)
         return int(named.group(1)) if named else None
 
@@ -56,7 +56,8 @@ def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoi
 
 
 def lower_end(job: Job) -> Point:
-    """Return the lower end of the travel, from which a plan is assumed to start, as in the preflight."""
+    """Return the axis positions at the lower end of the travel. A plan is assumed to start there, as in the
+    preflight."""
     return point(low for low, _ in job.machine.limits)
 
 

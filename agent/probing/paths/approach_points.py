@@ -23,10 +23,11 @@ MIN_LATERAL_COMPONENT = 0.1
 corner lies between them."""
 
 MIN_LIFT_OFF_COSINE = 0.15
-"""Minimum cosine between surface normal and first move after a touch, so that the stylus leaves the surface at once."""
+"""Minimum cosine of the angle between the surface normal and the first move after a touch, so that the stylus leaves
+the surface at once."""
 
 MIN_MOVE_MM = 1e-3
-"""Length in mm below which a move is ignored."""
+"""Length in mm below which a move is treated as having no length."""
 
 LIFT_OFF_MM = 3.0
 """Length in mm of the move along the surface normal that precedes the withdrawal if a path does not leave the surface
