@@ -39,7 +39,10 @@ def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
 
 @contextmanager
 def translated(error: type[VolcalError] = InputError, **where: str | int) -> Iterator[None]:
-    """Turn a `TwinError` into `error` with its message, locations and hint; `where` adds locations not yet named."""
+    """Turn a `TwinError` into `error` with the same message, locations and hint.
+
+    `where` adds locations that the `TwinError` does not name.
+    """
     try:
         yield
     except TwinError as cause:
@@ -52,7 +55,7 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write several files into one directory (created if missing); if one cannot be written, none appears.
+    """Write several files into one directory, which is created if missing. If one file cannot be written, none appears.
 
     All files are complete on the disk under temporary names before the first is renamed. Raise InputError if a file
     cannot be written.
@@ -80,7 +83,9 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError if files cannot be written into `folder`; for a check before time is spent on their contents.
+    """Raise InputError if files cannot be written into `folder`.
+
+    This check is made before time is spent on the contents of the files.
 
     Nothing is left in the file system.
     """
@@ -101,7 +106,9 @@ def _file_in_the_way(path: Path) -> InputError:
 
 @contextmanager
 def streamed_atomically(path: Path) -> Iterator[TextIO]:
-    """Open a temporary file to be written piece by piece; it becomes `path` if the block succeeds, else it is deleted.
+    """Open a temporary file to be written piece by piece.
+
+    It becomes `path` if the block succeeds; otherwise it is deleted.
 
     Bytes that were not UTF-8 on reading (`surrogateescape`) are written as they were; line ends are not changed.
     """

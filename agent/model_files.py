@@ -1,6 +1,7 @@
 """Reading of machine, artefact, position and ball files into values of the twin.
 
-Separate from `agent.files`, so that a command that needs none of these files does not import the mathematics.
+This module is separate from `agent.files`, so that a command that needs none of these files does not import the
+mathematics.
 """
 
 from __future__ import annotations

@@ -52,9 +52,9 @@ class ReplayLog:
     resumptions: int = 0
 
     def consume(self, table: str, *entry: str) -> bool:
-        """Return True if the next recorded entry of `table` is this one, False if none is left.
+        """Return True if the next recorded entry of `table` equals `entry`, and False if no entry is left.
 
-        Raise PlanDiverged if it is another one.
+        Raise PlanDiverged if the next entry is another one.
         """
         waiting = self.entries.get(table)
         if not waiting:

@@ -56,7 +56,7 @@ class Supervisor:
     def check(self) -> None:
         """Raise `Aborted` or `Interrupted` if an end is requested; block while held.
 
-        Call only the heartbeat if shielded, or if called during a hold by the hold itself.
+        If the supervisor is shielded, or if the hold itself calls this method, only the heartbeat is called.
         """
         self.heartbeat()
         if self._shielded or self._holding:
@@ -66,7 +66,10 @@ class Supervisor:
             self._wait_for_resume()
 
     def check_stop_request(self) -> None:
-        """Raise whatever `check` raises, but never block. For computations: nothing moves then that could be held."""
+        """Raise whatever `check` raises, but never block.
+
+        Computations call this method, because nothing moves during them that could be held.
+        """
         self.heartbeat()
         if not self._shielded:
             self._raise_stop_request()

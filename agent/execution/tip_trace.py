@@ -45,9 +45,9 @@ class LastMotion:
         """Return the axis position (3,) in mm to which a withdrawal from `here` moves first; `here` if the stylus
         cannot be touching anything.
 
-        After a touch this is the start of the touch, also if the motion away from the surface was interrupted: moving
-        back along that motion would lead onto the surface. After any other interrupted motion it is a point up to
-        `WITHDRAWAL_MM` back along the path.
+        After a touch, this is the start of the touch, even if the motion away from the surface was interrupted, because
+        moving back along that motion would lead onto the surface. After any other interrupted motion it is a point up
+        to `WITHDRAWAL_MM` back along the path.
         """
         if self._touch is not None:
             start, target = (np.array(end) for end in self._touch)

@@ -16,7 +16,7 @@ from twin.machine.error_model import ErrorModel
 class JournalEstimate:
     """Estimate from the journal; implements `agent.reports.page.ReportedEstimate`.
 
-    `misfit`: None if no misfit was estimated.
+    `misfit` is None if no misfit was estimated.
     """
 
     model: ErrorModel
@@ -42,8 +42,8 @@ class JournalEstimate:
 def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEstimate:
     """Return the estimate.
 
-    `unresolved_mm2`: variance, per direction, of the part of the misfit that varies over distances too short for the
-    misfit modes.
+    `unresolved_mm2` is the variance in mm², per direction, of the part of the misfit that varies over distances too
+    short for the misfit modes.
     """
     document = stored.document
     return JournalEstimate(

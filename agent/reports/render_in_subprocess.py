@@ -34,7 +34,7 @@ def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str
 
 
 def render_html_in_subprocess(directory: Path, run_id: str) -> dict[str, str | bytes]:
-    """Return the HTML report, rendered in a subprocess; used by the service as its `ReportRenderer`."""
+    """Return the HTML report, rendered in a subprocess. The service uses this function as its `ReportRenderer`."""
     return render_in_subprocess(directory, run_id, pdf=False)
 
 

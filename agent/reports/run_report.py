@@ -1,6 +1,7 @@
 """Report data of a run, from its record in the journal.
 
-Values on which decisions were based are not recomputed; estimate, residuals and figures are taken from the record.
+Values on which decisions were based are not recomputed. The estimate, the residuals and the summary values are taken
+from the record.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Nigh
 def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> ReportData:
     """Return the report data of a run that has ended or was interrupted.
 
-    `trend`: SVG of the trends of all runs up to this one. Raise InputError if the run did not record its inputs.
+    `trend` is an SVG of the trends of all runs up to this one. Raise InputError if the run did not record its inputs.
     """
     inputs = record.decision(INPUTS)
     if inputs is None:

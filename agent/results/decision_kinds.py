@@ -1,4 +1,4 @@
-"""Names in the journal of the kinds of decision that record the results of a run.
+"""Names that the journal uses for the kinds of decision that record the results of a run.
 
 This module is separate so that the history can import it without the mathematics that computes the results.
 """

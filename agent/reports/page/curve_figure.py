@@ -1,4 +1,7 @@
-"""Figures of the geometric error functions (axes in rows, the six errors of ISO 230-1 in columns) and cross-effect."""
+"""Figures of the geometric error functions and of the cross-effect.
+
+The geometric error functions are shown with one row per axis and one column for each of the six errors of ISO 230-1.
+"""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class ReportedEstimate(FieldKnowledge, Protocol):
 
 @dataclass(frozen=True)
 class Header:
-    """Title and identity of the report. `timestamp`: ISO 8601 UTC; `state`: state of the run."""
+    """Title and identity of the report. `timestamp` is the UTC time in ISO 8601; `state` is the state of the run."""
 
     title: str
     run_id: str
@@ -58,7 +58,11 @@ class Header:
 
 @dataclass(frozen=True)
 class VerifiedPosition:
-    """Held-out position: rms residual of its balls before and after activation of the table, and predicted rms, µm."""
+    """Held-out position.
+
+    Its values are the rms residuals of its balls before and after activation of the table, and the predicted rms, in
+    µm.
+    """
 
     label: str
     before_um: float | None
@@ -70,7 +74,7 @@ class VerifiedPosition:
 class VerificationFacts:
     """Verification by held-out positions before and after activation of the new table.
 
-    `before`, `after`: rms residual per ball; `predicted_um`: predicted rms after activation.
+    `before` and `after` are the rms residuals per ball. `predicted_um` is the predicted rms after activation.
     """
 
     accepted: bool
@@ -83,7 +87,10 @@ class VerificationFacts:
 
 @dataclass(frozen=True)
 class TemperatureTrace:
-    """Readings of one sensor: (n,) minutes since the start of the run and (n,) °C."""
+    """Readings of one sensor.
+
+    They consist of n times in minutes since the start of the run and n temperatures in °C.
+    """
 
     name: str
     minutes: Array
@@ -99,8 +106,11 @@ class EventLine:
 
 @dataclass(frozen=True)
 class QuestionFacts:
-    """Question to the operator. `minute`: machine time since the start of the run; `yes`: the answer, None if there was
-    none."""
+    """Question to the operator.
+
+    `minute` is the machine time in minutes since the start of the run. `yes` is the answer; it is None if there was
+    none.
+    """
 
     minute: float
     text: str
@@ -112,7 +122,8 @@ class QuestionFacts:
 class NightFacts:
     """Decision of a night or verification.
 
-    `since`: run of the last accepted night; `rows`: name and text of the values on which the decision is based.
+    `since` is the run of the last accepted night. `rows` contains the name and the text of each value on which the
+    decision is based.
     """
 
     decision: str
@@ -125,7 +136,10 @@ class NightFacts:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of a run. `started_by`: source of the request; `files`: name and SHA-256 of each input file."""
+    """Origin of a run.
+
+    `started_by` is the source of the request. `files` contains the name and the SHA-256 of each input file.
+    """
 
     started_by: str
     files: tuple[tuple[str, str], ...]
@@ -134,9 +148,12 @@ class Provenance:
 
 @dataclass(frozen=True)
 class RunFacts:
-    """Data of a run on a machine. `times`: rows on start and end; `banks`: rows on the former table, the
-    table written and the bank active at the end; `trend`: SVG of the trends of all runs up to this one; `drifts_um`:
-    displacement of the first ball of each position at its end."""
+    """Data of a run on a machine.
+
+    `times` contains rows on the start and the end. `banks` contains rows on the former table, the table written and the
+    bank active at the end. `trend` is an SVG of the trends of all runs up to this one. `drifts_um` contains, for each
+    position, the displacement of its first ball in µm at the end of the position.
+    """
 
     touches: int | None = None
     machine_minutes: float | None = None
@@ -157,8 +174,11 @@ class RunFacts:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationData:
-    """Result of an identification. `positions`: poses indexed by `observations.position`; `residuals_mm`: (n, 3) in the
-    order of the observations."""
+    """Result of an identification.
+
+    `positions` contains the poses to which the indices in `observations.position` refer. `residuals_mm` has the shape
+    (n, 3) and the order of the observations.
+    """
 
     observations: Observations
     estimate: ReportedEstimate
@@ -181,8 +201,10 @@ class IdentificationData:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Complete data of a report. `tool_offset`: offset (3,) in mm to which the table and all volumetric errors refer.
-    `identification`: None if the run has no estimate. `gates_enforced`: False if the gates are informative only.
+    """Complete data of a report.
+
+    `tool_offset` is the offset (3,) in mm to which the table and all volumetric errors refer. `identification` is None
+    if the run has no estimate. `gates_enforced` is False if the gates are informative only.
     """
 
     header: Header

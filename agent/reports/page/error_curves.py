@@ -16,7 +16,7 @@ SAMPLES = 81
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """Error function with its standard uncertainty at axis positions, (n,) each; `unit`: µm or µrad."""
+    """Error function and its standard uncertainty at n axis positions. `unit` is µm or µrad."""
 
     name: str
     argument: str
@@ -32,7 +32,10 @@ class ErrorCurve:
 
 
 def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """Return the error motions of X, then Y, then Z; those without a coefficient in the model are omitted."""
+    """Return the error motions of X, then those of Y, then those of Z.
+
+    Error motions without a coefficient in the model are omitted.
+    """
     curves = []
     for axis, limits in zip("XYZ", model.ranges_mm, strict=True):
         place = np.linspace(*limits, SAMPLES)

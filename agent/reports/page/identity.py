@@ -11,7 +11,7 @@ from agent.results.facts import Quantity
 
 
 def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
-    """Return the four main figures at the top."""
+    """Return the tiles with the four main numbers at the top."""
     identification, night = data.identification, data.run.night
     if identification is not None:
         shown = _of_estimate(data, identification, t)

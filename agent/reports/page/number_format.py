@@ -20,7 +20,8 @@ MINUS = "\N{MINUS SIGN}"
 class Table:
     """Table of formatted texts.
 
-    `numeric`, `fine`, `code`: heads of the columns with numbers, in fine print, and without line breaks.
+    `numeric`, `fine` and `code` contain the heads of columns: those with numbers, those in fine print, and those
+    without line breaks.
     """
 
     heads: tuple[str, ...]
@@ -31,7 +32,7 @@ class Table:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return the value with `digits` significant digits and a typographic minus sign.
+    """Return the text of the value with `digits` significant digits and a typographic minus sign.
 
     An exponent is used only for very small values.
     """

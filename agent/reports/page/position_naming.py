@@ -11,7 +11,11 @@ SAME_ANGLE_DEG = 0.01
 
 
 def name_of_positions(positions: Sequence[Position]) -> str:
-    """Return e.g. `S3, 4 stations` if every station has the orientations of S3, else the number of positions."""
+    """Return a name of the positions.
+
+    The name is, for example, `S3, 4 stations` if every station has the orientations of the standard set S3. Several
+    sets may be combined. If no combination fits, the name states the number of positions.
+    """
     stations: dict[int, set[tuple[float, float]]] = {}
     for position in positions:
         stations.setdefault(position.station, set()).add((position.azimuth_deg, position.elevation_deg))

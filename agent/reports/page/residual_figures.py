@@ -22,8 +22,9 @@ COMPONENTS = (("x", BLUE, "o"), ("y", ORANGE, "s"), ("z", GREEN, "^"))
 class BallResiduals:
     """Residuals of n measured balls.
 
-    `position`, `ball`: indices (n,) from 0. `residual_um`: (n, 3); `standardised`: (n, 3) in standard deviations.
-    `accepted`: (n,), False for rejected balls. `station_starts`: first position of each station but the first.
+    `position` and `ball` are indices (n,) counted from 0. `residual_um` has the shape (n, 3); `standardised` (n, 3)
+    gives the residuals in standard deviations. `accepted` (n,) is False for rejected balls. `station_starts` contains
+    the first position of each station except the first.
     """
 
     position: Indices

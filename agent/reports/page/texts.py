@@ -1,4 +1,4 @@
-"""Texts of the report by key; for another language, another mapping is passed.
+"""Texts of the report by key. For another language, another mapping is passed.
 
 Values in braces are filled in by the section that shows the text. Units, ISO names and numbers are not included.
 """

@@ -17,8 +17,11 @@ PLANE_SHAPE = (49, 25)
 
 @dataclass(frozen=True)
 class PlaneMap:
-    """Map of an XY plane. `length_um`: (nx, ny) over `x_mm` and `y_mm`; `measured`: (m, 2) in mm, x and y of the balls
-    nearest to this plane."""
+    """Map of an XY plane.
+
+    `length_um` (nx, ny) contains the lengths at the points of the grid `x_mm` by `y_mm`. `measured` (m, 2) contains x
+    and y in mm of the balls nearest to this plane.
+    """
 
     z_mm: float
     x_mm: Array
@@ -36,7 +39,7 @@ class WorkspaceMaps:
 def workspace_maps(estimate: ReportedEstimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
     """Return maps at the lower end, the middle and the upper end of Z.
 
-    `measured`: axis positions (n, 3) in mm of the balls, each shown on the nearest plane.
+    `measured` contains the axis positions (n, 3) in mm of the balls. Each ball is shown on the nearest plane.
     """
     heights = np.linspace(*estimate.model.ranges_mm[2], 3)
     planes = [_plane(estimate, float(height)) for height in heights]

@@ -1,4 +1,7 @@
-"""Abandonment of an unfinished run: the former table is reactivated if necessary, and the run ends as aborted."""
+"""Abandonment of an unfinished run.
+
+The former table is reactivated if necessary, and the run ends as aborted.
+"""
 
 from __future__ import annotations
 
