@@ -73,7 +73,7 @@ def closing_clock(clock: Clock) -> Iterator[Clock]:
 def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
     """Return the rig of a real or simulated machine; no device is opened yet.
 
-    `base`: directory to which relative paths in the settings refer.
+    `base` is the directory to which relative paths in the settings refer.
     """
     devices = {
         name: create_device(device.driver, device.options, DeviceContext(name, clock, base))

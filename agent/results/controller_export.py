@@ -63,7 +63,10 @@ class TableExportRequest:
 
 @dataclass(frozen=True, eq=False)
 class TableExportResult:
-    """Result of an export. `check`: axis position (3,) of the largest correction, and that correction (3,), in mm."""
+    """Result of an export.
+
+    `check` contains the axis position (3,) of the largest correction and that correction (3,), in mm.
+    """
 
     request: TableExportRequest
     source: TableToExport

@@ -44,7 +44,7 @@ class VolumetricSummary:
 
 @dataclass(frozen=True)
 class ArtefactFacts:
-    """Artefact as stated by its certificate. `balls`: number of balls."""
+    """Artefact as stated by its certificate. `balls` is the number of its balls."""
 
     name: str
     certificate: str

@@ -77,7 +77,7 @@ def observations_from(record: Mapping[str, Any]) -> Observations:
 def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
     """Journal the parts of the result that the estimate file does not contain.
 
-    `balls`: the measured balls in the order of the observations.
+    `balls` contains the measured balls in the order of the observations.
     """
     estimate = estimation.estimate
     positions = dict.fromkeys((ball.position, ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in balls)

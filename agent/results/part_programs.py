@@ -38,7 +38,7 @@ def correct_file(
 ) -> CorrectionSummary:
     """Correct the program and write it to `out`; if `out` is None, only compute the summary.
 
-    `name`: name of the table, written into the corrected program.
+    `name` is the name of the table; it is written into the corrected program.
 
     Raises InputError, naming file and line, if a block cannot be corrected; `out` is then unchanged.
     """

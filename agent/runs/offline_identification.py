@@ -104,8 +104,8 @@ class IdentificationResult:
 def identify_files(request: IdentificationRequest, timestamp: str) -> IdentificationResult:
     """Read the files, identify, and write estimate.json, table.csv, table.json and report.html into `request.out`.
 
-    `timestamp`: time of the results, ISO 8601 UTC. Raises UserError if the input is wrong; nothing is written in that
-    case.
+    `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is wrong; nothing is written
+    in that case.
     """
     check_folder(request.out)
     material = read_material(request)

@@ -41,7 +41,7 @@ class PlannedRun:
 
 
 class Kind(Protocol):
-    """Kind of run. `name`: its name in the journal."""
+    """Kind of run. `name` is its name in the journal."""
 
     @property
     def name(self) -> str: ...

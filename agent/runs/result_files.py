@@ -23,8 +23,8 @@ REPORT = "report.html"
 def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Mapping[str, str | bytes]) -> Outcome:
     """Write the available result files under ``STATE/RUN_ID``. Return the outcome with the report's path.
 
-    For a run without an estimate only the report is written; its measurements are in the journal. `report`: files of
-    the report by name.
+    For a run without an estimate only the report is written; its measurements are in the journal. `report` contains the
+    files of the report by name.
     """
     state = job.settings.state_directory
     texts = dict(report)

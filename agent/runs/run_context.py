@@ -56,7 +56,7 @@ class RunHooks:
 
 @dataclass(frozen=True)
 class RunContext:
-    """Objects that a run uses. `clock`: machine seconds; the supervisor can interrupt its waits."""
+    """Objects that a run uses. `clock` counts machine seconds; the supervisor can interrupt its waits."""
 
     rig: Rig
     engine: Engine

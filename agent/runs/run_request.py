@@ -19,11 +19,12 @@ SOURCES: tuple[Source, ...] = get_args(Source)
 
 
 class RunRequest(BaseModel):
-    """Request for a run. None: as the settings say.
+    """Request for a run. If a field is None, its value is taken from the settings.
 
-    `position_set`: a name, never a path, so that an endpoint cannot choose which file the agent opens. `consent`: a
-    person stands at the machine and has confirmed that it may move; a timer never has consent, and the agent then
-    decides from permissions, hours and warm-up alone. `full_allowed`: a night may become a full calibration.
+    `position_set` is a name, never a path, so that an endpoint cannot choose which file the agent opens. `consent` is
+    True if a person stands at the machine and has confirmed that it may move; a timer never has consent, and the agent
+    then decides from permissions, hours and warm-up alone. `full_allowed` is True if a night may become a full
+    calibration.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -40,7 +40,7 @@ from twin.units import S_PER_MIN
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of a run. `error`: first error if the run did not complete, otherwise None."""
+    """Result of a run. `error` is the first error if the run did not complete, otherwise None."""
 
     outcome: Outcome
     error: VolcalError | None
@@ -106,7 +106,7 @@ class RunResources:
     def interruptible(self, clock: Clock) -> Clock:
         """Return a clock with the time of `clock` and with waits that the supervisor can interrupt.
 
-        `clock`: the clock of these resources, or one based on it.
+        `clock` is the clock of these resources, or a clock based on it.
         """
         return InterruptibleClock(clock, self.supervisor.check, longest_wait_s(self.clock))
 
@@ -156,7 +156,7 @@ class RunSession:
     """Plan, progress and result of one run, new or resumed."""
 
     def __init__(self, context: RunContext, steps: StepProgress, job: Job, kind: Kind, began_s: float) -> None:
-        """`began_s`: wall-clock seconds at the beginning of the run."""
+        """`began_s` is the wall-clock time in s at the beginning of the run."""
         self._context = context
         self._steps = steps
         self._job = job

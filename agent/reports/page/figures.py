@@ -67,8 +67,8 @@ def ball_residuals(identification: IdentificationData) -> BallResiduals:
 def _expected_spread(identification: IdentificationData, accepted: int) -> Array:
     """Return the expected standard deviation of the residuals, (n, 3) in mm.
 
-    It is the estimated touch noise, reduced for the degrees of freedom used by poses and parameters. `accepted`: number
-    of accepted balls.
+    It is the estimated touch noise, reduced for the degrees of freedom used by poses and parameters. `accepted` is the
+    number of accepted balls.
     """
     sigma = np.sqrt(np.einsum("nii->ni", identification.observations.covariance)) * identification.estimate.scales.noise
     return np.asarray(sigma * np.sqrt(identification.estimate.degrees_of_freedom / (3.0 * accepted)))

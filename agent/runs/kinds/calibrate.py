@@ -1,4 +1,4 @@
-"""Kind `calibrate`: measurement of the whole position set, a new table, and its proof."""
+"""Kind of run `calibrate`, which measures the whole position set, writes a new table and proves it."""
 
 from __future__ import annotations
 

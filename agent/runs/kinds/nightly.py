@@ -1,4 +1,8 @@
-"""Kind `nightly`: verification, then positions that reduce the uncertainty most, and fusion with earlier nights."""
+"""Kind of run `nightly`.
+
+It verifies the machine, measures the positions that reduce the uncertainty most, and fuses the result with earlier
+nights.
+"""
 
 from __future__ import annotations
 

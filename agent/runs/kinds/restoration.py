@@ -1,4 +1,4 @@
-"""Kind `restore`: reactivate a table stored in the journal. Nothing moves and nothing is measured."""
+"""Kind of run `restore`, which reactivates a table stored in the journal. Nothing moves and nothing is measured."""
 
 from __future__ import annotations
 

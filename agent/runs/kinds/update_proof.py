@@ -68,8 +68,8 @@ def prove_update(
 def _deviation(result: HeldOutResiduals, observed: Observations, scale: float) -> float:
     """Return the standard deviation (mm²) of the mean squared residual of a ball that is due to touch noise alone.
 
-    For a systematic part s of the residuals and noise n with f independent components of standard deviation σ,
-    |s + n|² has the variance 4 |s|² σ² + 2 f σ⁴. `scale`: factor of the stated noise.
+    For a systematic part s of the residuals and noise n with f independent components of standard deviation σ, |s + n|²
+    has the variance 4 |s|² σ² + 2 f σ⁴. `scale` is the factor of the stated noise.
     """
     variance = scale**2 * float(np.einsum("nii->n", observed.covariance).mean()) / 3.0
     freedom = result.freedom

@@ -1,4 +1,6 @@
-"""Kind `verify`: a few positions are measured with active compensation and compared with the last accepted night.
+"""Kind of run `verify`.
+
+A few positions are measured with active compensation and compared with the last accepted night.
 
 No table is written.
 """
