@@ -4,10 +4,11 @@ The measurements determine some scales poorly, above all the scales of kinds of 
 stated result must therefore not depend on the likeliest scales alone. The logarithms of the scales are assumed to be
 normally distributed about their likeliest values; their precision is the sum of the Fisher information and the
 precision of their priors (Laplace approximation). The k free scales are represented by k + 1 points of equal weight
-with exactly this mean and covariance (spherical simplex; Julier, Proc. ACC 2003). The data have the covariance V = σ²I
-+ A D⁻¹Aᵀ (touch noise σ, design A, prior precision D). The Fisher information of two log variances is half the trace of
-V⁻¹ ∂V V⁻¹ ∂V', where ∂V and ∂V' are the derivatives of V with respect to each of them; it can be computed from the
-posterior alone.
+that have exactly this mean and covariance (spherical simplex; Julier, Proc. ACC 2003).
+
+The data have the covariance V = σ²I + A D⁻¹Aᵀ, where σ is the touch noise, A the design matrix and D the prior
+precision. The Fisher information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V', where ∂V and ∂V' are the
+derivatives of V with respect to each of them. It can be computed from the posterior alone.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from twin.identification.normal import Posterior, PriorPrecision, Scales
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Plausible scales near the likeliest ones, and posterior mean `z` (P,) and `covariance` (P, P) at these scales."""
+    """Plausible scales near the likeliest ones, with the posterior mean `z` (P,) and `covariance` (P, P) at these
+    scales."""
 
     scales: Scales
     z: Array
@@ -36,7 +38,7 @@ def alternatives(
 ) -> tuple[Alternative, ...]:
     """Return equally weighted alternatives, distributed about the likeliest `scales`.
 
-    `matrix` (P, P) is the normal matrix of `rows` equations; `posterior` and its mean `z` (P,) hold for `scales`.
+    `matrix` (P, P) is the normal matrix of `rows` equations. `posterior` and its mean `z` (P,) belong to `scales`.
     """
     free = np.array(free_scales(precision))
     spread = np.zeros((int(free.sum()), len(free)))
@@ -54,7 +56,7 @@ def alternatives(
 
 
 def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
-    """Return mean (P,) and covariance (P, P) of the mixture of all alternatives."""
+    """Return the mean (P,) and the covariance (P, P) of the mixture of all alternatives."""
     mean = np.mean([one.z for one in found], axis=0)
     covariance = np.zeros((len(mean), len(mean)))
     for one in found:
@@ -63,7 +65,7 @@ def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
 
 
 def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Scales, rows: int) -> Array:
-    """Return the covariance (6, 6) of the log scales; a scale without unknowns has its prior variance."""
+    """Return the covariance (6, 6) of the log scales. A scale that applies to no unknown has its prior variance."""
     prior = precision.matrix(scales)
     # C D: share of each unknown that comes from the prior; 1 - C D is the share that comes from the measurements
     kept = posterior.covariance @ prior

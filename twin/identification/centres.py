@@ -1,8 +1,9 @@
-"""Formulation `centres`: ball centres with a free pose per position, eliminated by projection.
+"""Formulation `centres`: the equations are those of the ball centres. Each position has a free pose, which is
+eliminated by projection.
 
 The covariance of each centre whitens its three equations. The effect of the six pose increments of a position on its
-whitened equations spans a space with an orthonormal basis Q of shape (3·balls, 6), so projecting it out is one small
-product per position (variable projection; Golub and Pereyra 1973).
+whitened equations spans a space with an orthonormal basis Q of shape (3·balls, 6). Projecting this space out is
+therefore one small product per position (variable projection; Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ _POSITIONS = 16  # positions whitened at a time: few enough for the cache, enoug
 
 @dataclass(frozen=True, eq=False)
 class CentreEquations:
-    """Whitened equations of the ball centres of K positions with `width` slots for balls each.
+    """Whitened equations of the ball centres of K positions, each with slots for `width` balls.
 
-    `weight` (K, width, 3, 3): whitening matrix W of each slot, zero in empty slots; `parts` (K·6, P): QᵀWA for the
-    design A and the basis Q of the effects of pose increments. The whitened design W A is as large as the design itself
-    and is computed piecewise when needed, because allocating memory for it costs more than the products.
+    `weight` (K, width, 3, 3) contains the whitening matrix W of each slot, which is zero in empty slots. `parts` (K·6,
+    P) contains QᵀWA, where A is the design matrix and Q is the basis of the effects of pose increments. The whitened
+    design W A is as large as the design itself. It is computed piecewise when needed, because allocating memory for it
+    costs more than the products.
     """
 
     problem: IdentificationProblem
@@ -57,8 +59,8 @@ class CentreEquations:
         )
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Return Aᵀy (P,), |y|² and the best-fitting poses for the exact `sides` at z, where A is the whitened design
-        and y the whitened right side."""
+        """Return Aᵀy (P,), |y|² and the best-fitting poses for the exact `sides` at z. Here A is the whitened design
+        matrix and y the whitened right side."""
         layout = self.problem.layout
         left, local = sides
         white = self._whitened(left - poses.to_workpiece(layout, local))
@@ -74,21 +76,24 @@ class CentreEquations:
         return right, float(np.vdot(target, target) - parts @ parts), poses
 
     def remaining(self, sides: Sides, poses: Poses) -> Array:
-        """Return the whitened residuals (K, 3 width) after removing the effect of pose increments."""
+        """Return the whitened residuals (K, 3 width) after the effect of pose increments has been removed."""
         left, local = sides
         white = self._whitened(left - poses.to_workpiece(self.problem.layout, local))
         return self.projector.remove(white[:, :, None])[:, :, 0]
 
     def projected(self, size: int) -> Array:
-        """Return the whitened design (n, 3, size) of the first `size` unknowns after removing the effect of pose
-        increments."""
+        """Return the whitened design (n, 3, size) of the first `size` unknowns after the effect of pose increments has
+        been removed."""
         layout = self.problem.layout
         white = weighted(self.weight, self.problem.design[..., :size]).reshape(layout.positions, -1, size)
         white -= self.projector.q @ self.parts.reshape(layout.positions, 6, -1)[:, :, :size]
         return layout.unpad(white.reshape(*self.weight.shape[:3], size))
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """Return AᵀCA of the first `size` unknowns and trace C, where C is the noise covariance of the equations."""
+        """Return the matrix AᵀCA (size, size) of the first `size` unknowns and the trace of C.
+
+        A is the whitened design matrix, and C is the noise covariance of the equations.
+        """
         layout = self.problem.layout
         found = self.projected(size)
         q = layout.unpad(self.projector.q.reshape(*self.weight.shape[:3], 6))
@@ -102,7 +107,7 @@ class CentreEquations:
 
 
 def _whitening(covariance: Array, unit_weights: bool) -> Array:
-    """Return W (n, 3, 3) with WᵀW = covariance⁻¹; with unit weights W is the same multiple of the unit matrix for all
+    """Return W (n, 3, 3) with WᵀW = covariance⁻¹. With unit weights, W is the same multiple of the unit matrix for all
     rows."""
     variance = np.einsum("nii->ni", covariance)
     if unit_weights:
@@ -113,7 +118,7 @@ def _whitening(covariance: Array, unit_weights: bool) -> Array:
 
 
 def _gram(weight: Array, design: Array) -> Array:
-    """Return the Gram matrix (WA)ᵀ(WA) (P, P), computed a few positions at a time."""
+    """Return the Gram matrix (WA)ᵀ(WA) (P, P) for the whitening matrices W and the design A."""
     size = design.shape[-1]
     gram, room = np.zeros((size, size)), np.empty((_POSITIONS, *design.shape[1:]))
     for start in range(0, len(design), _POSITIONS):

@@ -1,12 +1,12 @@
-"""Formulation `distances`, the published method: compare all pairwise ball distances of a position with the calibrated
-ones.
+"""Formulation `distances`, the published method: all pairwise ball distances of a position are compared with the
+calibrated ones.
 
     |p_i - p_j| = |b_i(T) - b_j(T)|,   p = X + t + d(X; E)
 
-Here X is the axis position of a ball, t the tool offset, d the deviation of the model with parameters E, and b(T) the
-calibrated ball centre at temperature T. Distances that share a ball are correlated, and there are more of them than
-independent ones. With full weights the distances of each position are whitened with the pseudo-inverse of their
-covariance (generalised least squares); with unit weights all count equally, as published.
+Here X is the axis position of a ball, t the tool offset, d the deviation of the model with the parameters E, and b(T)
+the calibrated ball centre at temperature T. Distances that share a ball are correlated, and there are more of them than
+there are independent ones. With full weights the distances of each position are whitened with the pseudo-inverse of
+their covariance (generalised least squares). With unit weights all distances count equally, as published.
 """
 
 from __future__ import annotations
@@ -29,8 +29,11 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class PositionPairs:
-    """The m ball pairs of one position. `first` and `second` (m,): rows of both balls, with rows sorted by position;
-    `whitening` (r, m): matrix that whitens the distances."""
+    """The m ball pairs of one position.
+
+    `first` and `second` (m,) are the rows of both balls, where rows are sorted by position. `whitening` (r, m) is the
+    matrix that whitens the distances.
+    """
 
     first: Rows
     second: Rows
@@ -39,8 +42,11 @@ class PositionPairs:
 
 @dataclass(frozen=True, eq=False)
 class DistanceEquations:
-    """Whitened distance equations. `white` (M, P): whitened design of all positions; `noise`: noise covariance (r, r)
-    of the equations of each position."""
+    """Whitened distance equations of all positions.
+
+    `white` (M, P) is their whitened design matrix. `noise` contains, for each position, the noise covariance (r, r) of
+    its equations.
+    """
 
     problem: IdentificationProblem
     pairs: tuple[PositionPairs, ...]
@@ -68,12 +74,18 @@ class DistanceEquations:
         return cls(problem, tuple(pairs), stacked, tuple(noise), stacked.T @ stacked, len(stacked))
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Return Aᵀy (P,) and |y|² for the exact distances of `sides` at z, and the unused `poses`."""
+        """Return Aᵀy (P,), |y|² and the given `poses`, which are not used.
+
+        A is the whitened design matrix, and y is the whitened right side for the exact distances of `sides` at z.
+        """
         target = self.white @ z - self._remaining(sides)
         return self.white.T @ target, float(target @ target), poses
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """Return AᵀCA of the first `size` unknowns and trace C, where C is the noise covariance of the equations."""
+        """Return the matrix AᵀCA (size, size) of the first `size` unknowns and the trace of C.
+
+        A is the whitened design matrix, and C is the noise covariance of the equations.
+        """
         gram = np.zeros((size, size))
         start = 0
         for covariance in self.noise:
@@ -98,8 +110,8 @@ def _position(
 ) -> tuple[PositionPairs, Array, Array]:
     """Return the pairs of one position, the whitened rows of their design, and the noise covariance of these rows.
 
-    `ends`: first row of the position and first row after it; `design` (balls, 3, P): design of these rows; `unit`:
-    standard deviation of every distance in mm, or None for full weights.
+    `ends` contains the first row of the position and the first row after it. `design` (balls, 3, P) is the design of
+    the position's rows. `unit` is the standard deviation of every distance in mm, or None for full weights.
     """
     start, end = ends
     first, second = (index + start for index in np.triu_indices(end - start, k=1))
@@ -119,7 +131,7 @@ def _position(
 
 
 def _whitening(covariance: Array) -> Array:
-    """Return W (r, m) with WᵀW the pseudo-inverse of a covariance (m, m) of rank r."""
+    """Return W (r, m) such that WᵀW is the pseudo-inverse of a covariance (m, m) of rank r."""
     values, vectors = np.linalg.eigh(covariance)
     used = values > _DEPENDENT * values[-1]
     return np.asarray((vectors[:, used] / np.sqrt(values[used])).T)

@@ -1,13 +1,13 @@
-"""Drift of the machine's field during the measurement: low-order errors and the tip, driven by a few thermal
+"""Drift of the machine's error field during the measurement: low-order errors and the tip drift with a few thermal
 regressors.
 
 The drift of a warming machine is smooth in space: scales expand, guides and columns bend, squareness changes, the tip
-moves. It is also smooth in time. Expansion follows one thermometer; bending follows the difference of two temperatures
-and may also have its own time lag, which further regressors describe. Together they form a small block of unknowns,
-`field = Σ regressor · form`, with a prior stated per kelvin. The regressors are zero at the start, which is the state
-to which the prior of the machine (family or earlier estimate) refers. The estimate usually refers to a later state,
-most often the last one: its parameters are those at the start plus the drift until then, and their covariance includes
-the uncertainty of the drift.
+moves. It is also smooth in time. Expansion follows one thermometer. Bending follows the difference of two temperatures
+and may also have its own time lag, which further regressors describe. Together these drifts form a small block of
+unknowns, `field = Σ regressor · form`, with a prior stated per kelvin. The regressors are zero at the start, which is
+the state to which the prior of the machine (family or earlier estimate) refers. The estimate usually refers to a later
+state, most often the last one: its parameters are those at the start plus the drift until then, and their covariance
+includes the uncertainty of the drift.
 
 A rigid motion of the artefact or of the whole machine between two positions is absorbed by the poses, so the drift of
 the tip is observed only within a position.
@@ -33,9 +33,9 @@ _OTHER_ORDER = 1  # lowest order of a scale and of a rotation
 class DriftPrior:
     """Standard deviations of the drift per kelvin.
 
-    `strain_per_k`: scale errors (1/K), driven by the full temperature rise; `bending_per_k`: angles (rad/K) and
-    straightness bows (in units of half the travel, 1/K), driven by the difference of two temperatures; `tip_mm_per_k`:
-    tip (mm/K).
+    `strain_per_k` applies to scale errors (1/K) and is multiplied by the full temperature rise. `bending_per_k` applies
+    to angles (rad/K) and to straightness bows (in units of half the travel, 1/K) and is multiplied by the difference of
+    two temperatures. `tip_mm_per_k` applies to the tip (mm/K).
     """
 
     strain_per_k: float = 12e-6
@@ -52,9 +52,9 @@ class DriftPrior:
 class MachineDrift:
     """Drift unknowns of a machine.
 
-    `parameter_indices` (f,): indices of the parameters that drift; `deviations` (f,): their prior standard deviations
-    in mm/K or rad/K; `regressor_count`: number of thermal regressors. Scales and tip depend on the first regressor
-    only.
+    `parameter_indices` contains the indices of the f parameters that drift, and `deviations` (f,) their prior standard
+    deviations in mm/K or rad/K. `regressor_count` is the number of thermal regressors. Scales and tip depend on the
+    first regressor only.
     """
 
     names: tuple[str, ...]
@@ -67,7 +67,7 @@ class MachineDrift:
     def of(
         cls, model: ErrorModel, prior: DriftPrior, regressor_count: int, free: np.ndarray[Any, np.dtype[np.bool_]]
     ) -> MachineDrift:
-        """Return the drift unknowns of a model; `free` (p,) bool marks the parameters that are not held at zero."""
+        """Return the drift unknowns of a model. The mask `free` (p,) marks the parameters that are not held at zero."""
         drifting = [(index, one) for index, one in enumerate(model.parameters) if _drifts(one) and free[index]]
         deviations = [_per_k(prior, one) * _lever_mm(model, one) for _, one in drifting]
         names, indices = tuple(one.name for _, one in drifting), tuple(index for index, _ in drifting)
@@ -75,7 +75,7 @@ class MachineDrift:
 
     @property
     def forms(self) -> int:
-        """Number of drift fields: one per drifting parameter and three for the directions of the tip."""
+        """Number of drift fields: one for each drifting parameter, and three for the directions of the tip."""
         return len(self.parameter_indices) + 3
 
     @property
@@ -88,10 +88,10 @@ class MachineDrift:
         return self.forms + (self.regressor_count - 1) * len(self.bending)
 
     def columns(self, basis: Array, course: Array) -> Array:
-        """Return the design columns (n, 3, size) in mm per unit of z.
+        """Return the design columns (n, 3, size) in mm per unit of the drift unknowns.
 
-        `basis` (n, 3, p): fields of the model's parameters at the rows; `course` (n, w): thermal regressors of the rows
-        in K.
+        `basis` (n, 3, p) contains the fields of the model's parameters at the n rows. `course` (n, w) contains the
+        thermal regressors of the rows in K.
         """
         forms = np.empty((len(basis), 3, self.forms))
         forms[:, :, :-3] = basis[:, :, self.parameter_indices] * self.deviations
@@ -101,29 +101,32 @@ class MachineDrift:
         return np.concatenate((course[:, 0, None, None] * forms, *further), axis=2)
 
     def change_matrix(self, course: Array) -> Array:
-        """Return the derivative (f + 3, size) of `change` with respect to z, at thermal regressors `course` (w,) in
-        K."""
+        """Return the matrix (f + 3, size) that converts the drift unknowns to the result of `change`, at thermal
+        regressors `course` (w,) in K."""
         units = np.diag(np.append(self.deviations, np.full(3, self.tip_mm_per_k)))
         further = [share * units[:, self.bending] for share in course[1:].tolist()]
         return np.concatenate((course[0] * units, *further), axis=1)
 
     def change(self, z: Array, course: Array) -> Array:
-        """Return the change (f + 3,) of drifting parameters (mm or rad) and tip (mm) for unknowns z (size,) at thermal
-        regressors `course` (w,) in K."""
+        """Return the change (f + 3,) of the f drifting parameters (mm or rad) and of the tip (mm).
+
+        `z` (size,) contains the drift unknowns, and `course` (w,) the thermal regressors in K.
+        """
         return np.asarray(self.change_matrix(course) @ z)
 
 
 @dataclass(frozen=True, eq=False)
 class DriftEstimate:
-    """Estimated drift: z (size,) of `drift` with its covariance."""
+    """Estimated drift: the values `z` (size,) of the unknowns of `drift`, with their covariance (size, size)."""
 
     drift: MachineDrift
     z: Array
     covariance: Array
 
     def change(self, course: Array) -> dict[str, tuple[float, float]]:
-        """Return the change and its standard uncertainty, in mm or rad, at thermal regressors `course` (w,) in K. Keys
-        are names such as ``EXX[1]`` and ``tip X``.
+        """Return each change and its standard uncertainty, in mm or rad, at thermal regressors `course` (w,) in K.
+
+        The keys are names such as ``EXX[1]`` and ``tip X``.
         """
         values = self.drift.change(self.z, course)
         matrix = self.drift.change_matrix(course)
@@ -148,8 +151,8 @@ def _per_k(prior: DriftPrior, parameter: Parameter) -> float:
 
 
 def _lever_mm(model: ErrorModel, parameter: Parameter) -> float:
-    """Return the factor that converts a strain or angle to the parameter: half the travel for a displacement, 1 for an
-    angle."""
+    """Return the factor that converts a strain or an angle to the parameter. It is half the travel in mm for a
+    displacement and 1 for an angle."""
     if parameter.unit == "rad":
         return 1.0
     low, high = model.ranges_mm[AXES.index(parameter.error[2])]

@@ -25,9 +25,9 @@ from twin.machine.error_model import ErrorModel
 class Misfit:
     """Estimated fields that the model cannot represent.
 
-    `coefficients` (q,) of the modes, their `covariance` (q, q) and `cross_covariance` (p, q) with the parameters; a
-    field in mm is `amplitude_mm` · modes · coefficients. `unresolved_mm2`: variance per direction of the part of the
-    misfit whose wavelength is too short for the modes.
+    `coefficients` (q,) are those of the modes. `covariance` (q, q) is their covariance, and `cross_covariance` (p, q)
+    their covariance with the parameters. A field in mm is `amplitude_mm` · modes · coefficients. `unresolved_mm2` is
+    the variance per direction, in mm², of the part of the misfit whose wavelength is too short for the modes.
     """
 
     modes: MisfitModes
@@ -46,15 +46,16 @@ class Misfit:
 class Estimate:
     """Parameters (p,) in mm or rad of the compensation model with their covariance (p, p).
 
-    The covariance is marginal over poses, certificate, thermal strain and misfit. `residuals_mm` (n, 3): residuals of
-    all rows, including rejected ones, in the order of the observations. `chi2_normalised`: sum of squared residuals in
-    units of the stated noise, divided by the degrees of freedom. `rejected`: (position, ball, tool) of each rejected
-    row. `scales`: estimated scales of noise, prior and misfit. `misfit`: None if the misfit was switched off.
-    `information` (p, p): information matrix of the measurements alone, with parameters in units of `prior_scale`. `z`
-    (P,) and `z_covariance` (P, P): values and covariance of all `unknowns` together. `alternatives`: equally weighted
-    results for other scales that the measurements allow. `order_evidence`: evidence of each Legendre order; empty if
-    the order was given. `drift`: drift of the machine during the measurement, None if it was not estimated; all other
-    results are marginal over the drift.
+    The covariance is marginal over poses, certificate, thermal strain and misfit. `residuals_mm` (n, 3) contains the
+    residuals of all rows, including rejected ones, in the order of the observations. `chi2_normalised` is the sum of
+    squared residuals in units of the stated noise, divided by the degrees of freedom. `rejected` contains (position,
+    ball, tool) of each rejected row. `scales` are the estimated scales of noise, prior and misfit. `misfit` is None if
+    the misfit was switched off. `information` (p, p) is the information matrix of the measurements alone, for
+    parameters in units of `prior_scale`. `z` (P,) and `z_covariance` (P, P) are the values and the covariance of all
+    `unknowns` together. `alternatives` contains equally weighted results for other scales that the measurements allow.
+    `order_evidence` contains the evidence of each Legendre order; it is empty if the order was given. `drift` is the
+    drift of the machine during the measurement, or None if it was not estimated; all other results are marginal over
+    the drift.
     """
 
     model: ErrorModel
@@ -86,17 +87,17 @@ class Estimate:
 
     @property
     def prior_scale(self) -> Array:
-        """Unit of each parameter (p,) in mm or rad: its prior standard deviation."""
+        """Units (p,) of the parameters in mm or rad: their prior standard deviations."""
         return self.unknowns.scale
 
     @property
     def scales_at_bounds(self) -> tuple[str, ...]:
-        """Descriptions of the scales that reached a bound; the uncertainty that depends on them is a guess."""
+        """Descriptions of the scales that reached a bound. The uncertainty that depends on such a scale is a guess."""
         return scales_at_bounds(self.scales)
 
     @property
     def standard_uncertainty(self) -> Array:
-        """Standard uncertainty (p,) of each parameter."""
+        """Standard uncertainty (p,) of each parameter in mm or rad."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
     @property
@@ -106,13 +107,14 @@ class Estimate:
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
-        """Parameter directions that the measurements leave undetermined; their number is `model.size` - `rank`."""
+        """Directions in parameter space that the measurements do not determine. There are `model.size` - `rank` of
+        them."""
         return self._seen.null_directions
 
     @property
     def conditioning(self) -> float:
-        """Ratio of the largest to the smallest singular value of the determined part, with parameters in units of their
-        prior standard deviation."""
+        """Ratio of the largest to the smallest singular value of that part of the information that is determined, for
+        parameters in units of their prior standard deviation."""
         return self._seen.conditioning
 
     @property

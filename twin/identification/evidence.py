@@ -1,12 +1,13 @@
 """Scales of touch noise, prior and each kind of misfit by maximum marginal likelihood (empirical Bayes).
 
-With the poses projected out and z integrated out, twice the negative log marginal likelihood is
+The equations are A z = y with the unknowns z, the design matrix A and the right side y. With the poses projected out
+and z integrated out, twice the negative log marginal likelihood is
 
     rows ln σ² + |y|²/σ² - rᵀ H⁻¹ r/σ⁴ + ln det H - ln det D,   H = N/σ² + D
 
-(MacKay 1992; Rasmussen and Williams 2006, 5.4), where N = AᵀA and r = Aᵀy are matrix and right side of the normal
-equations of A z = y, σ is the touch noise and D the prior precision of z. The gradient needs only the diagonal of H⁻¹.
-Each log scale has a weak normal prior and bounds, so that it cannot become extreme if there are few measurements.
+(MacKay 1992; Rasmussen and Williams 2006, 5.4). Here N = AᵀA and r = Aᵀy are the matrix and the right side of the
+normal equations, σ is the touch noise and D the prior precision of z. The gradient needs only the diagonal of H⁻¹. Each
+log scale has a weak normal prior and bounds, so that it cannot become extreme if there are few measurements.
 """
 
 from __future__ import annotations
@@ -26,8 +27,11 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True)
 class OrderEvidence:
-    """Evidence of a Legendre order. `relative_log`: log evidence minus that of the likeliest order compared; `scales`:
-    likeliest scales for this order."""
+    """Evidence of a Legendre order.
+
+    `relative_log` is its log evidence minus that of the likeliest order compared. `scales` are the likeliest scales for
+    this order.
+    """
 
     order: int
     relative_log: float
@@ -37,8 +41,10 @@ class OrderEvidence:
 
 @dataclass(frozen=True)
 class ScalePrior:
-    """Log-normal prior of a scale with median 1; `factor` is the geometric standard deviation, `low` and `high` are
-    bounds."""
+    """Log-normal prior of a scale with median 1.
+
+    `factor` is its geometric standard deviation; `low` and `high` are the bounds of the scale.
+    """
 
     factor: float
     low: float
@@ -57,7 +63,7 @@ NOISE = ScalePrior(3.0, 0.3, 10.0)
 PRIOR = ScalePrior(1.5, 0.3, 3.0)
 MISFIT = ScalePrior(3.0, 0.1, 10.0)
 SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS))
-"""Priors in the order of `Scales.values`."""
+"""Priors of the scales, in the order of `Scales.values`."""
 _NAMES = ("touch noise", "family prior", *MISFIT_KINDS)
 _BOUND_TOLERANCE = 1e-3  # distance of a log scale from its bound below which it counts as reached
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
@@ -100,14 +106,17 @@ def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
 
 
 def free_scales(precision: PriorPrecision) -> list[bool]:
-    """Return a flag for the scale of noise, prior and each kind of misfit: False if a carried-over prior fixes the
-    scale or if it has no unknowns, otherwise True."""
+    """Return one flag for each scale, in the order of `Scales.values`. It is False if a carried-over prior fixes the
+    scale or if the scale applies to no unknown, and True otherwise."""
     found = [True, *(precision.has_free_scale(block) for block in scaled_blocks(precision.blocks))]
     return found + [False] * (len(SCALE_PRIORS) - len(found))
 
 
 def scaled_blocks(blocks: UnknownBlocks) -> tuple[slice, ...]:
-    """Return the blocks of z that have a scale, in the order of `Scales.values` after the noise."""
+    """Return the blocks of z to which a scale applies: the parameters, then each kind of misfit.
+
+    They are in the order of `Scales.values` without its first entry, the scale of the noise, which has no block.
+    """
     return blocks.parameters, *blocks.kinds
 
 
@@ -154,14 +163,17 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
 
 
 def _log_scale_derivative(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
-    """Return half the derivative with respect to the log scale of a block: number of unknowns - trace of their prior
-    share - weighted square."""
+    """Return half of a block's part of the derivative with respect to the logarithm of its scale.
+
+    It is the number of unknowns of the block, minus the trace of the share of the prior in their posterior precision,
+    minus their weighted square.
+    """
     size = block.stop - block.start
     return float(size - taken[block].sum() - weighted_z[block] @ z[block])
 
 
 def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
-    """Return the log determinant of the prior precision, without the constant part of a carried-over prior."""
+    """Return the log determinant of the prior precision without the part of a carried-over prior, which is constant."""
     diagonal = np.log(precision.diagonal(scales))
     if precision.known is not None:
         diagonal[precision.known.members] = 0.0

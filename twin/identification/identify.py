@@ -32,7 +32,7 @@ Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 @dataclass(frozen=True, eq=False)
 class _RowSelection:
-    """Rows of the whole problem that are accepted, and the solution based on them if it has been computed."""
+    """Accepted rows of the whole problem, and the solution from these rows if it has already been computed."""
 
     problem: IdentificationProblem
     accepted: Mask
@@ -46,11 +46,11 @@ def identify(
     family: Family,
     options: Options | None = None,
 ) -> Estimate:
-    """Estimate the parameters of `model` from ball centres measured on `artefact`; `family` is the prior, and its
-    standard deviations are the units of the parameters.
+    """Estimate the parameters of `model` from ball centres measured on `artefact`.
 
-    Raise SingularSet if the positions determine nothing, and DataError if the family belongs to another model or a
-    measured ball is not on the artefact.
+    `family` is the prior, and its standard deviations are the units of the parameters. Raise SingularSet if the
+    positions determine nothing, and DataError if the family belongs to another model or a measured ball is not on the
+    artefact.
     """
     options = options or Options()
     if family.model != model:
@@ -72,7 +72,7 @@ def accepted_rows(family: Family, observations: Observations, artefact: Artefact
 def identify_accepted(
     family: Family, observations: Observations, artefact: Artefact, options: Options, accepted: Mask
 ) -> Estimate:
-    """Identify with exactly the rows `accepted` (n,); all others count as rejected."""
+    """Identify with exactly the rows that the mask `accepted` (n,) marks. All other rows count as rejected."""
     whole = build_problem(family, observations, artefact, options)
     chosen = accepted[whole.layout.order]
     problem = whole if chosen.all() else whole.with_rows(chosen)
@@ -103,7 +103,7 @@ def _select_rows(whole: IdentificationProblem, options: Options) -> _RowSelectio
 
 
 def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSelection:
-    """Reject outliers and fit again until no ball contradicts the others; these fits always use ball centres and the
+    """Reject outliers and fit again until no ball contradicts the others. These fits always use ball centres and the
     prior."""
     screening = replace(options, formulation="centres", weights="full", use_prior=True)
     accepted = np.ones(whole.observations.size, dtype=bool)
@@ -162,10 +162,10 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
 
 
 def _state(whole: IdentificationProblem, options: Options) -> Array | None:
-    """Return the matrix (Q, P) that converts all P unknowns, which refer to the start, to the Q unknowns without the
-    drift, which refer to the state that the estimate describes.
+    """Return the matrix (Q, P) that converts unknowns at the start to unknowns in the state that the estimate
+    describes, or None if drift is not estimated.
 
-    Return None if drift is not estimated.
+    The P unknowns at the start include the drift. The Q unknowns of the result do not include it.
     """
     drift, blocks, scale = whole.unknowns.drift, whole.blocks, whole.unknowns.scale
     if drift is None:
@@ -207,15 +207,16 @@ def _misfit(whole: IdentificationProblem, solution: Solution, z: Array, covarian
 
 
 def _unresolved(misfit_mm: float, modes: MisfitModes, solution: Solution) -> float:
-    """Return the variance in mm² per direction that the modes leave out, averaged over the plausible scales."""
+    """Return the variance in mm² per direction of the part of the misfit that the modes leave out, averaged over the
+    plausible scales."""
     likely = [one.scales for one in solution.alternatives] or [solution.scales]
     squares = np.mean([np.square(scales.kinds) for scales in likely], axis=0)
     return float(misfit_mm**2 * (modes.left_out @ squares))
 
 
 def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution: Solution) -> Array:
-    """Return the residuals (n, 3) in mm in the order of the given observations; each position has the pose found by the
-    solution."""
+    """Return the residuals (n, 3) in mm in the order of the given observations. The solution determines the pose of
+    each position."""
     accepted, poses = selection.accepted, solution.poses
     left, local = solution.sides if accepted.all() else whole.sides(solution.z)
     if isinstance(solution.equations, DistanceEquations):
@@ -228,7 +229,7 @@ def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution:
 
 
 def _poses_of_all(poses: Poses, whole: IdentificationProblem, accepted: Mask) -> Poses:
-    """Return poses of all positions; a position without accepted rows takes the pose of a neighbour."""
+    """Return the poses of all positions. A position without accepted rows has the pose of a neighbour."""
     position = whole.observations.position
     neighbour = np.searchsorted(np.unique(position[accepted]), np.unique(position))
     neighbour = np.minimum(neighbour, len(poses.rotation) - 1)
