@@ -44,8 +44,11 @@ class Prediction:
 
 @dataclass(frozen=True)
 class VolumetricErrors:
-    """Volumetric error over the workspace. `before`: estimated error of the uncompensated machine; `after`: expected
-    error after compensation by the estimate."""
+    """Volumetric error over the workspace.
+
+    `before` is the estimated error of the uncompensated machine, and `after` the error expected after compensation by
+    the estimate.
+    """
 
     before: VolumetricRms
     after: VolumetricRms

@@ -1,4 +1,4 @@
-"""Files in and out: machine, artefact, ball centres, positions, estimate and compensation table."""
+"""Reading and writing of files: machine, artefact, ball centres, positions, estimate and compensation table."""
 
 from __future__ import annotations
 
@@ -104,7 +104,8 @@ def read_estimate(path: PathName) -> StoredEstimate:
 def read_table(path: PathName) -> CompensationTable:
     """Return a compensation table from its CSV file and the JSON side file of the same name.
 
-    Raises FormatError with file and row, column or key, also if the checksum in the side file does not match the table.
+    Raises FormatError with file and row, column or key. It is also raised if the checksum in the side file does not
+    match the table.
     """
     side = Path(path).with_suffix(".json")
     return parse_table(_text(path), _text(side), str(path), str(side))
@@ -128,7 +129,7 @@ def write_estimate(estimate: Estimate, path: PathName, provenance: Mapping[str, 
 
 
 def write_table(table: CompensationTable, path: PathName) -> Path:
-    """Write a compensation table (CSV) and a JSON side file of the same name next to it; return the path of the
+    """Write a compensation table (CSV) and, next to it, a JSON side file of the same name. Return the path of the
     table."""
     _write(Path(path).with_suffix(".json"), format_side_file(table))
     return _write(path, format_table(table))
@@ -147,7 +148,7 @@ def _text(path: PathName) -> str:
 
 
 def _beside(path: PathName) -> Callable[[str], str]:
-    """Return a reader of files that are named relative to `path`."""
+    """Return a function that reads files whose names are relative to `path`."""
     return lambda name: _text(Path(path).parent / name)
 
 

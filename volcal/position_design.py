@@ -1,4 +1,4 @@
-"""Design of positions: which positions leave the smallest error."""
+"""Design of positions: choice of the positions that leave the smallest error."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ from volcal.measuring_setup import MeasuringSetup
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Positions, and the volumetric error expected before and after compensation (`valuation`). `design` orders the
-    positions by station, azimuth and elevation; `evaluate` keeps the given order."""
+    """Positions, and the volumetric error expected before and after compensation with them (`valuation`).
+
+    The function `design` orders the positions by station, azimuth and elevation; `evaluate` keeps the given order.
+    """
 
     positions: tuple[Position, ...]
     valuation: Valuation

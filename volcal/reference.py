@@ -63,7 +63,7 @@ def _is_error(name: str) -> bool:
 
 
 def _error_text(name: str) -> str:
-    """Return the description of an error from the tree in the docstring of `twin.errors`."""
+    """Return the description of an error, taken from the tree of errors in the docstring of `twin.errors`."""
     if name == "TwinError":
         return "root of the tree"
     tree = inspect.getdoc(sys.modules["twin.errors"]) or ""

@@ -27,7 +27,7 @@ from twin.machine.legendre import legendre_values, normalise_positions
 from twin.machine.rigid_motion import rigid_fields
 
 MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1 / 6, "waves along Z": 1 / 6}
-"""Kinds of misfit in their fixed order, and the share of each in the prior variance."""
+"""Kinds of misfit in their fixed order, each with its share in the prior variance."""
 
 _MIXED_DEGREE = 6
 _ORDERS_BEYOND = 8
@@ -44,12 +44,13 @@ Weights = dict[Degrees, float]
 
 @dataclass(frozen=True, eq=False)
 class MisfitModes:
-    """Modes with unit-normal coefficients: field = candidates · `mixing` - model · `removed` - rigid motions · `rigid`.
+    """Modes of the misfit, whose coefficients are unit-normal a priori.
 
-    `degrees`: Legendre degrees in x, y, z of each of the c candidates; `mixing` (3, c, q) in mm; `removed` (p, q) and
-    `rigid` (6, q): part of each mode that the model or a rigid motion represents; `sizes`: number of modes of each
-    kind, in consecutive blocks; `left_out` (kinds,): variance per direction, mean over the workspace, that the modes of
-    a kind leave out. Modes and remainder together have a prior rms of 1.
+    The field is candidates · `mixing` - model · `removed` - rigid motions · `rigid`. `degrees` contains the Legendre
+    degrees in x, y, z of each of the c candidates, and `mixing` (3, c, q) the q modes in mm. `removed` (p, q) and
+    `rigid` (6, q) are the parts of each mode that the model or a rigid motion represents. `sizes` is the number of
+    modes of each kind, whose modes form consecutive blocks. `left_out` (kinds,) is the variance per direction, as a
+    mean over the workspace, that the modes of each kind leave out. Modes and remainder together have a prior rms of 1.
     """
 
     model: ErrorModel
@@ -80,7 +81,7 @@ class MisfitModes:
 
 @lru_cache(maxsize=16)
 def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> MisfitModes:
-    """Return the misfit modes for `model`. Their part that the model can represent is removed as it is for a tool with
+    """Return the misfit modes for `model`. The part that the model can represent is removed as for a tool with
     `tool_offset` (mm)."""
     offset = np.array(tool_offset)
     kinds = _kinds(model)
@@ -110,8 +111,8 @@ class _Represented:
     """Part of the candidates that the k known fields (of model parameters and rigid motions) can represent, averaged
     over the workspace.
 
-    `inverse` (k, k): pseudo-inverse of the Gram matrix of the known fields; `common` (3, k, c): products of known
-    fields and candidates for each direction; `squares` (c,): mean square of each candidate.
+    `inverse` (k, k) is the pseudo-inverse of the Gram matrix of the known fields. `common` (3, k, c) contains the
+    products of known fields and candidates for each direction, and `squares` (c,) the mean square of each candidate.
     """
 
     inverse: Array
@@ -152,8 +153,11 @@ class _Represented:
 
 @dataclass(frozen=True, eq=False)
 class _KindModes:
-    """Leading modes of one kind: `mixing` (3, c, q) of all candidates, and variance per direction that the modes leave
-    out."""
+    """Leading modes of one kind.
+
+    `mixing` (3, c, q) contains the modes as combinations of all c candidates. `left_out` is the variance per direction
+    that the modes leave out.
+    """
 
     mixing: Array
     left_out: float

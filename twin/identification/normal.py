@@ -1,5 +1,4 @@
-"""Normal equations of the shared unknowns z (the poses have already been projected out), and prior and posterior of
-z."""
+"""Normal equations, prior and posterior of the shared unknowns z. The poses have already been projected out."""
 
 from __future__ import annotations
 
@@ -20,8 +19,11 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Normal equations for minimising |A z - y|² over `rows` independent equations with unit noise. `matrix` AᵀA (P,
-    P), `right` Aᵀy (P,), `square` |y|²."""
+    """Normal equations for minimising |A z - y|² over the unknowns z (P,).
+
+    The design matrix A and the right side y belong to `rows` independent equations with unit noise. `matrix` is AᵀA (P,
+    P), `right` is Aᵀy (P,), and `square` is |y|².
+    """
 
     matrix: Array
     right: Array
@@ -29,7 +31,7 @@ class NormalEquations:
     rows: int
 
     def misfit_square(self, z: Array) -> float:
-        """Return |A z - y|²."""
+        """Return the sum of squares |A z - y|²."""
         return max(0.0, self.square - 2.0 * float(self.right @ z) + float(z @ self.matrix @ z))
 
 
@@ -46,7 +48,7 @@ class Scales:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Scales of noise, prior and kinds of misfit."""
+        """Scales of the noise, the parameter prior and each kind of misfit, in this order."""
         return self.noise, self.prior, *self.kinds
 
     @property
@@ -56,17 +58,17 @@ class Scales:
 
     @property
     def misfit(self) -> float:
-        """Scale of the prior rms of all kinds of misfit together."""
+        """Scale of the prior rms of all kinds of misfit combined."""
         shares = MISFIT_KINDS.values()
         return math.sqrt(sum(share * scale**2 for share, scale in zip(shares, self.kinds, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
 class JointPrior:
-    """Joint Gaussian prior of some of the unknowns; scales do not apply to it.
+    """Joint Gaussian prior of some of the unknowns. Scales do not apply to it.
 
-    `members` (P,) bool selects these unknowns; `precision` (P, P) and `information_vector` (P,), precision times prior
-    mean, are zero for all others.
+    The mask `members` (P,) marks these unknowns. `precision` (P, P) is zero for all others, and so is
+    `information_vector` (P,), the product of the precision and the prior mean.
     """
 
     members: np.ndarray[Any, np.dtype[np.bool_]]
@@ -84,8 +86,10 @@ class JointPrior:
 
 @dataclass(frozen=True, eq=False)
 class PriorPrecision:
-    """Prior precision of z at scale 1: the `known` joint prior, and the unit matrix with mean zero for all other
-    unknowns."""
+    """Prior precision of the unknowns z at scale 1.
+
+    Some unknowns may have the joint prior `known`. All others have mean zero and the unit matrix as precision.
+    """
 
     blocks: UnknownBlocks
     known: JointPrior | None = None
@@ -96,7 +100,7 @@ class PriorPrecision:
 
     @property
     def information_vector(self) -> Array:
-        """Precision times prior mean (P,)."""
+        """Product (P,) of the prior precision and the prior mean."""
         return np.zeros(self.blocks.size) if self.known is None else self.known.information_vector
 
     def matrix(self, scales: Scales) -> Array:
@@ -114,7 +118,7 @@ class PriorPrecision:
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
-        """Return the diagonal (P,) of the part that is a scaled unit matrix."""
+        """Return the diagonal (P,) of that part of the prior precision that is a scaled unit matrix."""
         diagonal = np.ones(self.blocks.size)
         diagonal[self.blocks.parameters] = scales.prior**-2
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
@@ -161,13 +165,13 @@ class Posterior:
         return np.asarray(np.einsum("ij,ij->j", inverse, inverse))
 
     def times(self, z: Array) -> Array:
-        """Return precision · z (P,)."""
+        """Return the product (P,) of the posterior precision and z."""
         return np.asarray(self.factor @ (self.factor.T @ z))
 
     def solve(self, right: Array) -> Array:
-        """Return the posterior mean for a weighted right-hand side (P,) or (P, m)."""
+        """Return the product of the posterior covariance and `right`, which has shape (P,) or (P, m)."""
         return np.asarray(dpotrs(self.factor, right, lower=1)[0])
 
     def whiten(self, rows: Array) -> Array:
-        """Return W (n, P) for rows A (n, P), with W Wᵀ = A C Aᵀ for the covariance C."""
+        """Return W (n, P) such that W Wᵀ = A C Aᵀ, where A (n, P) is `rows` and C is the posterior covariance."""
         return np.asarray(dtrsm(1.0, self.factor, rows.T, lower=1).T)

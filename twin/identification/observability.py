@@ -1,8 +1,8 @@
-"""Observability of a model's parameters by a measuring set-up; null directions are described in words.
+"""Observability of a model's parameters by a measuring set-up. Null directions are described in words.
 
-Information matrices are taken in unit-prior coordinates (each parameter in units of its prior standard deviation), so
-that mm and rad are comparable. A null direction is a combination of parameters that leaves all measurements unchanged.
-Some null directions also leave the whole error field at the tool point unchanged; these are harmless with a single
+Information matrices refer to unit-prior coordinates (each parameter in units of its prior standard deviation), so that
+mm and rad are comparable. A null direction is a combination of parameters that leaves all measurements unchanged. Some
+null directions also leave the whole error field at the tool point unchanged; these are harmless if there is only one
 tool.
 """
 
@@ -31,9 +31,10 @@ FIXED = "because the family holds it at its prior value"
 class NullDirection:
     """Combination of parameters that the measurements do not determine.
 
-    `loadings`: change of each parameter involved, in its own unit, for one prior standard deviation of the first.
-    `changes_field`: the direction moves the tool point relative to the workpiece by more than a rigid motion.
-    `circumstance`: the part of the text that says under which circumstances the direction is not observed.
+    `loadings` contains the change of each parameter involved, in the parameter's own unit, if the first one changes by
+    one prior standard deviation. `changes_field` is True if the direction moves the tool point relative to the
+    workpiece by more than a rigid motion. `circumstance` is the part of `text` that states under which circumstances
+    the direction is not observed.
     """
 
     text: str
@@ -53,8 +54,8 @@ class Observability:
 
 
 def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool = False) -> Observability:
-    """Return the best possible observability: that of the error field measured everywhere with tool offsets (T, 3) in
-    mm.
+    """Return the best possible observability. It is reached if the error field is measured everywhere with tools of
+    offsets (T, 3) in mm.
 
     Parameters are in units of `scale` (p,). If `aligned`, a rigid motion of the workspace does not count as a change.
     """
@@ -65,8 +66,10 @@ def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, al
 def observability(
     model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, observer: str = "by this set"
 ) -> Observability:
-    """Return rank and named null space of an information matrix (p, p) of parameters in units of `scale` (p,).
-    `observer`: phrase that states in the descriptions what does not see a direction."""
+    """Return the rank and the named null space of an information matrix (p, p) of parameters in units of `scale` (p,).
+
+    `observer` completes the phrase "not seen …" in the descriptions, for example "by this set".
+    """
     values, vectors = np.linalg.eigh(information)
     open_ = values <= _NULL_EIGENVALUE * max(float(values[-1]), 1e-300)
     used = values[~open_]
@@ -83,10 +86,9 @@ def null_space(information: Array) -> Array:
 
 
 def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool) -> Array:
-    """Return the quadratic form (p, p) in mm² of the mean square field over the workspace and the tools. Parameters are
-    in units of `scale` (p,).
+    """Return the quadratic form (p, p) in mm² of the mean square of the field over the workspace and the tools.
 
-    If `aligned`, the best rigid motion common to all tools is removed.
+    Parameters are in units of `scale` (p,). If `aligned`, the best-fitting rigid motion common to all tools is removed.
     """
     highest = model.highest_order
     grid = evaluation_grid(model.ranges_mm, (highest[0] + 5, highest[1] + 5, highest[2] + 5))
@@ -136,8 +138,8 @@ def _directions(
 
 
 def _parts(direction: Array, pivot: int) -> list[int]:
-    """Return the pivot and the other parameters involved, in model order, or by decreasing loading if there are
-    many."""
+    """Return the pivot and the other parameters involved. They are in model order or, if there are many, in the order
+    of decreasing loading."""
     size = np.abs(direction)
     others = [int(part) for part in np.flatnonzero(size > _MIN_LOADING * size.max()) if part != pivot]
     if len(others) > _MAX_PARTNERS:
@@ -146,8 +148,8 @@ def _parts(direction: Array, pivot: int) -> list[int]:
 
 
 def _sparse_basis(null: Array) -> list[tuple[int, Array]]:
-    """Return (pivot parameter, direction) pairs by Gauss-Jordan with full pivoting; each pivot occurs in one direction
-    only."""
+    """Return pairs of a pivot parameter and a direction, found by Gauss-Jordan elimination with full pivoting. Each
+    pivot occurs in one direction only."""
     rows = null.T.copy()
     pivots: list[int] = []
     for row in range(len(rows)):

@@ -2,12 +2,13 @@
 
 The evidence of an order is its marginal likelihood, multiplied by the priors of the scales. The poses are projected
 out; parameters, certificate, strain and misfit are integrated out; the scales have their likeliest values. All orders
-are compared on the same ball centres, so factors common to all are omitted; the determinants balance the size of a
-model against what it explains. Outliers are therefore rejected once, with the highest order, before any comparison.
+are compared on the same ball centres, so factors common to all are omitted. The determinants balance the size of a
+model against the part of the data that it explains. Outliers are rejected once, with the highest order, before any
+comparison, so that all orders use the same ball centres.
 
 The misfit can explain the errors beyond a low order almost as well as a higher order can, but a compensation table
 contains the parameters and not the misfit. Therefore the highest order without very strong evidence against it is
-chosen; its prior prevents it from following noise.
+chosen. The prior of this order prevents it from following noise.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ def identify_by_evidence(
     options: Options | None = None,
     candidates: Sequence[int] = ORDERS,
 ) -> Estimate:
-    """Identify with the Legendre order favoured by the measurements; `family_of` returns the family for an order.
+    """Identify with the Legendre order favoured by the measurements. `family_of` returns the family for a given order.
 
     Orders are compared on ball centres with full weights, whatever the formulation of the estimate, and
-    `order_evidence` of the result lists the evidence of all candidates. Raise DataError if there is nothing to compare
-    (prior off, or a carried-over estimate, whose order is fixed).
+    `order_evidence` of the result lists the evidence of all candidates. Raise DataError if no comparison is possible,
+    because the prior is off or because an estimate with a fixed order is carried over.
     """
     options = options or Options()
     if not options.use_prior or options.carried_over is not None:

@@ -1,8 +1,8 @@
-"""Outlying ball centres, found by studentised residuals of three components at a time.
+"""Outlying ball centres, found by studentised residuals. Each residual has three components, which are tested together.
 
-For ball i with whitened residual r_i and its covariance C_i under the model, t² = r_iᵀ C_i⁻¹ r_i compares the ball with
-a fit without it (leave one out). The scale of t² is the median over the balls, which gross errors do not affect, and
-the limit comes from the F distribution at a false alarm rate shared by all balls (Bonferroni).
+Let r_i be the whitened residual of ball i, and C_i its covariance under the model. Then t² = r_iᵀ C_i⁻¹ r_i compares
+the ball with a fit without it (leave one out). The scale of t² is the median over the balls, which gross errors do not
+affect. The limit comes from the F distribution at a false alarm rate shared by all balls (Bonferroni).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 
 def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
-    """Return the rows to reject in this round (indices of rows sorted by position): in each position the worst row, if
-    it is beyond the limit."""
+    """Return the rows to reject in this round, as indices of rows sorted by position. The worst row of each position is
+    rejected if it is beyond the limit."""
     square = studentised_squares(solution)
     limit = 3.0 * float(fdtri(3.0, solution.degrees_of_freedom, 1.0 - false_alarm / len(square)))
     limit = max(limit, _COMPARABLE_SHARE * float(square.max()))
@@ -37,8 +37,8 @@ def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
 
 
 def studentised_squares(solution: Solution) -> Array:
-    """Return t² (n,) of the rows (sorted by position) of a solution in the formulation `centres`, scaled to the median
-    of χ² with three degrees of freedom."""
+    """Return t² (n,) of the rows, sorted by position, of a solution in the formulation `centres`. The values are scaled
+    to the median of χ² with three degrees of freedom."""
     equations = solution.equations
     if not isinstance(equations, CentreEquations):
         raise DataError("studentised residuals require the formulation 'centres'")

@@ -17,10 +17,9 @@ _UNDETERMINED = 1e-10  # relative eigenvalue of the 6x6 normal equations below w
 
 @dataclass(frozen=True, eq=False)
 class RowLayout:
-    """Rows sorted by position and laid out as (K positions, width), with empty slots at the end of positions with fewer
-    balls.
+    """Rows sorted by position and laid out as (K positions, width). Positions with fewer balls end in empty slots.
 
-    `order` (n,) sorts the given rows by position; `counts` (K,): number of balls of each position.
+    `order` (n,) sorts the given rows by position. `counts` (K,) is the number of balls of each position.
     """
 
     order: np.ndarray[Any, np.dtype[np.int64]]
@@ -51,13 +50,13 @@ class RowLayout:
 
     @cached_property
     def source(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Sorted row (K·width,) of each slot; an arbitrary row for empty slots."""
+        """Index (K·width,) of the sorted row in each slot. An empty slot has the index of an arbitrary row."""
         starts = np.cumsum(self.counts) - self.counts
         return np.asarray(starts[:, None] + np.arange(self.width) * self.present).reshape(-1)
 
     @cached_property
     def index(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Position (n,) of each sorted row, 0 ... K-1."""
+        """Position (n,) of each sorted row, numbered from 0 to K-1."""
         return np.repeat(np.arange(self.positions), self.counts)
 
     def pad(self, rows: Array) -> Array:
@@ -76,21 +75,26 @@ class RowLayout:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Rotation (K, 3, 3) and translation (K, 3) in mm from the artefact's frame to the workpiece's: p = t + R b."""
+    """Pose of the artefact in each position: it converts a point b in the artefact's frame to p = t + R b in the
+    workpiece frame.
+
+    `rotation` contains R (K, 3, 3), and `translation` contains t (K, 3) in mm.
+    """
 
     rotation: Array
     translation: Array
 
     def to_workpiece(self, layout: RowLayout, local: Array) -> Array:
-        """Return the workpiece coordinates (n, 3) of artefact points (n, 3), rows sorted by position."""
+        """Return the workpiece coordinates (n, 3) of artefact points (n, 3). Rows are sorted by position."""
         turned = layout.pad(local) @ self.rotation.transpose(0, 2, 1)
         turned += self.translation[:, None, :]
         return layout.unpad(turned)
 
     def moved(self, increments: Array, arms: PoseArms) -> Poses:
-        """Return the poses after increments (K, 6).
+        """Return the poses after increments (K, 6) in mm.
 
-        An increment is a shift (mm) of the position's centroid and a rotation about it in rad times the arm.
+        The first three elements of an increment shift the centroid of the position. The other three are a rotation
+        about the centroid in rad, multiplied by the arm of the position in mm.
         """
         turn = _rotations(increments[:, 3:] / arms.length[:, None])
         rotation = turn @ self.rotation
@@ -101,8 +105,8 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseArms:
-    """Middle of the balls of each position (K, 3) in the artefact's frame, and largest distance (K,) of a ball from it,
-    in mm."""
+    """Middle (K, 3) of the balls of each position in the artefact's frame, and the largest distance (K,) of a ball from
+    this middle. Both are in mm."""
 
     middle: Array
     length: Array
@@ -117,10 +121,11 @@ class PoseArms:
 
 
 def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
-    """Fit the rigid pose of each position by Kabsch's method: artefact points (n, 3) onto measured points (n, 3).
+    """Fit the rigid pose of each position by Kabsch's method, which maps artefact points (n, 3) onto measured points
+    (n, 3).
 
-    If the balls of a position lie on one line, the roll about this line cannot be determined. The roll of the mount is
-    used instead, which keeps the artefact's Y axis horizontal.
+    If the balls of a position lie on one line, the roll about this line cannot be determined. The roll given by the
+    mount is used instead; it keeps the artefact's Y axis horizontal.
     """
     counts = layout.counts[:, None]
     here, there = layout.pad(local), layout.pad(found)
@@ -139,9 +144,10 @@ def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseProjector:
-    """Orthonormal basis `q` (K, 3 width, 6) of the effect of pose increments on the whitened equations.
+    """Projector that removes the effect of pose increments from the whitened equations.
 
-    `back` (K, 6, 6) converts the projections Qᵀ r into increments; `seen`: number of increments that are determined.
+    `q` (K, 3 width, 6) is an orthonormal basis Q of this effect. `back` (K, 6, 6) converts the projections Qᵀr of
+    residuals r into increments. `seen` is the number of increments that are determined.
     """
 
     q: Array
@@ -150,8 +156,11 @@ class PoseProjector:
 
     @classmethod
     def of(cls, layout: RowLayout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
-        """Build the projector. `weight` (K, width, 3, 3): matrix W of each slot, where WᵀW is the inverse covariance;
-        zero in empty slots."""
+        """Build the projector.
+
+        `weight` (K, width, 3, 3) contains a matrix W for each slot such that WᵀW is the inverse covariance. W is zero
+        in empty slots.
+        """
         lever = (layout.pad(local) - arms.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
         lever /= arms.length[:, None, None]
         # derivative of a point: the unit matrix for the shift, ω × lever for the rotation ω
@@ -172,7 +181,7 @@ class PoseProjector:
         return cls(white @ back, back, int(seen.sum()))
 
     def parts(self, white: Array) -> Array:
-        """Return Qᵀ A (K, 6, m) for whitened equations (K, 3 width, m)."""
+        """Return Qᵀ A (K, 6, m) for whitened equations A (K, 3 width, m)."""
         return self.q.transpose(0, 2, 1) @ white
 
     def increments(self, white: Array) -> Array:
@@ -180,13 +189,15 @@ class PoseProjector:
         return (self.back @ self.parts(white[:, :, None]))[:, :, 0]
 
     def remove(self, white: Array) -> Array:
-        """Return (I - Q Qᵀ) A for whitened equations (K, 3 width, m)."""
+        """Return (I - Q Qᵀ) A for whitened equations A (K, 3 width, m)."""
         return white - self.q @ self.parts(white)
 
 
 def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
-    """Return W A for rows A (..., 3, m) and matrices W `weight`; if all W are diagonal, as with one sigma per ball, the
-    rows are only scaled."""
+    """Return the products W A of the matrices W in `weight` and `rows` A (..., 3, m).
+
+    If all W are diagonal, as with one standard deviation per ball, the rows are only scaled.
+    """
     diagonal = np.einsum("...ii->...i", weight)
     if np.count_nonzero(weight) == np.count_nonzero(diagonal):
         return np.asarray(np.multiply(rows, diagonal[..., None], out=out))
@@ -194,8 +205,8 @@ def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
 
 
 def _inverse_root(gram: Array) -> Array | None:
-    """Return B (K, 6, 6) with Bᵀ G B = 1 by Cholesky, or None unless every position determines all six increments
-    well."""
+    """Return matrices B (K, 6, 6) such that Bᵀ G B = 1 for the Gram matrices G in `gram`, computed by Cholesky. Return
+    None unless every position determines all six increments well."""
     try:
         back = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
     except np.linalg.LinAlgError:

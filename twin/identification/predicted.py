@@ -1,4 +1,4 @@
-"""Predicted accuracy of the compensated machine, before anything is written to it."""
+"""Predicted accuracy of the compensated machine, before anything is written to the machine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CHUNK = 500  # points whose basis is held in memory at a time
 
 
 class FieldKnowledge(Protocol):
-    """Properties of an estimate, computed or stored, that are needed to predict the residual field."""
+    """Properties that an estimate, computed or stored, needs for the prediction of the residual field."""
 
     @property
     def model(self) -> ErrorModel: ...
@@ -32,7 +32,8 @@ class FieldKnowledge(Protocol):
 
 
 def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricRms:
-    """Return the predicted volumetric compensated error at axis positions (n, 3), raw and after the best rigid motion.
+    """Return the predicted volumetric compensated error at axis positions (n, 3), raw and after the best-fitting rigid
+    motion has been removed.
 
     The result is the root of the posterior expectation of the mean square of machine minus model. It includes the
     covariance of the parameters, and the expected value and the covariance of the misfit.
@@ -49,7 +50,7 @@ def field_uncertainty(
 ) -> Array:
     """Return the posterior rms (n, 3) in mm, per direction, of machine minus model at axis positions (n, 3).
 
-    If `aligned_over` (m, 3) is given, the best rigid motion over these axis positions is removed first.
+    If `aligned_over` (m, 3) is given, the best-fitting rigid motion over these axis positions is removed first.
     """
     at, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -65,7 +66,7 @@ def field_uncertainty(
 
 
 def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
-    """Return the expected outer product (3n, 3n) in mm² of machine minus model at axis positions (n, 3); rows and
+    """Return the expected outer product (3n, 3n) in mm² of machine minus model at axis positions (n, 3). Rows and
     columns run point by point, in the order x, y, z."""
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -74,10 +75,10 @@ def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset
 
 
 def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:
-    """Return the quadratic forms (p + q, p + q) in mm² of the mean square field over axis positions (n, 3).
+    """Return two quadratic forms (p + q, p + q) in mm² of the mean square field over axis positions (n, 3).
 
-    The forms apply to p parameters and q misfit coefficients. The first form is raw, the second after the best rigid
-    motion.
+    The forms apply to the p parameters followed by the q misfit coefficients. The first form is raw; for the second,
+    the best-fitting rigid motion has been removed.
     """
     sums = _sums(estimate, points, offset)
     # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
@@ -87,7 +88,10 @@ def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over a grid: `field` FᵀF of the field's columns, `shared` GᵀF with the rigid motions G, `motion` GᵀG."""
+    """Sums over a grid of products of the columns F of the field and the rigid motions G.
+
+    `field` is FᵀF, `shared` is GᵀF, and `motion` is GᵀG.
+    """
 
     field: Array
     shared: Array
@@ -95,7 +99,7 @@ class _Sums:
 
     @property
     def share(self) -> Array:
-        """Rigid motion (6, p + q) that each column contains."""
+        """Coefficients (6, p + q) of the rigid motions that each column contains."""
         return np.asarray(np.linalg.lstsq(self.motion, self.shared, rcond=1e-12)[0])
 
 
@@ -116,8 +120,8 @@ def _sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> _Sums:
 
 
 def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
-    """Return upper bounds of the powers of x, y, z in the columns, which are series or cross-effects with a lever, or
-    misfit modes."""
+    """Return upper bounds of the powers of x, y and z in the columns. The columns are Legendre series or cross-effects,
+    each with a lever, or misfit modes."""
     modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
     x, y, z = (
         max(max(order, 2) + 1, *(degrees[axis] for degrees in modes), 0)
@@ -127,14 +131,15 @@ def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
 
 
 def _motions_about(grid: Array, offset: Array) -> Callable[[Array], Array]:
-    """Return the rigid motions about the middle of the grid's tool points, as a function of axis positions."""
+    """Return a function that gives, for axis positions, the fields of the rigid motions about the middle of the grid's
+    tool points."""
     middle, size_mm = grid.mean(axis=0) + offset, max(float(np.ptp(grid, axis=0).max()), 1.0)
     return lambda points: rigid_fields(points + offset, middle, size_mm)
 
 
 def _second_moments(estimate: FieldKnowledge) -> Array:
-    """Return the expected outer product (p + q, p + q) of the vector of true minus estimated parameters, followed by
-    the true misfit coefficients."""
+    """Return the expected outer product (p + q, p + q) of a vector. It contains the true minus the estimated
+    parameters, followed by the true misfit coefficients."""
     misfit = estimate.misfit
     if misfit is None:
         return estimate.covariance
@@ -143,8 +148,8 @@ def _second_moments(estimate: FieldKnowledge) -> Array:
 
 
 def unresolved_variance(estimate: FieldKnowledge) -> float:
-    """Return the variance (mm²) per direction of the part of the misfit whose wavelength is too short for the modes; it
-    is uncorrelated between points."""
+    """Return the variance (mm²) per direction of the part of the misfit whose wavelength is too short for the modes.
+    This part is uncorrelated between points."""
     return 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2
 
 

@@ -1,4 +1,4 @@
-"""Unknowns of a set and their units, from family and certificate or from an earlier estimate."""
+"""Unknowns of a set and their units. They come from the family and the certificate, or from an earlier estimate."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _modes(family: Family, seen: Observations) -> MisfitModes:
 
 
 def _symmetric_factor(covariance: Array, name: str) -> Array:
-    """Return L with L Lᵀ = covariance for a positive semi-definite matrix. Raise DataError otherwise."""
+    """Return a matrix L with L Lᵀ = covariance. Raise DataError if the matrix is not positive semi-definite."""
     scale = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     scale = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.multiply.outer(scale, scale))

@@ -1,8 +1,8 @@
 """Posterior of one estimate as the prior of the next one (fusion of nights).
 
 Machine, artefact and misfit are the same in both nights, so the prior is the joint Gaussian of all shared unknowns. The
-result is, up to rounding, the same as from one fit of both nights. Process noise models the change of the machine in
-between as a random walk of its parameters.
+result is, up to rounding, the same as from one fit of both nights. Process noise models the change of the machine
+between the nights as a random walk of its parameters.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _WALK_GRID = (20, 10, 10)
 
 @dataclass(frozen=True, eq=False)
 class CarriedOverPrior:
-    """Mean (P,) and covariance (P, P) of z, in the units of `unknowns`; `scales`: scales of the estimate from which
-    mean and covariance come.
+    """Prior of the unknowns z that is carried over from an earlier estimate.
 
-    Raise DataError, naming the unknown, for a covariance that is singular or invalid.
+    `mean` (P,) and `covariance` (P, P) of z are in the units of `unknowns`. `scales` are the scales of the earlier
+    estimate. Raise DataError, naming the unknown, if the covariance is singular or invalid.
     """
 
     unknowns: Unknowns
@@ -78,10 +78,11 @@ class CarriedOverPrior:
 
 
 def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Array:
-    """Return standard deviations (p,), in mm or rad, of a parameter change; they are proportional to those of the
-    family.
+    """Return standard deviations (p,), in mm or rad, of a random change of the parameters. They are proportional to
+    those of the family.
 
-    The field of the change has an expected rms of `field_mm` over the workspace after the best rigid motion.
+    The field of the change has an expected rms of `field_mm` over the workspace, after the best-fitting rigid motion
+    has been removed.
     """
     if not field_mm >= 0.0:
         raise DataError(f"the rms of the process noise must not be negative, not {field_mm}")
@@ -92,7 +93,7 @@ def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Ar
 
 
 def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior:
-    """Return the carried-over prior for the unknowns of another night; new unknowns keep their own prior."""
+    """Return the carried-over prior for the unknowns of another night. Unknowns that are new keep their own prior."""
     pairs = list(_shared(carried.unknowns, unknowns))
     there, here = (
         np.concatenate([np.arange(part.start, part.stop) for part in parts]) for parts in zip(*pairs, strict=True)
@@ -109,7 +110,7 @@ def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior
 
 
 def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
-    """Yield pairs of slices with the same meaning: one of the old z, one of the new z."""
+    """Yield pairs of slices with the same meaning: the first of the old z, the second of the new z."""
     before, now = old.blocks, new.blocks
     yield before.parameters, now.parameters
     if old.artefact.certificate is new.artefact.certificate:

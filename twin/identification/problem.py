@@ -4,8 +4,10 @@ For row i of position k, with ball b and tool offset t,
 
     X_i + t + d(X_i; E) + misfit(X_i) + drift(X_i, i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
 
-and every unknown except the poses is part of a vector z with unit-normal prior: parameters E, certificate errors δb,
-thermal strain δs (CTE and thermometer), misfit modes, drift of the machine. Rows are sorted by position.
+where X_i is the axis position, d the deviation of the model, b_i(T) the calibrated ball centre at temperature T, and
+c_k and R_k are the pose of the position. Every unknown except the poses is part of a vector z with a unit-normal prior:
+the parameters E, the certificate errors δb, the thermal strain δs (CTE and thermometer), the misfit modes and the drift
+of the machine. Rows are sorted by position.
 """
 
 from __future__ import annotations
@@ -34,8 +36,10 @@ Sides = tuple[Array, Array]  # sides of the exact equations: workpiece points (n
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
-    """Errors of the artefact, and their effect on the rows; `strain_rows` (n, s): strain of each row per unit of each
-    thermal unknown."""
+    """Errors of the artefact, and their effect on the rows.
+
+    `strain_rows` (n, s) is the strain of each row per unit of each thermal unknown.
+    """
 
     errors: ArtefactErrors
     strain_rows: Array
@@ -52,11 +56,11 @@ class Nuisance:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """Quantities that stay fixed while the poses and z are refined. Rows (n) are sorted by position.
+    """Quantities that stay fixed while the poses and the unknowns z are refined. The n rows are sorted by position.
 
-    `local` (n, 3) in mm: nominal artefact points at the rows' temperature and elevation; `design` (K, width, 3, P):
-    derivative of left minus right side with respect to z, at `poses`, laid out by position; an empty slot repeats
-    another row of its position.
+    `local` (n, 3) in mm contains the nominal artefact points at the rows' temperature and elevation. `design` (K,
+    width, 3, P) is the derivative of left minus right side with respect to z, at `poses`, laid out by position. An
+    empty slot repeats another row of its position.
     """
 
     unknowns: Unknowns
@@ -71,7 +75,8 @@ class IdentificationProblem:
     design: Array
 
     def sides(self, z: Array) -> Sides:
-        """Return both sides of the exact equations at z; the artefact points are still in the artefact's frame."""
+        """Return both sides of the exact equations at z. The artefact points on the right side are still in the
+        artefact's frame."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
         if blocks.size > blocks.misfit.start:
@@ -88,7 +93,8 @@ class IdentificationProblem:
         return left + moved, local + change
 
     def change(self, z: Array) -> Array:
-        """Return A z (n, 3) in mm: left minus right side to first order."""
+        """Return the product A z (n, 3) in mm of the design A and z. To first order it is the change of left minus
+        right side."""
         # one flat product, since numpy multiplies stacked small matrices one at a time
         changes = self.design.reshape(-1, len(z)) @ z
         return self.layout.unpad(changes.reshape(self.design.shape[:3]))
@@ -105,7 +111,7 @@ class IdentificationProblem:
         return deviation
 
     def with_rows(self, accepted: np.ndarray[Any, Any]) -> IdentificationProblem:
-        """Return the problem restricted to the rows selected by `accepted` (n,) bool."""
+        """Return the problem restricted to the rows that the mask `accepted` (n,) marks."""
         layout = RowLayout.of(self.observations.position[accepted])
         local = self.local[accepted]
         seen = self.observations.select(accepted)
@@ -130,7 +136,7 @@ def build_problem(
 ) -> IdentificationProblem:
     """Build the problem at the rigid poses of the measured points.
 
-    Raise DataError for a ball that the artefact does not have or an invalid prior.
+    Raise DataError for a ball that the artefact does not have, or for an invalid prior.
     """
     _check_balls(observations, artefact)
     layout = RowLayout.of(observations.position)
@@ -201,7 +207,7 @@ def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.nda
 
 
 def _lay_out(layout: RowLayout, rows: Array) -> Array:
-    """Lay sorted rows (n, ...) out as (K, width, ...); an empty slot repeats another row of its position."""
+    """Lay sorted rows (n, ...) out as (K, width, ...). An empty slot repeats another row of its position."""
     laid = rows if layout.full else rows.take(layout.source, axis=0)
     return laid.reshape(layout.positions, layout.width, *rows.shape[1:])
 

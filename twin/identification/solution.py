@@ -27,12 +27,12 @@ Equations = CentreEquations | DistanceEquations
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution z (P,) with poses, both sides of the exact equations at z, and the equations and prior from which it was
-    derived.
+    """Solution z (P,) with the poses, both sides of the exact equations at z, and the equations and prior from which it
+    was derived.
 
-    `covariance` (P, P): covariance of true minus estimated z, valid for parameters and misfit; `scales_estimated`: True
-    if the scales were estimated from the data; `alternatives`: solutions for other plausible scales; empty until the
-    uncertainty of the scales has been included.
+    `covariance` (P, P) is the covariance of true minus estimated z; it is valid for parameters and misfit.
+    `scales_estimated` is True if the scales were estimated from the data. `alternatives` contains solutions for other
+    plausible scales; it is empty until the uncertainty of the scales has been included.
     """
 
     equations: Equations
@@ -90,8 +90,10 @@ def average_over_scales(solution: Solution) -> Solution:
 
 
 def log_evidence_and_scales(problem: IdentificationProblem, options: Options) -> tuple[float, Scales]:
-    """Return the log evidence of ball centres with full weights, up to terms that depend only on the rows, and the
-    likeliest scales."""
+    """Return the log evidence and the likeliest scales, computed from ball centres with full weights.
+
+    Terms of the log evidence that depend only on the rows are omitted.
+    """
     equations = _equations(problem, "centres", unit_weights=False)
     normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
     precision = _precision(problem, equations.matrix, options)
@@ -115,7 +117,8 @@ def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[NormalEquatio
 
 
 def _start_scales(options: Options) -> Scales:
-    """Return initial scales: those of a carried-over estimate, but 1 for the noise; otherwise all 1."""
+    """Return the initial scales. They are those of a carried-over estimate, except that the scale of the noise is 1;
+    without such an estimate all are 1."""
     carried = options.carried_over
     return Scales() if carried is None else replace(carried.scales, noise=1.0)
 
@@ -154,7 +157,7 @@ def _iterate(
 
 
 def _precision(problem: IdentificationProblem, matrix: Array, options: Options) -> PriorPrecision:
-    """Return the prior precision; if the prior is off, only directions that the measurements leave open are held at
+    """Return the prior precision. If the prior is off, only directions that the measurements leave open are held at
     zero."""
     if options.use_prior:
         return PriorPrecision(problem.blocks, problem.known)
@@ -176,7 +179,7 @@ def _check_field_determined(problem: IdentificationProblem, information: Array) 
 
 
 def _solve_unit_weights(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
-    """Solve with the published weighting: all equations equal, no nuisance unknowns.
+    """Solve with the published weighting: all equations have equal weight, and there are no nuisance unknowns.
 
     The covariance is that of this estimator under the full model (sandwich), so that its accuracy is still stated
     correctly.
@@ -211,10 +214,10 @@ def _null_projector(information: Array) -> Array:
 
 
 def _sandwich(equations: Equations, posterior: Posterior, problem: IdentificationProblem) -> tuple[Array, float]:
-    """Return the covariance (P, P) of truth minus estimate for the gain H⁻¹ Aᵀ, and the expected square of the
-    residuals.
+    """Return the covariance (P, P) of truth minus estimate, and the expected sum of squares of the residuals.
 
-    The truth follows the prior, the noise its stated covariance and the nuisance unknowns the full model.
+    The estimate is H⁻¹Aᵀy with the precision H, the design matrix A and the right side y. In the truth the unknowns
+    follow the prior, the noise has its stated covariance, and the nuisance unknowns have that of the full model.
     """
     blocks = problem.blocks
     block, rest = blocks.parameters, slice(blocks.parameters.stop, blocks.size)

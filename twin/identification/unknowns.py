@@ -21,8 +21,11 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class UnknownBlocks:
-    """Slice of each kind of unknown in z. `kinds`: consecutive slices within the misfit; `drifting`: number of drift
-    unknowns, which form the last block."""
+    """Slices of the vector z that contain each kind of unknown.
+
+    `kinds` contains consecutive slices within the misfit, one for each kind of misfit. `drifting` is the number of
+    drift unknowns, which form the last block.
+    """
 
     parameters: slice
     certificate: slice
@@ -53,8 +56,9 @@ class UnknownBlocks:
 class ArtefactErrors:
     """Uncertain quantities of one artefact, and its identity.
 
-    `balls` (N, 3) in mm and `cte_per_k` as certified; `certificate` (3N, m): factor of the certificate's covariance,
-    with m = 0 for a perfect certificate. A standard uncertainty of 0 means that CTE or thermometer are exact.
+    `balls` (N, 3) in mm and `cte_per_k` are the certified values. `certificate` (3N, m) is the factor of the
+    certificate's covariance; m is 0 for a perfect certificate. A standard uncertainty of 0 means that the CTE or the
+    thermometer is exact.
     """
 
     balls: Array
@@ -65,7 +69,7 @@ class ArtefactErrors:
 
     @property
     def strain_names(self) -> tuple[str, ...]:
-        """Names of the thermal unknowns in their order."""
+        """Names of the thermal unknowns, in the order of the unknowns."""
         doubts = (
             ("cte", self.cte_standard_uncertainty_per_k),
             ("thermometer", self.thermometer_standard_uncertainty_k),
@@ -73,8 +77,8 @@ class ArtefactErrors:
         return tuple(name for name, doubt in doubts if doubt > 0.0)
 
     def strain_rows(self, warmer_k: Array) -> Array:
-        """Return the strain (n, s) per unit of each thermal unknown for rows warmer than the reference by `warmer_k`
-        (n,)."""
+        """Return the strain (n, s) per unit of each thermal unknown. The rows are warmer than the reference temperature
+        by `warmer_k` (n,) in K."""
         columns = {
             "cte": self.cte_standard_uncertainty_per_k * warmer_k,
             "thermometer": np.full(len(warmer_k), self.cte_per_k * self.thermometer_standard_uncertainty_k),
@@ -96,10 +100,11 @@ class ArtefactErrors:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Meaning of the vector z (P,).
+    """Meaning of the vector z (P,) of unknowns.
 
-    Parameters = `scale` (p,) in mm or rad · z; certificate and strain belong to `artefact`; misfit = `misfit_mm` ·
-    `modes` · z; `drift` is the drift of the machine during the measurement. A stored estimate has no drift.
+    The parameters are `scale` (p,), in mm or rad, times their elements of z. The elements for certificate and strain
+    belong to `artefact`. The misfit field in mm is `misfit_mm` · `modes` · its elements of z. `drift` defines the drift
+    of the machine during the measurement. A stored estimate has no drift.
     """
 
     model: ErrorModel
@@ -117,7 +122,7 @@ class Unknowns:
         return UnknownBlocks.of(self.model.size, certificate, strains, misfit, drift)
 
     def name(self, index: int) -> str:
-        """Return a readable name: `EXX[1]`, `certificate 3`, `strain cte`, `misfit 12`."""
+        """Return a readable name of an unknown, such as `EXX[1]`, `certificate 3`, `strain cte` or `misfit 12`."""
         blocks = self.blocks
         if index < blocks.certificate.start:
             return self.model.names[index]
@@ -134,5 +139,6 @@ class Unknowns:
         return np.asarray(self.scale * z[self.blocks.parameters])
 
     def physical_covariance(self, unit: Array) -> Array:
-        """Return the covariance (p, p) of the parameters from the covariance `unit` (p, p) of their z."""
+        """Return the covariance (p, p) of the parameters in mm and rad. `unit` (p, p) is the covariance of their
+        elements of z."""
         return np.asarray(unit * np.multiply.outer(self.scale, self.scale))

@@ -1,7 +1,7 @@
 """Control charts of single values: individuals with moving range, and exponentially weighted moving average (EWMA).
 
-Shewhart's individuals chart as in ISO 7870-2; EWMA as in ISO 7870-6 with the weight and width of Lucas & Saccucci,
-Technometrics 32 (1990): 0.2 and 2.962 give one false alarm in 500 points.
+Shewhart's individuals chart follows ISO 7870-2. The EWMA chart follows ISO 7870-6; its weight 0.2 and its width 2.962
+are those of Lucas & Saccucci, Technometrics 32 (1990), and give one false alarm in 500 points.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ MIN_VALUES = 3
 
 @dataclass(frozen=True, eq=False)
 class IndividualsChart:
-    """Centre line, standard deviation `sigma` of a single value, and limits, in the unit of the values; `outside`:
-    indices of the values beyond a limit."""
+    """Individuals chart with centre line and limits in the unit of the values.
+
+    `sigma` is the standard deviation of a single value. `outside` contains the indices of the values beyond a limit.
+    """
 
     centre: float
     sigma: float
@@ -37,8 +39,9 @@ class IndividualsChart:
 
 @dataclass(frozen=True, eq=False)
 class EwmaChart:
-    """EWMA `values` with their limits `lower`, `upper` (n,); `outside`: indices at which the moving average is beyond
-    its limits.
+    """Moving averages `values` (n,) with their limits `lower` and `upper` (n,).
+
+    `outside` contains the indices at which the moving average is beyond its limits.
     """
 
     values: Array
@@ -48,7 +51,7 @@ class EwmaChart:
 
 
 def individuals_chart(values: ArrayLike) -> IndividualsChart:
-    """Return the individuals chart of values (n,) in order of time; raise DataError if n is less than 3."""
+    """Return the individuals chart of values (n,), given in order of time. Raise DataError if n is less than 3."""
     found = _series(values)
     sigma = float(np.abs(np.diff(found)).mean()) / D2
     centre = float(found.mean())
@@ -58,8 +61,10 @@ def individuals_chart(values: ArrayLike) -> IndividualsChart:
 
 
 def ewma_chart(values: ArrayLike, centre: float, sigma: float) -> EwmaChart:
-    """Return the EWMA chart z_i = w x_i + (1 - w) z_(i-1) from z_0 = `centre`; the limits use the exact variance of
-    z_i. `sigma`: standard deviation of a single value.
+    """Return the EWMA chart of the values x_i: z_i = w x_i + (1 - w) z_(i-1) with the weight w and z_0 = `centre`.
+
+    The limits use the exact variance of z_i. `sigma` is the standard deviation of a single value. Raise DataError if
+    there are fewer than 3 values.
     """
     found = _series(values)
     smooth = np.empty_like(found)

@@ -1,4 +1,4 @@
-"""Time at which a drifting value will reach its limit: at the expected rate, and at the earliest."""
+"""Time at which a drifting value will reach its limit, as expected from the fitted drift and at the earliest."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _STEPS = 60  # bisections of the horizon
 
 @dataclass(frozen=True)
 class LimitCrossing:
-    """Number of nights after the last measured one until `limit` is reached.
+    """Number of nights from the last measured night until `limit` is reached.
 
-    `expected`: until the fitted line reaches the limit; `earliest`: until the edge of its 95 % band reaches it. Both
-    are 0 if the limit is already reached, and infinite if it is not reached within the horizon. `reached`: True if the
-    fitted line has already reached the limit.
+    `expected` is the number of nights until the fitted line reaches the limit, and `earliest` the number until the edge
+    of the 95 % band of this line reaches it. Each is 0 if the limit is already reached, and infinite if the limit is
+    not reached within the horizon of the computation.
     """
 
     limit: float
@@ -29,9 +29,10 @@ class LimitCrossing:
 
 
 def limit_crossing(drift: Drift, limit: float, horizon: float, *, two_sided: bool) -> LimitCrossing:
-    """Compute the crossing within `horizon` nights.
+    """Return the number of nights until the fitted drift reaches `limit`, which has the unit of the values.
 
-    `two_sided`: the value must stay within [-limit, limit]; otherwise it must not exceed `limit`.
+    Only the next `horizon` nights are considered. If `two_sided`, the value must stay within [-limit, limit]; otherwise
+    it must not exceed `limit`.
     """
     sides = (1.0, -1.0) if two_sided else (1.0,)
     expected = min(_line(drift, limit, side, horizon) for side in sides)
@@ -48,10 +49,12 @@ def _line(drift: Drift, limit: float, side: float, horizon: float) -> float:
 
 
 def _band(drift: Drift, limit: float, side: float, horizon: float) -> float:
-    """Return the first night at which value + k·uncertainty is beyond the limit.
+    """Return the first night at which the upper edge of the band, value + coverage factor · uncertainty, reaches the
+    limit.
 
-    The edge of the band is convex, so it crosses the limit only once if it begins below. The crossing is found by
-    bisection.
+    `side` is -1 for the lower limit, for which the sign of the value is reversed. The edge of the band is convex, so it
+    crosses the limit only once if it begins below the limit. This night is found by bisection. The result is 0 if the
+    edge is already beyond the limit, and infinite if it does not reach the limit within the horizon.
     """
 
     def beyond(nights: float) -> bool:

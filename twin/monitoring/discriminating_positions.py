@@ -1,9 +1,9 @@
 """Positions that best show if an error has jumped, or which of several suspected errors has jumped.
 
-A position with information factor W observes a change a of the unknowns z as W a; touch noise and the covariance C of z
-give this the covariance 1 + W C Wᵀ. The detectability is the noncentrality of the χ² test, aᵀWᵀ(1 + W C Wᵀ)⁻¹W a. If a
-is the difference of two suspected jumps, the detectability is twice the divergence between them (Box & Hill,
-Technometrics 9, 1967).
+The measurement of a position with the information factor W responds to a change a of the unknowns z with W a. Touch
+noise and the covariance C of z give this response the covariance 1 + W C Wᵀ. The detectability of the change is the
+noncentrality of the χ² test, aᵀWᵀ(1 + W C Wᵀ)⁻¹W a. If a is the difference of two suspected jumps, the detectability is
+twice the divergence between them (Box & Hill, Technometrics 9, 1967).
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ from twin.monitoring.step_detection import ERRORS
 
 @dataclass(frozen=True, eq=False)
 class JumpQuestions:
-    """Questions about jumps. `shifts` (m, P): shifts of z; `weights` (q, m): weights with which each of the q questions
-    adds up the noncentralities of the shifts.
+    """Questions about jumps.
+
+    `shifts` (m, P) contains m possible shifts of the unknowns z. `weights` (q, m) contains, for each of the q
+    questions, the weights with which the noncentralities of the shifts are added up.
     """
 
     shifts: Array
@@ -32,22 +34,25 @@ class JumpQuestions:
 
     @classmethod
     def which_jump(cls, jumps: Array) -> JumpQuestions:
-        """Return one question for each pair of the `jumps` (k, P): which of the two has occurred."""
+        """Return one question for each pair of the `jumps` (k, P): which of the two jumps has occurred?"""
         pairs = np.array(list(combinations(range(len(jumps)), 2)), dtype=np.intp).reshape(-1, 2)
         return cls(jumps[pairs[:, 0]] - jumps[pairs[:, 1]], np.eye(len(pairs)))
 
     @classmethod
     def any_jump(cls, unknowns: Unknowns) -> JumpQuestions:
-        """Return one question per error: has it jumped? Each coefficient is shifted by its standard deviation in the
-        family.
+        """Return one question for each error: has this error jumped?
+
+        Each coefficient is shifted by its standard deviation in the family of machines.
         """
         names = np.array([parameter.error for parameter in unknowns.model.parameters])
         moves = np.eye(len(names), unknowns.blocks.size)
         return cls(moves, np.array([names == error for error in ERRORS], dtype=np.float64))
 
     def noncentralities(self, factors: Array, covariance: Array) -> Array:
-        """Return the noncentralities (N, q) given by N positions with `factors` (N, r, P). `covariance` (P, P):
-        covariance of z before they are measured.
+        """Return the noncentralities (N, q) that N positions with the information `factors` (N, r, P) give for the
+        questions.
+
+        `covariance` (P, P) is the covariance of z before these positions are measured.
         """
         seen = factors @ self.shifts.T
         noise = np.eye(factors.shape[1]) + factors @ covariance @ factors.transpose(0, 2, 1)
@@ -61,11 +66,13 @@ def rank_discriminating_positions(
     allowed: NDArray[np.bool_],
     minutes: Array,
 ) -> Iterator[int]:
-    """Yield indices of candidates by decreasing value per minute. The value of each assumes that `measured` and all
-    previously yielded candidates have been measured.
+    """Yield the indices of the candidates in the order in which they should be measured, each by the largest value per
+    minute.
 
-    `allowed` (N,): candidates that may be chosen, each once. The criterion is the sum of ln(1 + noncentrality), so
-    questions already answered count little.
+    The value of a candidate assumes that `measured` and all candidates yielded earlier have been measured. `allowed`
+    (N,) marks the candidates that may be chosen, each once; `minutes` (N,) is the time that each needs. The value is
+    the increase of the sum of ln(1 + noncentrality) over the questions, so questions that are already answered count
+    little.
     """
     left, chosen = allowed.copy(), list(measured)
     obtained = _answered(candidates, measured, questions)
@@ -80,7 +87,8 @@ def rank_discriminating_positions(
 
 
 def _answered(candidates: CandidatePositions, measured: list[int], questions: JumpQuestions) -> Array:
-    """Return the noncentralities (q,) already obtained from the positions `measured`, in their order."""
+    """Return the noncentralities (q,) that the positions `measured`, taken in the given order, have already
+    contributed."""
     obtained = np.zeros(len(questions.weights))
     for number, index in enumerate(measured):
         before = candidates.covariance(measured[:number])

@@ -1,12 +1,12 @@
-"""Drift per night by weighted regression, with separate terms for steps at known times so that they do not bias the
+"""Drift per night by weighted regression. Steps at known times have their own terms, so that they do not bias the
 drift.
 
-Model: y_i = level + slope (t_i - t_n) - (sum of the steps after t_i), where t_n is the last night and the variances are
-proportional to the stated ones. The factor of proportionality comes from the residuals (GUM Type A; Deming 1943),
-because contributions common to all nights (certificate, prior) are part of the stated uncertainty but cause no scatter
-about a trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom the stated uncertainties are used unchanged.
-Estimates of neighbouring nights that share information scatter too little: if the residuals have a lag-1 correlation r
-> 0, the variance is multiplied by (1 + r) / (1 - r) (Bartlett 1935).
+The model of the value y_i of night t_i is y_i = level + slope (t_i - t_n) - (sum of the steps after t_i), where t_n is
+the last night. The variances are proportional to the stated ones. The factor of proportionality comes from the
+residuals (GUM Type A; Deming 1943), because contributions common to all nights (certificate, prior) are part of the
+stated uncertainty but cause no scatter about a trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom the
+stated uncertainties are used unchanged. Estimates of neighbouring nights that share information scatter too little: if
+the residuals have a lag-1 correlation r > 0, the variance is multiplied by (1 + r) / (1 - r) (Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ _HIGHEST_CORRELATION = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """Fitted drift, in the values' unit.
+    """Fitted drift, in the unit of the values.
 
-    `level` at the last night and `slope` per night, with their standard uncertainties and their `covariance`. `steps`:
-    (first night after the step, size, standard uncertainty) of each step. `fitted` (n,): fitted values. `scatter`:
-    factor on the stated uncertainties. `correlation`: lag-1 correlation of the residuals. `freedom`: degrees of
-    freedom. `factor`: coverage factor for 95 % at the degrees of freedom (1.96 if stated uncertainties were used).
+    `level` is the value of the line at the last night and `slope` its change per night; `level_sigma` and `slope_sigma`
+    are their standard uncertainties and `covariance` is their covariance. `steps` contains, for each step, the first
+    night after it, its size and its standard uncertainty. `fitted` (n,) contains the fitted values. `scatter` is the
+    factor by which the stated uncertainties are multiplied. `correlation` is the lag-1 correlation of the residuals,
+    and `freedom` the number of degrees of freedom. `factor` is the coverage factor for 95 % (1.96 if the stated
+    uncertainties were used unchanged).
     """
 
     level: float
@@ -54,16 +56,20 @@ class Drift:
         return abs(self.slope) > self.factor * self.slope_sigma
 
     def predict(self, nights: float) -> tuple[float, float]:
-        """Return value and standard uncertainty of the line, `nights` nights after the last one."""
+        """Predict the value of the fitted line at a given number of nights after the last measured night.
+
+        Return the value and its standard uncertainty.
+        """
         variance = self.level_sigma**2 + 2.0 * nights * self.covariance + (nights * self.slope_sigma) ** 2
         return self.level + self.slope * nights, float(np.sqrt(max(variance, 0.0)))
 
 
 def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Sequence[float] = ()) -> Drift:
-    """Fit the drift of `values` (n,) with standard uncertainties (n,) at times (n,) in nights, ascending.
+    """Fit the drift of `values` (n,) that have standard uncertainties `sigmas` (n,) and times `nights` (n,), in
+    ascending order.
 
-    `steps`: times in nights at which a new level begins. Raise DataError if there are too few values or if the input is
-    invalid.
+    `steps` contains the times, in nights, at which a new level begins. Raise DataError if there are too few values or
+    if the input is invalid.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     _check(t, y, u)
@@ -99,15 +105,17 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
 
 
 def regression_design(t: Array, steps: Sequence[float]) -> Array:
-    """Return the design matrix (n, 2 + k) with columns for the level at the last night, the slope, and each of the k
-    steps (-1 before the step, 0 after it)."""
+    """Return the design matrix (n, 2 + k). Its columns belong to the level at the last night, the slope, and each of
+    the k steps (-1 before the step, 0 after it)."""
     before = [-(t < at).astype(np.float64) for at in steps]
     return np.stack([np.ones_like(t), t - t[-1], *before], axis=1)
 
 
 def _scatter(residuals: Array, freedom: int) -> tuple[float, float]:
-    """Return the factor on the stated uncertainties, and the lag-1 correlation of the residuals (0 if it is
-    negative)."""
+    """Return the factor by which the stated uncertainties are multiplied, and the lag-1 correlation of the residuals.
+
+    A negative correlation is replaced by 0.
+    """
     square = float(residuals @ residuals)
     if freedom < MIN_FREEDOM_FOR_SCALE or square == 0.0:
         return 1.0, 0.0

@@ -1,4 +1,5 @@
-"""Expected volumetric error that remains with a given table active, according to the current knowledge of the machine.
+"""Expected volumetric error that remains with a given compensation table active, according to the current knowledge of
+the machine.
 
 The active table may be older than the current knowledge: the machine may have drifted since the table was written.
 """
@@ -22,8 +23,8 @@ from twin.machine.volumetric import VolumetricRms
 class ResidualWithTable:
     """Expected residual error over a workspace for one tool.
 
-    `form`: quadratic form of all `unknowns` z (P,). `left_out_mm2`: mean square of the misfit that the modes do not
-    represent.
+    `form` contains the quadratic forms (P, P) of the mean square error in the unknowns z (P,), whose meaning `unknowns`
+    defines. `left_out_mm2` is the mean square in mm² of the part of the misfit that its modes do not represent.
     """
 
     unknowns: Unknowns
@@ -32,25 +33,31 @@ class ResidualWithTable:
 
     @classmethod
     def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ResidualWithTable:
-        """Build for a `grid` of axis positions (n, 3) in mm and a tool offset (3,) in mm. `scales`: scales of the
-        current knowledge."""
+        """Build the residual error for a `grid` of axis positions (n, 3) in mm and a tool offset (3,) in mm.
+
+        `scales` are the scales of the current knowledge.
+        """
         form = Criterion.build(unknowns, grid, tool_offset)
         return cls(unknowns, form, 3.0 * left_out_variance(unknowns, scales))
 
     def of(self, mean: Array, covariance: Array, written: ArrayLike) -> VolumetricRms:
-        """Return the root of the expected mean square of machine minus table.
+        """Return the root of the expected mean square of the residual field (machine minus table).
 
-        z has `mean` (P,) and `covariance` (P, P); the table contains the parameters `written` (p,) in mm or rad.
+        The machine's unknowns z have `mean` (P,) and `covariance` (P, P). The table contains the parameters `written`
+        (p,) in mm or rad.
         """
         return self._root(covariance, self.uncompensated(mean, written), self.left_out_mm2)
 
     def between(self, mean: Array, other: Array) -> VolumetricRms:
-        """Return the volumetric rms of the difference of two z (P,), of which only the parameters are compared."""
+        """Return the volumetric rms of the difference between two machines, given by their unknowns z (P,).
+
+        Only the model parameters in z are compared; all other unknowns, such as the misfit, are ignored.
+        """
         step = self._parameters_only(mean - other)
         return self._root(np.zeros_like(self.form.raw), step, 0.0)
 
     def uncompensated(self, mean: Array, written: ArrayLike) -> Array:
-        """Return `mean` (P,) minus the z of the parameters `written` (p,) in mm or rad."""
+        """Return `mean` (P,) minus the vector z that represents the parameters `written` (p,), given in mm or rad."""
         return uncompensated(self.unknowns, mean, written)
 
     def _parameters_only(self, step: Array) -> Array:
@@ -68,7 +75,8 @@ class ResidualWithTable:
 
 
 def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
-    """Return `mean` (P,) of z minus the z of the parameters `written` (p,) in mm or rad."""
+    """Return `mean` (P,) of the unknowns z minus the vector z that represents the parameters `written` (p,), given in
+    mm or rad."""
     parameters, scale = as_vector(written, unknowns.model.size, "written parameters"), unknowns.scale
     left = mean.copy()
     left[unknowns.blocks.parameters] -= np.where(scale > 0.0, parameters / np.where(scale > 0.0, scale, 1.0), 0.0)
@@ -87,8 +95,8 @@ def residual_covariance(
     """Return the expected outer product (3n, 3n) in mm² of the residual field (machine minus table) at axis positions
     (n, 3). Rows and columns run point by point, in the order x, y, z.
 
-    `mean` (P,): mean of z minus the z of the written parameters, as returned by `uncompensated`; `covariance` (P, P):
-    covariance of z.
+    `mean` (P,) is the mean of the unknowns z minus the vector z of the written parameters, as returned by
+    `uncompensated`. `covariance` (P, P) is the covariance of z.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     blocks = unknowns.blocks

@@ -1,14 +1,17 @@
 """Test if a machine is still as expected, and identify the error that has jumped if it is not.
 
-With prior knowledge z ~ N(m, C), and ball centres y = A z + noise (whitened, poses projected out), the innovation y - A
-m has the covariance S = σ² + A C Aᵀ. A score test is used for the hypothesis that one error has also jumped by a. If J
-selects the coefficients of this error in z, and a ~ N(0, Λ) with the family's variance Λ, the logarithm of the
-likelihood ratio is
+The prior knowledge of the unknowns z is a Gaussian with mean m and covariance C. The measured ball centres give the
+equations y = A z + noise with the design matrix A and the right side y; they are whitened, and the poses are projected
+out. The noise has the standard deviation σ. The innovation y - A m then has the covariance S = σ² + A C Aᵀ. A score
+test is used for the hypothesis that, in addition, one error has jumped by a. If the matrix J selects the coefficients
+of this error in z, and a has mean zero and the variance Λ of the family of machines, the logarithm of the likelihood
+ratio is
 
     ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(1 + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
 
 so a series of many coefficients is penalised for its degrees of freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995).
-Both s and F have the size of z: AᵀS⁻¹A = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
+The score s has P elements and the information F is a P by P matrix, where P is the number of unknowns; F is computed as
+F = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
 """
 
 from __future__ import annotations
@@ -44,11 +47,12 @@ _TRAVEL_POINTS = 101
 
 @dataclass(frozen=True)
 class SuspectedJump:
-    """Geometric error that may have jumped, named `error`.
+    """Geometric error, named `error`, that may have jumped.
 
-    `evidence`: ln of the likelihood ratio against no jump; `chi2` with `freedom` degrees of freedom. `change` in
-    `unit`: for a squareness its change; for an error motion the peak-to-valley change over the travel, with the sign of
-    the difference of the ends. `coefficients`: change of each coefficient by name, in mm or rad.
+    `evidence` is the natural logarithm of the likelihood ratio of a jump against no jump. `chi2` is the test statistic
+    with `freedom` degrees of freedom. `change` is stated in `unit`. For a squareness it is the change of the angle; for
+    an error motion it is the peak-to-valley change over the travel, with the sign of the change at the end of the
+    travel minus that at its start. `coefficients` gives the change of each coefficient by name, in mm or rad.
     """
 
     error: str
@@ -66,10 +70,15 @@ class SuspectedJump:
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """Ball centres compared with prior knowledge.
+    """Comparison of measured ball centres with prior knowledge of the P unknowns z.
 
-    `mean` (P,) and `covariance` (P, P) of z before the measurement; `score` (P,) AᵀS⁻¹(y - A m), `information` (P, P)
-    AᵀS⁻¹A, `chi2` (y - A m)ᵀS⁻¹(y - A m) of `rows` equations.
+    The equations of the ball centres are y = A z + noise, with the design matrix A and the right side y. They are
+    whitened, and the poses are projected out. `mean` m (P,) and `covariance` C (P, P) of z apply before the
+    measurement. The innovation y - A m has the covariance S = σ² + A C Aᵀ, where σ is the standard deviation of the
+    noise.
+
+    `score` (P,) is AᵀS⁻¹(y - A m), and `information` (P, P) is AᵀS⁻¹A. `chi2` is (y - A m)ᵀS⁻¹(y - A m); it belongs to
+    `rows` equations.
     """
 
     unknowns: Unknowns
@@ -96,17 +105,20 @@ class Innovation:
         return np.asarray(0.5 * (after + after.T))
 
     def suspects(self, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Return every error of the model as a suspect, the likeliest first. `jump`: size of the jump in units of the
-        family's standard deviation.
+        """Return every error of the model as a suspect, the likeliest first.
+
+        `jump` is the standard deviation of the assumed jump, in units of the standard deviation in the family of
+        machines.
         """
         found = [self._suspect(error, jump) for error in ERRORS if self._columns(error).size]
         return tuple(sorted(found, key=lambda one: -one.evidence))
 
     def find_jumps(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Return the errors that have jumped, found one after another; the errors already found are left free when the
-        next one is tested.
+        """Return the errors that have jumped, found one after another.
 
-        Only errors with at least this much `evidence` are returned, at most `most` of them.
+        When the next error is tested, those already found remain free to have jumped. The search ends at the first
+        error whose evidence is less than `evidence`, or after `most` errors. `jump` has the same meaning as in
+        `suspects`.
         """
         left, named = self, []
         for _ in range(most):
@@ -149,8 +161,10 @@ class Innovation:
         return factor * float(np.ptp(along)) * (1.0 if along[-1] >= along[0] else -1.0), unit
 
     def _without(self, error: str, jump: float) -> Innovation:
-        """Return the innovation after this error has been given the free variance Λ of `jump`: S + A J Λ JᵀAᵀ replaces
-        S."""
+        """Return the innovation after this error has been allowed to jump: S + A J Λ JᵀAᵀ replaces S.
+
+        J selects the coefficients of the error in z, and Λ is their variance for a jump of size `jump`.
+        """
         columns = self._columns(error)
         through = self.information[:, columns]
         free = cho_factor(np.eye(len(columns)) / jump**2 + self.information[np.ix_(columns, columns)], lower=True)
@@ -164,9 +178,9 @@ class Innovation:
 
 
 def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
-    """Compare `observations` with prior knowledge `known`.
+    """Compare `observations` with the prior knowledge `known`.
 
-    `known` must already include the process noise for the time since its estimate; its scale of the touch noise is
+    `known` must already include the process noise for the time since its estimate. Its scale of the touch noise is
     used. Raise DataError if model, artefact or balls do not match.
     """
     options = Options(carried_over=known, outliers="none", estimate_scales=False)
@@ -194,7 +208,7 @@ def innovation(family: Family, observations: Observations, artefact: Artefact, k
 
 
 def _normal(problem: IdentificationProblem, mean: Array) -> NormalEquations:
-    """Return the normal equations with the exact residuals at the mean."""
+    """Return the normal equations whose right side holds the exact residuals at z = `mean`."""
     equations = CentreEquations.build(problem, unit_weights=False)
     sides, poses = problem.sides(mean), problem.poses
     for _ in range(_EXACT_STEPS):

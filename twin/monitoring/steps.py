@@ -1,10 +1,10 @@
 """Steps in a series of nights, found one by one as long as each explains more than noise would.
 
-A candidate is scored by its reduction of the residual sum of squares of the whole regression (level, slope, steps so
-far), in units of the noise. The noise is estimated from the median of successive differences (median moving range),
-which neither the slope nor single steps increase much. A candidate is accepted if the reduction exceeds about
-`PENALTY_PER_LOG` ln n for n nights. This penalty accounts for two fitted values, size and time, and for the search over
-times, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
+A candidate is scored by the amount by which it reduces the residual sum of squares of the whole regression (level,
+slope, and steps found so far), in units of the noise. The noise is estimated from the median of successive differences
+(median moving range), which neither the slope nor single steps increase much. A candidate is accepted if the reduction
+exceeds about `PENALTY_PER_LOG` ln n for n nights. This penalty accounts for the two fitted values of a step (size and
+time) and for the search over times, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_STEPS = 5
 MIN_NOISE_SHARE = 1e-3
 """Lower bound of the noise as a share of the stated uncertainty; smaller residuals are rounding errors."""
 MEDIAN_RANGE = 0.9539
-"""Median of the range of two standard normal values: sqrt(2) times the upper quartile 0.6745."""
+"""Median of the range of two standard normal values: sqrt(2) times their upper quartile 0.6745."""
 
 
 def find_steps(
@@ -51,8 +51,10 @@ def find_steps(
 
 
 def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | None:
-    """Return the time of the step that explains most and still exceeds the penalty if any single value is omitted, or
-    None."""
+    """Return the time of the step that explains most, or None if there is no such step.
+
+    The gain of the step must still exceed the penalty if any single value is omitted.
+    """
     gains = {at: _gain(t, y, sigmas, steps, at) for at in _candidates(t, steps)}
     penalty = _penalty(len(t))
     for at in sorted(gains, key=lambda at: -gains[at]):
@@ -73,13 +75,14 @@ def _penalty(count: int) -> float:
 
 
 def _successive(y: Array) -> float:
-    """Return the standard deviation, estimated from the median of successive differences after removing the slope."""
+    """Return the standard deviation of the noise in `y`. It is estimated from the median of successive differences
+    after the slope has been removed."""
     differences = np.diff(y)
     return float(np.median(np.abs(differences - np.median(differences)))) / MEDIAN_RANGE
 
 
 def _usable(t: Array, known: Sequence[float]) -> tuple[float, ...]:
-    """Return the known steps that leave the regression solvable, the earliest first."""
+    """Return the known steps, in ascending order, that leave the regression solvable."""
     kept: list[float] = []
     for at in sorted(set(known)):
         design = regression_design(t, [*kept, at])

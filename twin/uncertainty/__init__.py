@@ -1,1 +1,1 @@
-"""Expected error after compensation: error budget in closed form, distributions, Monte Carlo, coverage."""
+"""Expected error after compensation: an error budget in closed form, distributions, Monte Carlo, and coverage."""

@@ -1,8 +1,9 @@
-"""Coverage of stated uncertainty regions: estimates compared with machines whose true errors are known.
+"""Coverage of stated uncertainty regions: estimates are compared with machines whose true errors are known.
 
 Every region belongs to a nominal level. Each comparison is reduced to one number: the level of the region whose
 boundary passes through the true value. If the regions are stated correctly, these levels are uniformly distributed
-between 0 and 1 over many machines. The fraction of levels up to 0.95 is the observed coverage of the 95 % regions.
+between 0 and 1 over many machines. The fraction of levels that do not exceed 0.95 is the observed coverage of the 95 %
+regions.
 """
 
 from __future__ import annotations
@@ -33,8 +34,10 @@ _RESAMPLES = 2000
 
 @dataclass(frozen=True)
 class ObservedCoverage:
-    """Fraction of comparisons, over all machines, whose region contains the true value, and standard error of this
-    fraction."""
+    """Observed coverage over all machines, and its standard error.
+
+    `observed` is the fraction of the comparisons in which the region contains the true value.
+    """
 
     observed: float
     standard_error: float
@@ -55,10 +58,11 @@ def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Ge
 
 @dataclass(frozen=True, eq=False)
 class FieldError:
-    """Error of the estimated field at n points: true minus expected deviation, without the best rigid motion.
+    """Error of the estimated field of deviations at n points: the true deviation minus the expected one, after the
+    best-fitting rigid motion has been removed.
 
-    The rigid motion is removed because no artefact can determine it. `error` (3n,) in mm; `covariance` (3n, 3n) in mm²:
-    stated covariance of the error.
+    The rigid motion is removed because no artefact can determine it. `error` (3n,) is in mm. `covariance` (3n, 3n) in
+    mm² is the stated covariance of this error.
     """
 
     error: Array
@@ -84,11 +88,13 @@ class FieldError:
         return cls(expected - motions @ (motions.T @ expected), whole)
 
     def pointwise_levels(self) -> Array:
-        """Return the level (3n,) of the interval of each component at each point."""
+        """Return, for each component at each point, the level of the interval that ends at the true value, as an array
+        (3n,)."""
         return two_sided_level(self.error / np.sqrt(np.diagonal(self.covariance)))
 
     def joint_level(self) -> float:
-        """Return the level of the joint region of all components at all points."""
+        """Return the level of the joint region of all components at all points whose boundary passes through the true
+        value."""
         return joint_level(self.error, self.covariance)
 
 
@@ -98,8 +104,8 @@ def two_sided_level(standardised: Array) -> Array:
 
 
 def joint_level(error: Array, covariance: Array) -> float:
-    """Return the level of the ellipsoid whose surface passes through `error` (n,); directions without variance are
-    ignored."""
+    """Return the level of the ellipsoid whose surface passes through `error` (n,). Directions in which `covariance` (n,
+    n) is zero are ignored."""
     values, vectors = np.linalg.eigh(covariance)
     used = values > _MIN_VARIANCE * values[-1]
     square = float(np.sum((vectors.T @ error)[used] ** 2 / values[used]))
@@ -107,10 +113,11 @@ def joint_level(error: Array, covariance: Array) -> float:
 
 
 def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) -> Array:
-    """Return the level of each parameter whose standard uncertainty is below `share_of_prior` times that of the prior.
+    """Return one level for each parameter whose standard uncertainty is below `share_of_prior` times its prior standard
+    deviation.
 
-    `truth` (p,) holds the parameters of the same model, so this is meaningful only for a machine that the model can
-    represent.
+    `truth` (p,) contains the true parameters of the same model. The result is therefore meaningful only for a machine
+    that the model can represent.
     """
     sigma = estimate.standard_uncertainty
     known = sigma < share_of_prior * estimate.scales.prior * estimate.prior_scale
@@ -119,10 +126,11 @@ def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) ->
 
 @dataclass(frozen=True)
 class VolumetricComparison:
-    """True and expected value of VE or VCE after the best rigid motion.
+    """True and expected value of the volumetric error (VE) or of the volumetric compensated error (VCE), both after the
+    best-fitting rigid motion has been removed.
 
-    `true_mm`: true value; `expected_mm`: root of the expected mean square; `level`: level of the equal-tailed interval
-    that ends at the true value.
+    `true_mm` is the true value, and `expected_mm` the root of the expected mean square. `level` is the level of the
+    equal-tailed interval that ends at the true value.
     """
 
     true_mm: float
@@ -133,8 +141,8 @@ class VolumetricComparison:
 def volumetric_comparisons(
     estimate: Estimate, truth: TrueMachine, grid: Array
 ) -> tuple[VolumetricComparison, VolumetricComparison]:
-    """Return the comparisons of VE and VCE over axis positions (n, 3) with their stated distributions, in this
-    order."""
+    """Return two comparisons over axis positions (n, 3): first VE, then VCE, each compared with its stated
+    distribution."""
     offset = truth.tool_offset
     true = truth.deviation(grid)
     left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
@@ -150,8 +158,8 @@ def volumetric_comparisons(
 def held_out_levels(
     estimate: Estimate, family: Family, seen: Observations, artefact: Artefact, options: Options
 ) -> Array:
-    """Return, for each of the K positions in `seen`, the level of the joint region of all its balls, with the pose
-    removed.
+    """Return one level for each of the K positions in `seen`: that of the joint region of all balls of the position,
+    after its pose has been removed.
 
     The estimate must not have used these positions.
     """
@@ -177,6 +185,6 @@ def _held_out_level(estimate: Estimate, problem: IdentificationProblem, residual
 
 
 def _motions(points: Array) -> Array:
-    """Return the rigid motions (3n, 6) of points (n, 3)."""
+    """Return the six fields (3n, 6) of rigid motions at points (n, 3)."""
     size_mm = max(float(np.ptp(points, axis=0).max()), 1.0)
     return rigid_fields(points, points.mean(axis=0), size_mm).reshape(-1, 6)

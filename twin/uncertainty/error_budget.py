@@ -1,10 +1,10 @@
-"""Expected volumetric compensated error in closed form, split by influence.
+"""Expected volumetric compensated error (VCE) in closed form, split by influence.
 
 The estimate is a linear function of all errors of a procedure (`twin.uncertainty.linear_estimator`), so the field that
-compensation leaves is linear in them too. The expected mean square of this field over machines, certificates and
-touches is the trace of the second moments of the parameters, multiplied by the quadratic form of the field. All
-influences are independent and have mean zero, except the deflection, which is the same for all machines and contributes
-its own mean square. The squares of the contributions therefore add up.
+remains after compensation is also linear in these errors. The expected mean square of this field over machines,
+certificates and touches is the trace of Q M, where Q is the quadratic form of the field and M holds the second moments
+of its parameters. All influences are independent and have mean zero, except the deflection, which is the same for all
+machines and contributes its own mean square. The squares of the contributions therefore add up.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from twin.uncertainty.volumetric_distribution import VolumetricDistribution
 TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE = "touch noise", "certificate", "CTE", "temperature"
 DRIFT, MOUNT, MISFIT, UNSEEN = "drift", "mount", "misfit", "unseen"
 INFLUENCES = (TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE, DRIFT, MOUNT, MISFIT, UNSEEN)
-"""Influences in the order of the table.
+"""Influences in the order in which the table lists them.
 
-`mount` is the pose of the artefact: poses are free unknowns, so it contributes nothing. `misfit` covers errors of the
-true machines that the model cannot represent, including deflection and the bias they cause in the parameters. `unseen`
-covers the model's own parameters, to the extent that the position set does not determine them or the prior shrinks them
-towards zero.
+`mount` is the pose of the artefact. It contributes nothing, because the poses are free unknowns. `misfit` covers the
+errors of the true machines that the model cannot represent, including the deflection, and the bias that these errors
+cause in the parameters. `unseen` covers the model's own parameters, to the extent that the position set does not
+determine them or the prior shrinks them towards zero.
 """
 
 
@@ -48,8 +48,9 @@ towards zero.
 class ErrorBudget:
     """Error budget of a procedure.
 
-    The residual parameters are those of the joint model of `field`, which has u parameters. `moments`: their second
-    moments (u, u) caused by each influence; `bias` (u,): parameter error that the deflection causes in all machines.
+    The residual field (true machine minus compensation model) is described by the u parameters of the joint model of
+    `field`. `moments` contains the second moments (u, u) of these parameters that each influence causes. `bias` (u,) is
+    the parameter error that the deflection causes in all machines.
     """
 
     field: FieldForm
@@ -58,7 +59,7 @@ class ErrorBudget:
 
     @cached_property
     def contributions(self) -> Mapping[str, VolumetricRms]:
-        """Contribution of each influence to the expected VCE: root of its part of the expected mean square."""
+        """Contribution of each influence to the expected VCE: the root of its part of the expected mean square."""
         squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
         fixed = self.field.fixed_square(self.bias)
         squares[MISFIT] = (squares[MISFIT][0] + fixed[0], squares[MISFIT][1] + fixed[1])
@@ -66,13 +67,13 @@ class ErrorBudget:
 
     @cached_property
     def expected(self) -> VolumetricRms:
-        """Expected VCE: root of the expected mean square over machines after compensation."""
+        """Expected VCE: the root of the mean square expected over machines after compensation."""
         parts = self.contributions.values()
         return _root(sum(part.raw_mm**2 for part in parts), sum(part.aligned_mm**2 for part in parts))
 
     @cached_property
     def uncompensated(self) -> VolumetricRms:
-        """Expected VE: root of the expected mean square over machines without compensation."""
+        """Expected VE: the root of the mean square expected over machines without compensation."""
         return self.field.uncompensated()
 
     @cached_property
@@ -95,10 +96,10 @@ class ErrorBudget:
         return np.asarray(np.sqrt(squares[self.field.model_indices]))
 
     def field_uncertainty(self, axis_positions: ArrayLike, aligned: bool = False) -> Array:
-        """Return the expected rms (n, 3) in mm of the residual field at axis positions (n, 3), per direction.
+        """Return the expected rms (n, 3) in mm, per direction, of the residual field at axis positions (n, 3).
 
-        If `aligned`, the best rigid motion over the grid of `field` is removed, since no artefact in an unknown pose
-        can determine it.
+        If `aligned`, the best-fitting rigid motion over the grid of `field` is removed, since no artefact in an unknown
+        pose can determine it.
         """
         basis, deflection = self.field.columns_at(axis_positions, aligned)
         squares = np.einsum("nip,nip->ni", basis @ self.total, basis) + (deflection + basis @ self.bias) ** 2
@@ -115,11 +116,11 @@ def error_budget(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> ErrorBudget:
-    """Return the expected error of identifying `model` from planned `observations` on machines that follow
+    """Return the error budget for identifying `model` from planned `observations` on machines that follow
     `assumptions`.
 
-    `family` is the prior; the error is evaluated on `grid` (n, 3) for `tool_offset` (3,). All scales are 1 and no ball
-    is rejected, regardless of `options`. To evaluate many position sets build the `FieldForm` once and use
+    `family` is the prior. The error is evaluated on `grid` (n, 3) in mm for `tool_offset` (3,) in mm. All scales are 1
+    and no ball is rejected, regardless of `options`. To evaluate many position sets, build the `FieldForm` once and use
     `error_budget_of_form`.
     """
     return error_budget_of_form(
@@ -160,8 +161,11 @@ def error_budget_of_form(
 
 
 def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:
-    """Return the fields (n, 3, x) in mm at the rows, one column for one standard deviation of each influence, and one
-    for the deflection itself."""
+    """Return, for each influence, the fields (n, 3, x) in mm that it causes at the n rows.
+
+    Each column is the field of one standard deviation of an error; the deflection is a single column with its actual
+    value.
+    """
     seen, assumptions = problem.observations, field.assumptions
     stretched = problem.layout.unpad(problem.layout.pad(artefact.balls[seen.ball]) @ _transposed_rotations(problem))[
         :, :, None
@@ -178,12 +182,14 @@ def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Arte
 
 
 def _transposed_rotations(problem: IdentificationProblem) -> Array:
-    """Return the transposed rotations (K, 3, 3), to multiply artefact points (K, width, 3) from the right."""
+    """Return the transposed rotations (K, 3, 3) of the poses, by which artefact points (K, width, 3) are multiplied
+    from the right."""
     return problem.poses.rotation.transpose(0, 2, 1)
 
 
 def _machine_fields(field: FieldForm, seen: Observations) -> Array:
-    """Return the fields (n, 3, t) of one standard deviation of each parameter of the true family."""
+    """Return the fields (n, 3, t) in mm of one standard deviation of each of the t parameters of the true machines'
+    family."""
     family = field.assumptions.family
     scale = family.prior_standard_deviation
     fields = np.empty((seen.size, 3, family.model.size))
@@ -201,8 +207,8 @@ def _deflection_field(assumptions: TruthAssumptions, seen: Observations) -> Arra
 
 
 def _drift_fields(problem: IdentificationProblem, drift_mm: float) -> Array:
-    """Return the drift fields (n, 3, 3K): an independent drift in each position and direction, linear over the balls of
-    the position in row order."""
+    """Return the drift fields (n, 3, 3K) in mm. In each position and direction there is an independent drift, which
+    rises linearly over the balls of the position in row order."""
     layout = problem.layout
     if drift_mm == 0.0:
         return np.zeros((problem.observations.size, 3, 0))
@@ -214,7 +220,7 @@ def _drift_fields(problem: IdentificationProblem, drift_mm: float) -> Array:
 
 
 def _machine_residuals(field: FieldForm, answers: Array) -> Array:
-    """Return the residual (u, t), true minus identified, for one standard deviation of each of the t true
+    """Return the residuals (u, t), true minus identified parameters, for one standard deviation of each of the t true
     parameters."""
     left = np.zeros((field.size, len(field.true_indices)))
     left[field.true_indices, np.arange(len(field.true_indices))] = field.assumptions.family.prior_standard_deviation

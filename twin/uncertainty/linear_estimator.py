@@ -1,8 +1,8 @@
-"""Identification as a linear map from measurement errors to parameters, accurate to nanometres.
+"""Identification as a linear map from measurement errors to parameters. The linearisation is accurate to nanometres.
 
 No measurements are needed: at the planned ball centres, without estimated scales and without outlier rejection, the
-estimate is K · data. K = H⁻¹Aᵀ follows from the design A and the posterior precision H of the chosen formulation,
-weights and prior.
+estimate is the product of a matrix K and the data. K = H⁻¹Aᵀ follows from the design matrix A and the posterior
+precision H, which depend on the chosen formulation, weights and prior.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True, eq=False)
 class LinearEstimator:
-    """Response of the estimated parameters, in mm or rad, to each influence.
+    """Response of the p estimated parameters, in mm or rad, to each influence.
 
-    `certificate` (p, m): response to one standard deviation of each certificate error; `influences` (p, x): response to
-    each of the x added fields; `noise` (p, p): covariance caused by the stated touch noise.
+    `certificate` (p, m) is the response to one standard deviation of each of the m certificate errors. `influences` (p,
+    x) is the response to each of the x added fields. `noise` (p, p) is the covariance caused by the stated touch noise.
     """
 
     certificate: Array
@@ -36,10 +36,10 @@ class LinearEstimator:
 
     @classmethod
     def of(cls, problem: IdentificationProblem, options: Options, influences: Array) -> LinearEstimator:
-        """Build the estimator. `influences` (n, 3, x): x fields in mm that are added to the tool points of the n rows
-        of `problem.observations`.
+        """Build the estimator. `influences` (n, 3, x) contains x fields in mm, which are added to the tool points of
+        the n rows of `problem.observations`.
 
-        Raise DataError if `options` contain a carried-over estimate, since its mean belongs to one particular machine.
+        Raise DataError if `options` contains a carried-over estimate, since its mean belongs to one particular machine.
         """
         if options.carried_over is not None:
             raise DataError(
@@ -65,8 +65,8 @@ class LinearEstimator:
 
 
 def _with_influences(problem: IdentificationProblem, influences: Array) -> IdentificationProblem:
-    """Return the problem with the influences as further design columns, so that its normal matrix contains their
-    products."""
+    """Return the problem with the influences as additional design columns, so that its normal matrix contains their
+    products with all other columns."""
     laid = problem.layout.pad(influences)
     blocks = problem.blocks
     longer = replace(blocks, misfit=slice(blocks.misfit.start, blocks.size + influences.shape[2]))
@@ -80,7 +80,8 @@ def _equations(problem: IdentificationProblem, options: Options) -> CentreEquati
 
 
 def _posterior(matrix: Array, blocks: UnknownBlocks, options: Options) -> Posterior:
-    """Return the posterior; if the prior is off, only directions that the measurements leave open are held at zero."""
+    """Return the posterior. If the prior is off, the only prior holds at zero those directions that the measurements
+    leave open."""
     if options.weights == "unit":
         blocks = UnknownBlocks.of(blocks.parameters.stop, 0, 0)
     if options.use_prior:

@@ -1,8 +1,9 @@
 """Monte Carlo simulation of a whole procedure: true machine, true artefact, simulated measurements, residual error.
 
-Everything that `twin.identification` models as uncertain is drawn here: the machine from its family (uniform, of any
-order, with deflection), the artefact from its certificate, and thermometer, drift and touches from their uncertainties.
-The true field is computed from the exact product of the axis transforms, not from its linearisation.
+Everything that `twin.identification` models as uncertain is drawn at random here: the machine from its family (uniform,
+of any Legendre order, with deflection), the artefact from its certificate, and the errors of thermometer, drift and
+touches from their uncertainties. The true field is computed from the exact product of the axis transforms, not from its
+linearisation.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _STEPS = 3
 
 
 def draw_truth(assumptions: TruthAssumptions, rng: np.random.Generator, tool_offset: ArrayLike) -> TrueMachine:
-    """Draw one machine of the family, with the deflection that is common to all machines."""
+    """Draw one machine of the family. It has the deflection that is common to all machines."""
     family = assumptions.family
     offset = np.asarray(tool_offset, dtype=np.float64)
     return TrueMachine(family.model, family.draw(rng, 1)[0], offset, assumptions.deflection)
@@ -42,11 +43,11 @@ def simulated_observations(
     assumptions: TruthAssumptions,
     rng: np.random.Generator,
 ) -> Observations:
-    """Return simulated observations on the machine `truth`; `planned` are those of an error-free machine at the same
-    balls.
+    """Return simulated observations on the machine `truth`.
 
-    `artefact` is the artefact as certified. Every random influence is drawn even if it is switched off, so that
-    switching one off does not change the others.
+    `planned` contains the observations of an error-free machine at the same balls; `artefact` is the artefact as
+    certified. Every random influence is drawn even if it is switched off, so that switching one off does not change the
+    others.
     """
     real, shift_k = _draw_artefact(artefact, assumptions, rng)
     change = _ball_displacements(planned, artefact, real, assumptions.artefact_temperature_c)
@@ -60,14 +61,20 @@ def simulated_observations(
 
 
 def uncompensated_errors(form: FieldForm, truths: Array) -> tuple[Array, Array]:
-    """Return the raw and the aligned VE in mm, each (m,), of m machines with parameters `truths` (m, t) of the true
-    family."""
+    """Return the VE in mm of m machines, raw and after the best-fitting rigid motion is removed (aligned), each as an
+    array (m,).
+
+    `truths` (m, t) contains the parameters of the machines in the true family.
+    """
     return form.form.values(_embed(form, truths, form.true_indices))
 
 
 def compensated_errors(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array, Array]:
-    """Return the raw and the aligned VCE in mm, each (m,), of m machines `truths` (m, t) compensated by `estimates` (m,
-    p)."""
+    """Return the VCE in mm of m machines, raw and after the best-fitting rigid motion is removed (aligned), each as an
+    array (m,).
+
+    `truths` (m, t) contains the true parameters, and `estimates` (m, p) those of the compensation of each machine.
+    """
     return form.form.values(_embed(form, truths, form.true_indices) - _embed(form, estimates, form.model_indices))
 
 
@@ -78,7 +85,7 @@ def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> Volumet
 
 
 def _embed(form: FieldForm, parameters: Array, indices: IndexArray) -> Array:
-    """Embed parameters (m, ...) at `indices` into vectors (m, u) of the joint model."""
+    """Insert parameters (m, ...) at `indices` into zero vectors (m, u) of the joint model."""
     vectors = np.zeros((len(parameters), form.size))
     vectors[:, indices] = parameters
     return vectors
@@ -100,7 +107,7 @@ def _draw_artefact(
 
 
 def _ball_displacements(planned: Observations, stated: Artefact, real: Artefact, temperature_c: float) -> Array:
-    """Return the displacement (n, 3) in mm of the true balls from their planned points, in the directions of the
+    """Return the displacements (n, 3) in mm of the true balls from their planned points. Components are along the
     machine axes."""
     local = np.empty((planned.size, 3))
     for elevation in np.unique(planned.elevation_rad):
@@ -110,10 +117,11 @@ def _ball_displacements(planned: Observations, stated: Artefact, real: Artefact,
 
 
 def _orientation(planned: Observations, stated: Artefact) -> Array:
-    """Return the rotation (n, 3, 3) from the artefact's to the machine's frame at each row: Rz(azimuth) Ry(-elevation).
+    """Return the rotation (n, 3, 3) from the artefact's frame to the machine's frame at each row.
 
-    The elevation is known; the azimuth is the one that best fits the artefact to the planned points. This also gives
-    the correct roll about a straight bar, which a fit of its balls cannot determine.
+    The rotation is Rz(azimuth) Ry(-elevation). The elevation is known. The azimuth is the one that best fits the
+    artefact to the planned points. This also gives the correct roll about a straight bar, which a fit of its balls
+    cannot determine.
     """
     sine, cosine = np.sin(planned.elevation_rad), np.cos(planned.elevation_rad)
     zero, one = np.zeros_like(sine), np.ones_like(sine)
@@ -155,8 +163,8 @@ def _measured_positions(planned: Observations, truth: TrueMachine, wanted: Array
 
 
 def _draw_drift(position: IndexArray, drift_mm: float, rng: np.random.Generator) -> Array:
-    """Return the drift (n, 3) in mm: in each position linear from zero at its first ball to a random vector at its
-    last."""
+    """Return the drift (n, 3) in mm of each row. In each position it grows linearly from zero at the first ball to a
+    random vector at the last one."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     ends = drift_mm * rng.standard_normal((len(counts), 3))
     return np.asarray(position_progress(position)[:, None] * ends[group])
@@ -178,7 +186,7 @@ def _touch_noise(covariance: Array, rng: np.random.Generator) -> Array:
 
 
 def _factor(covariance: Array) -> Array:
-    """Return L with L Lᵀ = `covariance`, which may be singular; repeated runs give the same L."""
+    """Return a matrix L with L Lᵀ = `covariance`, which may be singular. Repeated calls give the same L."""
     diagonal = np.diagonal(covariance)
     if np.count_nonzero(covariance) == np.count_nonzero(diagonal):
         return np.diag(np.sqrt(diagonal))

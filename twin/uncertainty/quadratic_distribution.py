@@ -1,14 +1,14 @@
 """Distribution of a quadratic form of Gaussian variables, such as the mean square of an uncertain field.
 
-For x with mean m and covariance L Lᵀ the form xᵀAx + 2bᵀx + c is a sum of independent non-central squares,
+If x has the mean m and the covariance L Lᵀ, the form Q = xᵀAx + 2bᵀx + c is a sum of independent non-central squares,
 
     Q = c₀ + Σ λ_j (g_j + δ_j)²,    g_j standard normal,
 
-where λ_j are weights and δ_j shifts. Its moment generating function is known. The probability that Q exceeds q is its
-inverse Laplace transform (Imhof, Biometrika 48, 1961, with real frequencies). Here the path of integration is a
-parabola through the saddle point (Rice, SIAM J. Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983): the
-integrand neither oscillates nor decays slowly, both tails are accurate to many digits, and the accuracy does not depend
-on the number of terms.
+where the λ_j are weights, the δ_j are shifts and c₀ is the lower bound of Q. The moment generating function of Q is
+known. The probability that Q exceeds q is an inverse Laplace transform of this function (Imhof, Biometrika 48, 1961,
+integrates over real frequencies). Here the path of integration is a parabola through the saddle point (Rice, SIAM J.
+Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983). On this path the integrand neither oscillates nor
+decays slowly, both tails are accurate to many digits, and the accuracy does not depend on the number of terms.
 """
 
 from __future__ import annotations
@@ -52,8 +52,10 @@ class _Path:
 
 @dataclass(frozen=True, eq=False)
 class QuadraticDistribution:
-    """Distribution of Q = c₀ + Σ λ_j (g_j + δ_j)²: positive `weights` λ (k,), `shifts` δ (k,), and lower bound `least`
-    c₀."""
+    """Distribution of Q = c₀ + Σ λ_j (g_j + δ_j)² with standard normal g_j.
+
+    `weights` (k,) contains the positive λ_j, and `shifts` (k,) the δ_j. `least` is the lower bound c₀.
+    """
 
     weights: Array
     shifts: Array
@@ -68,12 +70,12 @@ class QuadraticDistribution:
         mean: ArrayLike,
         covariance: ArrayLike,
     ) -> QuadraticDistribution:
-        """Return the distribution of xᵀ form x + 2 linearᵀ x + constant for Gaussian x; the expression must never be
+        """Return the distribution of xᵀ form x + 2 linearᵀ x + constant for Gaussian x. The expression must never be
         negative.
 
-        `form` and `covariance` (p, p), `linear` and `mean` (p,). Some variables may have zero variance. Raise DataError
-        for an invalid covariance (not finite, not symmetric, a negative variance in some direction) or one that is
-        zero.
+        `form` and `covariance` have shape (p, p), `linear` and `mean` shape (p,). Some variables may have zero
+        variance. Raise DataError if the covariance is zero or invalid: not finite, not symmetric, or with a negative
+        variance in some direction.
         """
         return cls.about(form, linear, constant, (mean,), covariance_factor(covariance))[0]
 
@@ -86,7 +88,8 @@ class QuadraticDistribution:
         means: Sequence[ArrayLike],
         factor: Array,
     ) -> tuple[QuadraticDistribution, ...]:
-        """Return one distribution for each of several means (p,), given the `factor` (p, p) of a common covariance."""
+        """Return one distribution for each of several means (p,). All share one covariance, given by its `factor` L (p,
+        p) with covariance L Lᵀ."""
         size = len(factor)
         matrix = np.asarray(form, dtype=np.float64)
         if matrix.shape != (size, size):
@@ -130,12 +133,12 @@ class QuadraticDistribution:
         return 1.0 - self._tail(above, upper=False)
 
     def at_most(self, value: float) -> float:
-        """Return the probability that Q ≤ value, accurate also in the lower tail, where 1 - `exceeds` would be lost in
-        rounding."""
+        """Return the probability that Q ≤ value. It is accurate in the lower tail too, where 1 - `exceeds` would be
+        lost in rounding."""
         return self._at_most(value - self.least)
 
     def quantile(self, probability: float) -> float:
-        """Return the value that Q does not exceed with this probability. Raise DataError unless `probability` is
+        """Return the value that Q does not exceed with the given probability. Raise DataError unless `probability` is
         between 0 and 1."""
         if not 0.0 < probability < 1.0:
             raise DataError(f"the probability must lie between 0 and 1, not {probability}")
@@ -159,9 +162,9 @@ class QuadraticDistribution:
     def _tail(self, above: float, *, upper: bool) -> float:
         """Return P(Q - c₀ > above) or, for the lower tail, P(Q - c₀ ≤ above), as one integral along a parabola.
 
-        With s = saddle + i v + bend v² the exponent is K(s) - s above - log(±s), K being the cumulant generating
-        function. All its singularities lie on the real axis right of the saddle, and the parabola passes around them
-        for any bend. The first bend along which the terms decay is used.
+        On the parabola s = saddle + i v + bend v² the exponent is K(s) - s above - log(±s), where K is the cumulant
+        generating function. All singularities of K lie on the real axis to the right of the saddle, and the parabola
+        passes around them for any bend. The first bend along which the terms decay is used.
         """
         sign = 1.0 if upper else -1.0
         saddle = self._upper_saddle(above) if upper else self._lower_saddle(above)
@@ -230,7 +233,7 @@ class QuadraticDistribution:
 
 
 def covariance_factor(covariance: ArrayLike) -> Array:
-    """Return L (p, p) with L Lᵀ = covariance; variables may have zero variance.
+    """Return a matrix L (p, p) with L Lᵀ = covariance. Variables may have zero variance.
 
     Raise DataError for an invalid or zero covariance, naming the row if the fault lies in a single row.
     """

@@ -1,5 +1,5 @@
-"""Distribution of a quadratic form of Gaussian variables that have one of several means and covariances with equal
-probability."""
+"""Distribution of a quadratic form of Gaussian variables whose mean and covariance are one of several pairs, all
+equally probable."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 
 @dataclass(frozen=True, eq=False)
 class QuadraticMixture:
-    """Distribution of Q as a mixture of `parts` with equal weights."""
+    """Distribution of the quadratic form Q as a mixture of the distributions `parts`, which have equal weights."""
 
     parts: tuple[QuadraticDistribution, ...]
 
@@ -34,7 +34,7 @@ class QuadraticMixture:
         return float(np.mean([part.at_most(value) for part in self.parts]))
 
     def quantile(self, probability: float) -> float:
-        """Return the value that Q does not exceed with this probability. Raise DataError unless `probability` is
+        """Return the value that Q does not exceed with the given probability. Raise DataError unless `probability` is
         between 0 and 1."""
         ends = [part.quantile(probability) for part in self.parts]
         lower, upper = (

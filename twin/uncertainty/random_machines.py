@@ -1,5 +1,5 @@
-"""Random machines that the identified model cannot fully represent, measured under conditions that differ from those
-stated."""
+"""Random machines that the identified model cannot fully represent. They are measured under conditions that differ from
+the stated ones."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 TRUE_ORDER = 7
 AS_MODELLED = "as modelled"
-"""Form of machines drawn from the family itself and measured under the stated conditions, used to check parameter
-regions."""
+"""Form of machines that the model can represent and that are measured under the stated conditions. Such machines are
+used to check the uncertainty regions of the parameters."""
 
 _AMPLITUDE = (0.7, 1.3)  # factor on all parameters of a machine, relative to its family
 _BEAM_AMPLITUDE = (0.5, 1.5)  # factor on the deflection of the machine file
@@ -39,13 +39,17 @@ _DRAW_FUNCTIONS: Mapping[str, MakeDeflection] = {
     "thermal": deflection_forms.thermal_deflection,
 }
 DEFLECTION_FORMS = ("none", "beams", *_DRAW_FUNCTIONS)
-"""Forms of deflection; `beams` is the deflection of the machine file with a random amplitude."""
+"""Forms of deflection. The form `beams` is the deflection of the machine file, multiplied by a random amplitude."""
 
 
 @dataclass(frozen=True, eq=False)
 class RandomMachine:
-    """Random machine and the truth assumptions for its measurement; `noise` is the ratio of true to stated touch
-    noise."""
+    """Random machine and the true conditions of its measurement.
+
+    `form` is the form of its deflection. `truth` contains its true errors. `assumptions` contains the true temperature
+    of the artefact, the uncertainty of its thermometer, the drift, and the other influences to be simulated. `noise` is
+    the true standard deviation of the touch noise divided by the stated one.
+    """
 
     form: str
     truth: TrueMachine
@@ -53,7 +57,10 @@ class RandomMachine:
     noise: float
 
     def measure(self, planned: Observations, artefacts: Artefact, rng: np.random.Generator) -> Observations:
-        """Simulate the measurement of `planned`; the result carries the stated covariance, not the true one."""
+        """Simulate the measurement of the `planned` observations on this machine.
+
+        The result contains the stated covariance of the ball centres, not the true one.
+        """
         true = replace(planned, covariance=self.noise**2 * planned.covariance)
         seen = simulated_observations(true, artefacts, self.truth, self.assumptions, rng)
         return replace(seen, covariance=planned.covariance)
@@ -62,8 +69,10 @@ class RandomMachine:
 def draw_random_machine(
     description: MachineDescription, tool_offset: Array, form: str, rng: np.random.Generator
 ) -> RandomMachine:
-    """Draw a machine. `form` is one of `DEFLECTION_FORMS`, or `AS_MODELLED` for a machine that the model represents
-    exactly."""
+    """Draw a random machine.
+
+    `form` is one of `DEFLECTION_FORMS`, or `AS_MODELLED` for a machine that the model represents exactly.
+    """
     if form == AS_MODELLED:
         assumptions = TruthAssumptions.as_modelled(description)
         parameters = description.family.prior_standard_deviation * rng.standard_normal(description.model.size)

@@ -1,8 +1,8 @@
 """Residual field after compensation (true field minus compensation model) as one quadratic form.
 
-True machines may have other Legendre orders and cross-effect terms than the identified model. The joint model has the
-parameters of both, so the residual field is linear in one parameter vector. The grid needs to be evaluated only once
-for a model, truth assumptions and a tool.
+The true machines may have other Legendre orders and cross-effect terms than the identified model. The joint model has
+the parameters of both, so the residual field is linear in one parameter vector. The grid needs to be evaluated only
+once for each combination of model, assumptions about the true machines, and tool.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 class FieldForm:
     """Quadratic form of the residual field.
 
-    `form`: quadratic form of the joint model with u parameters and with the deflection as fixed field; `model_indices`
-    (p,) and `true_indices` (t,): indices of the identified model's and of the true family's parameters in the joint
-    model.
+    `form` is the quadratic form of the joint model with u parameters; it includes the deflection as a fixed field.
+    `model_indices` (p,) are the indices of the identified model's parameters in the joint model, and `true_indices`
+    (t,) those of the parameters of the true machines' family.
     """
 
     model: ErrorModel
@@ -71,13 +71,14 @@ class FieldForm:
         return float(np.vdot(self.form.raw, moments)), float(np.vdot(self.form.aligned, moments))
 
     def fixed_square(self, parameters: Array) -> tuple[float, float]:
-        """Return the mean square (raw, aligned) in mm² of the deflection plus the field of the given parameters
-        (u,)."""
+        """Return the mean square (raw, aligned) in mm² of a sum of two fields: the deflection, and the field of the
+        given parameters (u,)."""
         one = self.form.value(parameters)
         return one.raw_mm**2, one.aligned_mm**2
 
     def columns_at(self, axis_positions: ArrayLike, aligned: bool = False) -> tuple[Array, Array]:
-        """Return the basis (n, 3, u) and the deflection (n, 3) in mm at axis positions (n, 3).
+        """Return the basis (n, 3, u), in mm per unit of each parameter, and the deflection (n, 3) in mm at axis
+        positions (n, 3).
 
         If `aligned`, the best-fitting rigid motion over the grid of the form is removed from each column.
         """
@@ -93,8 +94,8 @@ class FieldForm:
 
     @cached_property
     def _rigid_shares(self) -> Array:
-        """Rigid motion (6, u + 1) contained in each basis column and in the deflection, fitted by least squares over
-        the grid."""
+        """Coefficients (6, u + 1) of the rigid motions contained in each basis column and, in the last column, in the
+        deflection. They are fitted by least squares over the grid."""
         form = self.form
         normal, shared = np.zeros((6, 6)), np.zeros((6, self.size + 1))
         for start in range(0, len(form.axis_positions), _CHUNK):
@@ -106,7 +107,7 @@ class FieldForm:
         return np.asarray(np.linalg.lstsq(normal, shared, rcond=1e-12)[0])
 
     def _motions_at(self, points: Array) -> Array:
-        """Return the six rigid motions (n, 3, 6) about the middle of the grid at points (n, 3)."""
+        """Return the fields (n, 3, 6) of the six rigid motions about the middle of the grid, at points (n, 3)."""
         grid = self.form.axis_positions
         size_mm = max(float(np.ptp(grid, axis=0).max()), 1.0)
         return rigid_fields(points, grid.mean(axis=0), size_mm)
@@ -117,13 +118,13 @@ class FieldForm:
 
     @property
     def family_moments(self) -> Array:
-        """Second moments (u, u) of the true machines' parameters."""
+        """Second moments (u, u) of the true machines' parameters in the joint model."""
         variances = np.zeros(self.size)
         variances[self.true_indices] = self.assumptions.family.prior_standard_deviation**2
         return np.diag(variances)
 
     def uncompensated(self) -> VolumetricRms:
-        """Return the root of the expected mean square of the true machines' deviation."""
+        """Return the root of the expected mean square of the true machines' deviations without compensation."""
         return self.form.expected(self.family_moments)
 
 
@@ -141,8 +142,8 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
 
 
 def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:
-    """Return the deflection (n, 3) in mm; outside the grid the value of the nearest border point applies, as for a
-    `TrueMachine`."""
+    """Return the deflection (n, 3) in mm. Outside the deflection grid the value of the nearest border point is used, as
+    in a `TrueMachine`."""
     lower, upper = (np.array([nodes[end] for nodes in deflection.nodes]) for end in (0, -1))
     return deflection.at(np.clip(axis_positions, lower, upper))
 

@@ -1,4 +1,4 @@
-"""Posterior of a machine as a scale mixture: one Gaussian for each set of scales that the measurements allow."""
+"""Posterior of a machine as a scale mixture: it has one Gaussian for each set of scales that the measurements allow."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from twin.uncertainty.quadratic_distribution import covariance_factor
 class MixtureComponent:
     """One Gaussian of the mixture.
 
-    `mean` (m,) and `covariance` (m, m) of the parameters (mm or rad), followed by the misfit coefficients;
-    `unresolved_mm2`: variance per direction of the part of the misfit whose wavelength is too short for the modes.
+    `mean` (m,) and `covariance` (m, m) refer to the parameters (mm or rad), followed by the misfit coefficients.
+    `unresolved_mm2` is the variance per direction, in mm², of the part of the misfit whose wavelength is too short for
+    the modes.
     """
 
     mean: Array
@@ -31,7 +32,7 @@ class MixtureComponent:
 
 
 def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
-    """Return the components, all of equal weight; a single one if the scales were not estimated."""
+    """Return the components, which all have equal weight. There is only one if the scales were not estimated."""
     if not estimate.alternatives:
         return (_as_stated(estimate),)
     unknowns, blocks = estimate.unknowns, estimate.unknowns.blocks

@@ -1,5 +1,5 @@
-"""Assumptions about the true machine, artefact and conditions, which include errors that the identified model does not
-have.
+"""Assumptions about the true machine, the true artefact and the true conditions of a measurement. They include errors
+that the identified model does not have.
 
 The simulation draws machines according to these assumptions, and the closed form computes second moments from them, so
 the results of both can be compared.
@@ -19,14 +19,15 @@ from twin.machine.machine_population import Family
 class TruthAssumptions:
     """True errors of machine, artefact and conditions that affect a procedure.
 
-    `family`: family of the true machines, whose Legendre order may exceed that of the identified model. `deflection`:
-    deflection common to all true machines. `touch_noise`, `certificate`, `cte`: if true, the error varies within its
-    stated uncertainty (covariance of a centre, covariance of the artefact, standard uncertainty of its CTE); if false,
-    it is zero.
+    `family` is the family of the true machines, whose Legendre order may exceed that of the identified model.
+    `deflection` is common to all true machines. `touch_noise`, `certificate` and `cte` state for three errors whether
+    they occur: those of a ball centre, of the certified ball positions, and of the artefact's coefficient of thermal
+    expansion (CTE). If true, the error varies within its stated uncertainty; if false, it is zero.
 
-    `artefact_temperature_c`: true temperature of the artefact during the measurement; `thermometer_uncertainty_k`:
-    standard uncertainty of its thermometer, whose error is constant during a run; `drift_mm`: standard deviation per
-    direction of the machine's drift from the first to the last ball of a position, linear in between.
+    `artefact_temperature_c` is the true temperature of the artefact during the measurement. `thermometer_uncertainty_k`
+    is the standard uncertainty of its thermometer, whose error is constant during a run. `drift_mm` is the standard
+    deviation, per direction, of the machine's drift from the first to the last ball of a position; the drift is linear
+    in between.
     """
 
     family: Family
@@ -45,11 +46,11 @@ class TruthAssumptions:
 
     @classmethod
     def as_modelled(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Return the assumptions for machines that the model can represent, without deflection, thermometer error and
-        drift."""
+        """Return the assumptions for machines that the model can represent. There is no deflection, no thermometer
+        error and no drift."""
         return cls(machine.family)
 
     @classmethod
     def of_case(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Return the assumptions for machines of the machine file's family that have the deflection of that file."""
+        """Return the assumptions for machines of the machine file's family with the deflection of that file."""
         return cls(machine.family, machine.deflection)

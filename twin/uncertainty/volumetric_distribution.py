@@ -1,4 +1,4 @@
-"""Distributions of volumetric error and volumetric compensated error, given an estimate."""
+"""Distributions of the volumetric error (VE) and of the volumetric compensated error (VCE), given an estimate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistribution:
-    """Distribution of the mean square deviation over the workspace in mm², raw and after the best rigid motion."""
+    """Distribution of the mean square deviation in mm² over the workspace: `raw`, and `aligned`, which means after the
+    best-fitting rigid motion has been removed."""
 
     raw: QuadraticDistribution | QuadraticMixture
     aligned: QuadraticDistribution | QuadraticMixture
@@ -34,19 +35,20 @@ class VolumetricDistribution:
         return self.quantile(0.5)
 
     def quantile(self, probability: float) -> VolumetricRms:
-        """Return the volumetric error (an rms) that is not exceeded with this probability."""
+        """Return the volumetric error (an rms in mm) that is not exceeded with the given probability."""
         raw, aligned = (math.sqrt(max(form.quantile(probability), 0.0)) for form in (self.raw, self.aligned))
         return VolumetricRms(raw, aligned)
 
     def limits(self, coverage: float = 0.95) -> tuple[VolumetricRms, VolumetricRms]:
-        """Return the limits of the equal-tailed interval with this coverage."""
+        """Return the lower and the upper limit of the equal-tailed interval with the given coverage."""
         outside = 0.5 * (1.0 - coverage)
         return self.quantile(outside), self.quantile(1.0 - outside)
 
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistributions:
-    """Distributions of the volumetric error of the machine (`ve`) and of machine minus compensation model (`vce`)."""
+    """Distributions of two volumetric errors: `ve` is that of the machine without compensation, `vce` that of the
+    machine minus the compensation model."""
 
     ve: VolumetricDistribution
     vce: VolumetricDistribution
@@ -72,7 +74,7 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
 
 
 def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[QuadraticDistribution, ...]:
-    """Return the distributions of the mean square before and after compensation with the parameters `written`."""
+    """Return the distributions of the mean square before and after compensation by the parameters `written`."""
     means = (one.mean, one.mean - written)
     return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)
 
