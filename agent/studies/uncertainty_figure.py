@@ -35,8 +35,8 @@ class InfluenceResult:
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyResult:
-    """Results of the study. `parts` has one result for each influence. `budget` is the closed form with all influences,
-    and `together` the errors of machines simulated with all influences."""
+    """Results of the study. `parts` has one result for each influence. `budget` is the error budget with all
+    influences, computed in closed form. `together` has the errors of machines simulated with all influences."""
 
     parts: tuple[InfluenceResult, ...]
     budget: ErrorBudget

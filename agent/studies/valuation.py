@@ -44,7 +44,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class SetTask:
-    """Task that simulates the procedure of the set with a given number on `machines` machines."""
+    """Task that simulates one of `procedures`, given by its index, on `machines` machines."""
 
     procedures: Sequence[ProcedureTask]
     machines: int

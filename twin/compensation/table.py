@@ -152,8 +152,8 @@ def build_table(
     Here r is the small rigid motion that the anchor determines, so the compensated model deviates from nominal only by
     r. If one estimate is compensated with two different anchors, the compensated machines therefore differ only by a
     small rigid motion, linear in its rotation φ (a true rotation differs from it by φ²/2 times the distance, which is
-    nanometres). The two tables also differ by this rigid motion, except for the slope of d times their difference,
-    which is some ten nanometres.
+    nanometres). The two tables differ by the same rigid motion up to some ten nanometres, the slope of d times the
+    difference of the tables.
 
     `measured`: the measured region, or the measured axis positions (n, 3). Raises ModelError if the anchor is outside
     the range of the nodes.

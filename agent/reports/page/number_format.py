@@ -20,8 +20,8 @@ MINUS = "\N{MINUS SIGN}"
 class Table:
     """Table of formatted texts.
 
-    `numeric`, `fine` and `code` contain the heads of columns: those with numbers, those in fine print, and those
-    without line breaks.
+    Columns are identified by their headings: `numeric` lists the columns with numbers, `fine` the columns in fine
+    print, and `code` the columns without line breaks.
     """
 
     heads: tuple[str, ...]

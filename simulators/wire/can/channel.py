@@ -3,7 +3,7 @@
 ========================================  ==============================================================
 ``socketcand:127.0.0.1:0``                TCP; the server is in this process (port 0: any)
 ``udp_multicast:239.74.163.2:43113``      UDP multicast, frames stay on this computer (port 0: any)
-``slcan:PATH``                            a serial adapter on a pseudo-terminal to which PATH becomes a link
+``slcan:PATH``                            a serial adapter on a pseudo-terminal; PATH is created as a link to it
                                           (``slcan:any``: the name given by the system)
 ``virtual:NAME``                          inside this process only
 ``socketcan:can0``                        a kernel CAN interface, real or ``vcan``

@@ -1,4 +1,4 @@
-"""Reduction of a table to functions of one axis position and products of two, as controllers support them.
+"""Reduction of a table to what controllers support: functions of one axis position, and products of two of these.
 
 On an even grid a field decomposes into a mean, a main effect of each axis and an interaction of each pair of axes, all
 orthogonal to each other (analysis of variance). If some of these parts are omitted, the others are therefore still the

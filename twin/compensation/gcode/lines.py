@@ -45,7 +45,7 @@ class LineFormatter:
         self._code = ""
 
     def line(self, move: MoveBlock, values: Sequence[float], axes: int) -> str:
-        """Return the single line of a move; `axes`: bits of the words to be written."""
+        """Return the program line that commands a move. `axes` is a bit mask of the axis words to write."""
         words = self._axis_words(values, axes)
         code = self._motion(move, forced=move.coded)
         if not (move.stop or move.inverse):
