@@ -180,7 +180,7 @@ class JournalReader:
         return self._rows(EventRow, query, run=run, kinds=_listed(kinds), after=after, limit=limit)
 
     def last_event_number(self, run: int, kind: str) -> int:
-        """Return the row number of the run's last event of that kind; 0 if there is none."""
+        """Return the row number of the run's last event of the given kind; 0 if there is none."""
         query = "SELECT coalesce(max(rowid), 0) FROM events WHERE run = :run AND kind = :kind"
         return int(self._value(query, run=run, kind=kind))
 
@@ -193,7 +193,7 @@ class JournalReader:
         return self._one(query, run=run, kinds=_listed(kinds)) is not None
 
     def last_decision(self, kind: str, before_run: int = ANY_RUN) -> DecisionRow | None:
-        """Return the last decision of that kind by any run numbered below `before_run`; None if there is none."""
+        """Return the last decision of the given kind by any run numbered below `before_run`; None if there is none."""
         query = (
             queries.DECISION + "WHERE decisions.kind = :kind AND run < :before ORDER BY decisions.rowid DESC LIMIT 1"
         )

@@ -29,7 +29,7 @@ class MoveTo:
 
 @dataclass(frozen=True, slots=True)
 class Retrace:
-    """Guarded move that repeats the end of the earlier step with the key `of`.
+    """Guarded move that repeats the end of an earlier step. `of` is the key of that step.
 
     It approaches the same position from the same side, so that the play of the axes is taken up in the same direction.
     """

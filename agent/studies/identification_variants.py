@@ -26,7 +26,7 @@ class IdentificationVariant:
 
     @property
     def title(self) -> str:
-        """Label that also marks the published method."""
+        """Label of the variant, with a mark if it is the published method."""
         published = IdentificationVariant(PUBLISHED).label == self.label
         return f"{self.label} (published method)" if published else self.label
 

@@ -19,7 +19,7 @@ Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 class PermissionPins(DriverOptions):
     """HAL bits that are true while the machine may be moved.
 
-    A permission without a bit follows LinuxCNC's own state. If that state does not include it, it counts as granted.
+    A permission without a bit is taken from LinuxCNC's own state; one that LinuxCNC does not report counts as granted.
     """
 
     automatic: PinName | None = Field(default=None, description="if unset: the machine is on")

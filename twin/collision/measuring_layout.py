@@ -99,7 +99,7 @@ class MeasuringLayout:
         return self.own_artefacts.get(station, self.artefact)
 
     def first_ball(self, station: int) -> int:
-        """Return the ball number, as used in observations, of ball 0 of the artefact at a station."""
+        """Return the number that observations use for the first ball of the artefact at a station."""
         return sum(own.count for number, own in self.own_artefacts.items() if number < station)
 
     def location(self, station: int) -> Array:

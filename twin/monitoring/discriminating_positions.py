@@ -23,7 +23,7 @@ from twin.monitoring.step_detection import ERRORS
 
 @dataclass(frozen=True, eq=False)
 class JumpQuestions:
-    """Questions about jumps.
+    """Questions that further measurements should answer about possible jumps of the errors.
 
     `shifts` (m, P) contains m possible shifts of the unknowns z. `weights` (q, m) contains, for each of the q
     questions, the weights with which the noncentralities of the shifts are added up.

@@ -34,7 +34,7 @@ def find_steps(
 
     Known steps that cannot be distinguished from the slope or from each other are left out. With fewer than
     `MIN_NIGHTS` values no further step is searched for. A step needs two values on either side and must remain
-    significant without any single value, so that one outlier does not count as a step.
+    significant when any one value is omitted, so that one outlier does not count as a step.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     steps = list(_usable(t, known))

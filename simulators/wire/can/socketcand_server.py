@@ -38,7 +38,7 @@ class _Client:
 
 
 class SocketcandServerBus(can.BusABC):
-    """Bus `channel` at TCP `host`:`port`. If the port is 0, a free one is used, which attribute `port` gives."""
+    """Bus `channel` at TCP `host`:`port`. If 0, a free port is chosen; the attribute `port` contains it."""
 
     def __init__(self, channel: str, host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__(channel=channel)

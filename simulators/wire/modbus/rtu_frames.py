@@ -16,7 +16,7 @@ _BYTE_COUNT_AT: Final = {WRITE: 6, WRITE_AND_READ: 10}
 
 
 class InvalidFrameError(Exception):
-    """Error for received data that is not a valid request, which a controller does not answer."""
+    """Received data is not a valid request; a controller does not answer it."""
 
 
 def frame_crc(data: bytes) -> bytes:
