@@ -14,6 +14,16 @@ from functools import cached_property
 from typing import Any
 
 
+class _Recorded:
+    """Base of the rows that contain a record as JSON text; it is decoded when it is first read."""
+
+    record_text: str
+
+    @cached_property
+    def record(self) -> Mapping[str, Any]:
+        return _decoded(self.record_text)
+
+
 @dataclass(frozen=True)
 class RunRow:
     """A run.
@@ -42,7 +52,7 @@ class RunCounts:
 
 
 @dataclass(frozen=True)
-class OriginRow:
+class OriginRow(_Recorded):
     """Start of a run.
 
     `begun_s` and `begun_at` are the machine seconds and the UTC time at the end of the preflight; they are None before
@@ -55,10 +65,6 @@ class OriginRow:
     record_text: str
     begun_s: float | None
     begun_at: str | None
-
-    @cached_property
-    def record(self) -> Mapping[str, Any]:
-        return _decoded(self.record_text)
 
 
 @dataclass(frozen=True)
@@ -94,32 +100,24 @@ class TouchRow:
 
 
 @dataclass(frozen=True)
-class BallRow:
+class BallRow(_Recorded):
     """A measured ball centre."""
 
     ordinal: int
     key: str
     record_text: str
 
-    @cached_property
-    def record(self) -> Mapping[str, Any]:
-        return _decoded(self.record_text)
-
 
 @dataclass(frozen=True)
-class TemperatureRow:
+class TemperatureRow(_Recorded):
     """A reading of all sensors (name → °C) at `minutes` of machine time after the first step of the run."""
 
     minutes: float
     record_text: str
 
-    @cached_property
-    def record(self) -> Mapping[str, float]:
-        return _decoded(self.record_text)
-
 
 @dataclass(frozen=True)
-class EventRow:
+class EventRow(_Recorded):
     """An event of a run. `at` is its UTC time in ISO 8601."""
 
     number: int
@@ -127,13 +125,9 @@ class EventRow:
     kind: str
     record_text: str
 
-    @cached_property
-    def record(self) -> Mapping[str, Any]:
-        return _decoded(self.record_text)
-
 
 @dataclass(frozen=True)
-class DecisionRow:
+class DecisionRow(_Recorded):
     """A decision of a run. `at` is its UTC time in ISO 8601."""
 
     run: int
@@ -142,10 +136,6 @@ class DecisionRow:
     at: str
     kind: str
     record_text: str
-
-    @cached_property
-    def record(self) -> Mapping[str, Any]:
-        return _decoded(self.record_text)
 
 
 @dataclass(frozen=True)
