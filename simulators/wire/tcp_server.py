@@ -16,11 +16,12 @@ log = structlog.get_logger()
 
 
 class TcpServer:
-    """Listens from the start and serves each connection with `serve(connection)` until that returns.
+    """TCP server that listens from its construction on, and calls `serve(connection)` for each connection after
+    `start`.
 
-    With `one_client` the connections are served one at a time: the next waits until the present one has closed, as with
-    a PLC that has a single Modbus socket. An OSError raised by `serve` means that the peer has closed the connection.
-    Raises ConfigurationError if the address is not available.
+    If `one_client` is True, the connections are served one at a time: the next connection waits until the present one
+    has closed, as with a PLC that has a single Modbus socket. An OSError raised by `serve` means that the peer has
+    closed the connection. Raises ConfigurationError if the address is not available.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class TcpServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port actually used."""
+        """Host and port on which the server listens; if port 0 was requested, the port chosen by the system."""
         host, port = self._listener.getsockname()[:2]
         return str(host), int(port)
 
@@ -56,7 +57,7 @@ class TcpServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop listening and close all connections; returns once no further connection can be served."""
+        """Stop listening and close all connections; return once no further connection can be served."""
         with self._guard:
             self._closed = True
             for connection in (self._listener, *self._connections):
@@ -96,7 +97,7 @@ class TcpServer:
 
 
 def serve_lines(connection: socket.socket, answer: Callable[[bytes], bytes]) -> None:
-    """Answer each line with one line until the peer closes the connection or sends an overlong line."""
+    """Answer each received line with one line until the peer closes the connection or sends a line that is too long."""
     buffer = b""
     while chunk := connection.recv(LONGEST_LINE):
         *lines, buffer = (buffer + chunk).split(b"\n")

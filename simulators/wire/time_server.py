@@ -1,8 +1,8 @@
-"""Machine time for simulators that run as a separate process.
+"""Sources of machine time for simulators that run as a separate process.
 
-In lockstep the agent controls time (`drivers.clock.LockstepClock`): the line ``advance SECONDS`` advances the world to
-that instant of the agent's clock and is then answered with ``ok``. Otherwise a ticker advances the world with the wall
-clock.
+In lockstep the agent controls time (`drivers.clock.LockstepClock`). The agent sends the line ``advance SECONDS``, the
+server advances the world to that instant of the agent's clock, and then answers with ``ok``. Without lockstep a ticker
+advances the world with the wall clock.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ TICK_S = 0.002
 
 
 class TimeServer:
-    """Server for lockstep over TCP.
+    """TCP server through which an agent advances machine time in lockstep.
 
-    A client's clock starts at zero, so its seconds are counted from the machine time at which it connected. Otherwise
-    time would stand still for a second agent until its clock had passed the machine time left by the first agent.
+    The clock of each agent starts at zero, so its seconds are counted from the machine time at which the agent
+    connected. If they were counted from machine time 0, time would stand still for a second agent until its clock had
+    passed the machine time that the first agent had reached.
     """
 
     def __init__(self, shared: SharedWorld[TimeDriven], address: tuple[str, int]) -> None:
@@ -58,7 +59,7 @@ def _parse_advance(line: bytes) -> float | None:
 
 
 class Ticker:
-    """Advances the world with `clock` (real or scaled) in small steps, in its own thread."""
+    """Thread that advances the world in small steps with `clock`, a wall clock in real or scaled time."""
 
     def __init__(self, shared: SharedWorld[TimeDriven], clock: Clock) -> None:
         self._shared = shared

@@ -1,4 +1,4 @@
-"""Complete simulated machine on its links: one world, every server in front of it, and its source of time."""
+"""Complete simulated machine with its links: one world, all servers that give access to it, and its source of time."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ Address = tuple[str, int]
 
 @dataclass(frozen=True)
 class Links:
-    """Addresses to listen on.
+    """Addresses at which the simulated machine listens.
 
-    `speed` is in machine seconds per wall second, or None for lockstep over the address `time`. With `modbus_rtu` the
-    controller is on that serial line instead of TCP, because it accepts only one master.
+    `speed` is the number of machine seconds per second of the wall clock. If `speed` is None, the agent advances time
+    in lockstep over the address `time`. If `modbus_rtu` is given, the controller listens on that serial line and not on
+    TCP, because the controller accepts only one master.
     """
 
     modbus: Address
@@ -42,9 +43,10 @@ class Links:
 
 
 class WiredMachine:
-    """Simulated machine whose links are open after construction; `start` begins to serve, `close` ends everything.
+    """Simulated machine with its links to the agent.
 
-    Raises ConfigurationError if a link is not available or the scenario does not fit the register map.
+    The constructor opens all links, `start` begins to serve them, and `close` ends all servers. Raises
+    ConfigurationError if a link is not available or if the scenario does not fit the register map.
     """
 
     def __init__(self, scenario: Scenario, links: Links) -> None:
@@ -87,15 +89,18 @@ class WiredMachine:
             server.start()
 
     def close(self) -> None:
-        """Close the servers, the time source first, so that nothing is sent on a closed link."""
+        """Close all servers. The source of time is closed first, because otherwise a server could still send on a
+        closed link.
+        """
         while self._servers:
             self._servers.pop().close()
 
     def ready_line(self) -> dict[str, Any]:
-        """Return everything that the agent must know: actual addresses, stations and the drives on the bus.
+        """Return everything that the agent must know: the actual addresses, the stations, and the drives on the CAN
+        bus.
 
-        The drives are given for the first mount, and for all mounts by number. A mount's number is that of its station
-        if each station has its own mount.
+        The value ``can_nodes`` contains the drives of the first mount, and ``can_mounts`` the drives of every mount by
+        the number of the mount. If each station has its own mount, the number of a mount is the number of its station.
         """
         settings = self.world.scenario.settings
         nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drive_configs(len(self.world.mounts))]

@@ -1,4 +1,4 @@
-"""Changes of the machine from night to night: seasonal scale errors, a slow random walk and a collision."""
+"""Changes of the machine's errors from night to night: seasonal scale errors, a slow random walk, and a collision."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SEED_OFFSET_PER_NIGHT = 1_000_003
 
 
 def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
-    """Return `machine` as it is in the night given by `ageing`.
+    """Return `machine` with the errors that it has in the night `ageing.night`.
 
     Raises ConfigurationError if `ageing.collision` names an error that the machine does not have.
     """
@@ -38,7 +38,9 @@ def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: 
 
 
 def scenario_of_night(scenario: Scenario, night: int) -> Scenario:
-    """Return the scenario for another night: same machine and artefact, different noise and mount placement."""
+    """Return the scenario for `night`: the same machine and artefact with different noise and a different mount
+    placement.
+    """
     settings = scenario.settings
     ageing = settings.ageing.model_copy(update={"night": night})
     seed = settings.seed + _SEED_OFFSET_PER_NIGHT * (night - settings.ageing.night)
@@ -46,9 +48,9 @@ def scenario_of_night(scenario: Scenario, night: int) -> Scenario:
 
 
 def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
-    """Return the change (p,) of the model parameters by seasonal scale errors since night 0.
+    """Return the change, shape (p,), of the p model parameters since night 0 that is caused by seasonal scale errors.
 
-    A scale error s over a travel L corresponds to the value s L / 2 of the Legendre coefficient of order 1.
+    A scale error s over a travel of length L corresponds to the value s L / 2 of the Legendre coefficient of order 1.
     """
     change = np.zeros(model.size)
     for axis, amplitude, phase_deg, (low, high) in zip(
@@ -62,9 +64,10 @@ def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
 
 
 def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
-    """Return the change (p,) of the model parameters caused by one collision. `jumps` is in µm or µrad, by error name.
+    """Return the change, shape (p,), of the p model parameters that is caused by one collision.
 
-    If an error motion is given without a Legendre order, its coefficient of the lowest order changes.
+    `jumps` maps the name of each changed error to its change in µm or µrad. If the name of an error motion contains no
+    Legendre order, the coefficient of its lowest order changes.
     """
     change = np.zeros(model.size)
     for name, jump in jumps.items():

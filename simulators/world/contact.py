@@ -1,7 +1,8 @@
-"""First contact of the stylus tip with a ball on a straight path, including the machine's deviation.
+"""Calculation of the first contact between stylus tip and ball on a straight path, including the machine's deviation.
 
-The intersection of a ray with a sphere has a closed form. The deviation field changes by less than 0.1 µm per mm, so
-one further iteration, with the field at the first solution, leaves an error far below a nanometre.
+The intersection of a straight line with a sphere has a closed form. The first solution uses the deviation at the ball.
+Because the deviation changes by less than 0.1 µm per mm, one further solution, with the deviation at the first contact
+point, leaves an error far below a nanometre.
 """
 
 from __future__ import annotations
@@ -22,16 +23,19 @@ _ROUNDING_MM = 1e-6
 
 
 class Contact(NamedTuple):
-    """First contact of the tip with ball number `ball` after `distance` mm of path."""
+    """First contact of the stylus tip with a ball on a path.
+
+    `distance` is the length of the path in mm up to the contact, and `ball` is the number of the ball.
+    """
 
     distance: float
     ball: int
 
 
 class ContactSolver:
-    """Finds contacts of one tip with balls.
+    """Solver for the contacts of one stylus tip with the balls.
 
-    `reach` is the distance in mm between the centres of tip and ball at contact (tip radius plus ball radius).
+    `reach` is the distance in mm between the centres of tip and ball at contact: the tip radius plus the ball radius.
     """
 
     def __init__(self, tool_offset: Point, reach: float, shift: TipShift) -> None:
@@ -42,8 +46,9 @@ class ContactSolver:
         self._last: tuple[Point, TableField | None, Point] | None = None
 
     def first(self, path: StraightPath, snapshot: WorkpieceSnapshot, resting: int | None) -> Contact | None:
-        """Return the first contact along `path`, or None. The ball with number `resting`, which touches the tip at the
-        start, is ignored.
+        """Return the first contact along `path`, or None if the tip reaches no ball.
+
+        The ball with the number `resting`, which touches the tip at the start of the path, is ignored.
         """
         first: Contact | None = None
         start = translate_point(path.start, self._shift.rigid)
@@ -58,7 +63,7 @@ class ContactSolver:
         return self._refine(first, path, snapshot) if first and self._shift.has_field else first
 
     def tip(self, axis_position: Point) -> Point:
-        """Return the tip centre in the workpiece frame.
+        """Return the tip centre in mm in the workpiece frame if the axes display `axis_position`.
 
         The last result is cached, because the axes are often at rest.
         """
@@ -69,7 +74,7 @@ class ContactSolver:
         return translate_point(translate_point(axis_position, self._tool), translate_point(self._shift.rigid, last[2]))
 
     def resting_on(self, axis_position: Point, snapshot: WorkpieceSnapshot) -> int | None:
-        """Return the number of the ball that the tip is pressed against, or None."""
+        """Return the number of the ball against which the tip is pressed, or None if the tip touches no ball."""
         tip = self.tip(axis_position)
         for ball, centre in enumerate(snapshot.balls):
             if math.dist(tip, centre) < self._reach:
@@ -77,17 +82,22 @@ class ContactSolver:
         return None
 
     def pressing(self, path: StraightPath, centre: Point) -> bool:
-        """Return True if a motion that starts in contact initially moves further into the ball."""
+        """Return True if a motion along `path`, which starts in contact, first moves the tip further into the ball at
+        `centre`.
+        """
         return _closing(self.tip(path.start), path.direction, centre) < 0.0
 
     def deeper(self, path: StraightPath, centre: Point, overtravel: float) -> float | None:
-        """Return the path distance in mm at which the tip is deflected by more than `overtravel`, or None."""
+        """Return the path distance in mm at which the ball deflects the tip by more than `overtravel` mm.
+
+        Returns None if the deflection of the tip never exceeds `overtravel` on the path.
+        """
         return entry_distance(self.tip(path.start), path, centre, self._reach - overtravel)
 
     def leaving(self, path: StraightPath, centre: Point) -> float:
         """Return the path distance in mm at which a tip that starts in contact separates from the ball at `centre`.
 
-        Returns infinity if the path ends before.
+        Returns infinity if the path ends before the tip separates.
         """
         tip = self.tip(path.start)
         closing = _closing(tip, path.direction, centre)

@@ -1,7 +1,8 @@
-"""Controller of the simulated machine: executes commands, tracks the axes and latches the touch.
+"""Controller of the simulated machine: it executes commands, tracks the axes, and latches the axis positions of a
+touch.
 
-All events of a motion are computed when it begins. Time may therefore advance in steps of any size, and each event
-still has its exact instant.
+All events of a motion are computed when the motion begins. Time may therefore advance in steps of any size, and each
+event still has its exact instant.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ LIMIT_TOLERANCE_MM = 1e-6
 
 @dataclass(frozen=True)
 class Latch:
-    """Displayed axis position at the last trip; `sequence` is the number of the touch that caused it."""
+    """Displayed axis positions in mm at the last trip of the probe. `sequence` is the number of the touch that tripped
+    it.
+    """
 
     sequence: int
     position: Array
@@ -54,7 +57,10 @@ class _Motion:
 
 
 class Controller:
-    """Executes one motion at a time. A command that cannot be executed raises CommandRejected and changes nothing."""
+    """Simulated machine controller, which executes one motion at a time.
+
+    A command that cannot be executed raises CommandRejected and changes nothing.
+    """
 
     def __init__(
         self,
@@ -110,21 +116,23 @@ class Controller:
 
     @property
     def motion_ends_s(self) -> float | None:
-        """Instant in s at which the current motion ends if nothing intervenes; None if nothing moves."""
+        """Instant in s at which the current motion ends if no command or fault intervenes; None if the axes do not
+        move.
+        """
         return None if self._motion is None else self._motion.forecast.end_s
 
     @property
     def probe_free_s(self) -> float | None:
-        """Instant in s at which a probe that was deflected at the start of the current motion separates.
+        """Instant in s at which the probe loses contact, if it was deflected when the current motion started.
 
-        None if the probe is not deflected or nothing moves.
+        The value is None if the probe is not deflected or if the axes do not move.
         """
         return self._motion.forecast.free_s if self._motion is not None and self._deflected else None
 
     def displayed_at(self, instant_s: float) -> Point:
-        """Return the axis positions in mm displayed at `instant_s`, which must not be in the past.
+        """Return the axis positions in mm that are displayed at `instant_s`, now or in the future.
 
-        They are forecast for the case that no other command or fault occurs until then.
+        The forecast assumes that no other command or fault occurs before `instant_s`.
         """
         if self._motion is None:
             return self._position
@@ -151,25 +159,28 @@ class Controller:
     # ------------------------------------------------------------------ motion commands
 
     def trace(self, tag: int) -> None:
-        """Assign the following motions to step `tag` of a procedure, or to no step if `tag` is 0."""
+        """Assign the following motions to the step with the number `tag`, or to no step if `tag` is 0.
+
+        If the scenario sets `noise_by_step`, the noise of a motion depends only on its step.
+        """
         self._tag = tag
 
     def begin_move(self, target: ArrayLike, feed_mm_per_s: float | None, guarded: bool) -> None:
-        """Start a straight move, at rapid speed if no feed is given.
+        """Start a straight move to `target` in mm, at rapid speed if `feed_mm_per_s` is None.
 
-        A guarded move ends in a fault if the probe trips.
+        If `guarded` is True and the probe trips, the move ends in a fault.
         """
         self._begin(MoveKind.GUARDED if guarded else MoveKind.POSITIONING, target, feed_mm_per_s)
 
     def begin_touch(self, target: ArrayLike, feed_mm_per_s: float) -> None:
-        """Start a straight move that stops when the probe trips.
+        """Start a straight move to `target` in mm that stops when the probe trips.
 
-        Afterwards either `latch` has a new sequence number or `touch_missed` is set.
+        After the move, either `latch` has a new sequence number or, if the probe did not trip, `touch_missed` is True.
         """
         self._begin(MoveKind.TOUCH, target, feed_mm_per_s)
 
     def hold(self) -> None:
-        """Brake on the path, and store the command so that `resume` can complete it."""
+        """Brake along the path, and store the command of the motion; `resume` completes that command later."""
         if self._motion is not None and self._motion.ends_in is MotionState.IDLE:
             self._held = self._motion.command
             self._brake(MotionState.HELD)
@@ -181,7 +192,7 @@ class Controller:
             self._begin(command.kind, command.target, command.speed)
 
     def halt(self) -> None:
-        """Brake and discard the command. Does not clear a fault."""
+        """Brake and discard the command of the motion. A fault remains."""
         self._held = None
         if self._motion is not None and self._motion.ends_in is not MotionState.FAULT:
             self._brake(MotionState.IDLE)
@@ -191,7 +202,7 @@ class Controller:
     def fail(self, reason: str) -> None:
         """Brake and enter the fault state, as after an emergency stop or a lost heartbeat.
 
-        The first `reason` is retained.
+        If the controller is already in a fault, it keeps the reason of the first fault.
         """
         if self._motion is not None:
             self._brake(MotionState.FAULT, reason)
@@ -199,7 +210,7 @@ class Controller:
             self._enter_fault(reason)
 
     def reset(self) -> None:
-        """Clear a fault; has no effect while the axes move."""
+        """Clear a fault. While the axes move, the method does nothing."""
         if self._state is MotionState.FAULT and self._motion is None:
             self._state, self.fault = MotionState.IDLE, ""
 
@@ -336,7 +347,7 @@ class Controller:
 
 
 def axis_limits(machine: MachineDescription) -> AxisLimits:
-    """Return travel and dynamics from the machine file, in the controller's units (mm, mm/s, mm/s²)."""
+    """Return the travel and the dynamics of the axes from the machine file, in mm, mm/s and mm/s²."""
     (x0, x1), (y0, y1), (z0, z1) = machine.limits
     rx, ry, rz = machine.rapid_mm_per_min
     return AxisLimits((x0, y0, z0), (x1, y1, z1), (rx / 60, ry / 60, rz / 60), machine.acceleration_mm_per_s2)

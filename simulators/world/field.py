@@ -1,4 +1,6 @@
-"""Fast evaluation of the deviation fields of the compensation table in the controller and of the true machine."""
+"""Fast evaluation of two fields: the correction by the controller's compensation table, and the true machine's
+deviation.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,9 @@ ZERO: Point = (0.0, 0.0, 0.0)
 
 
 class TableField:
-    """Correction that a controller adds to the commanded position, trilinear between nodes and constant outside the
-    grid.
+    """Correction that a controller adds to the commanded position.
+
+    The correction is interpolated trilinearly between the nodes of the table and is constant outside the grid of nodes.
     """
 
     def __init__(self, image: TableImage) -> None:
@@ -28,7 +31,7 @@ class TableField:
         self._values = np.asarray(image.counts, dtype=np.float64) * image.resolution_mm
 
     def at_many(self, axis_positions: Array) -> Array:
-        """Return the corrections (n, 3) at the displayed axis positions (n, 3), both in mm."""
+        """Return the corrections, shape (n, 3), at n displayed axis positions, shape (n, 3), both in mm."""
         # Trilinear interpolation: sum over the 8 cell corners of node value times product of the axis weights.
         cell, share = self._located(axis_positions)
         total = np.zeros_like(axis_positions)
@@ -47,11 +50,13 @@ class TableField:
 
 
 class TipShift:
-    """Offset of the tip centre from (displayed axis position + tool offset), in mm.
+    """Offset in mm of the true tip centre from its nominal place, the displayed axis position plus the tool offset.
 
-    At the displayed axis position X, the drives go to X plus the table's correction at X. The true machine's deviation
-    and the `thermal` field are evaluated there. The position-dependent field is the sum of all three. Thermal `drift`
-    and the `play` left by the last motion (backlash, repeatability) shift this field as a whole.
+    If the axes display the position X, the drives go to X plus the correction of the table at X. At that place of the
+    drives the true machine has a deviation and a `thermal` deformation. The position-dependent part of the offset is
+    the sum of correction, deviation and thermal deformation. Two other parts are the same at every position: the
+    thermal `drift`, and the `play`, which is the error that the last motion leaves by backlash and limited
+    repeatability.
     """
 
     def __init__(self, machine: FieldOfMany | None) -> None:
@@ -67,14 +72,16 @@ class TipShift:
 
     @property
     def rigid(self) -> Point:
-        """Position-independent part of the shift: drift plus play."""
+        """Part of the offset in mm that is the same at every axis position: the sum of `drift` and `play`."""
         return translate_point(self.drift, self.play)
 
     def field_at(self, axis_position: Point) -> Point:
         return point(self.field_at_many(np.array([axis_position]))[0]) if self.has_field else ZERO
 
     def field_at_many(self, axis_positions: Array) -> Array:
-        """Return the position-dependent field (n, 3) at the displayed axis positions (n, 3), both in mm."""
+        """Return the position-dependent part of the offset, shape (n, 3), at n displayed positions, shape (n, 3), both
+        in mm.
+        """
         shift = np.zeros_like(axis_positions)
         if self.table is not None:
             shift += self.table.at_many(axis_positions)

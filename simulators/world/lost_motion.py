@@ -1,4 +1,4 @@
-"""Residual axis errors after a motion: lost motion that the drive must take up, and repeatability."""
+"""Axis errors that remain after a motion: lost motion and limited repeatability."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ STILL_MM = 1e-4
 
 
 class PlayOperator:
-    """Play operator for the backlash of each axis: the slide lags its drive by half the backlash.
+    """Play operator for the backlash of each axis, in which the slide follows its drive with a lag of half the
+    backlash.
 
-    The slide does not move while the drive crosses the play. After a short reversal part of the lag therefore remains,
-    and the lag of an axis that does not move is unchanged. The play may grow along the axis' own travel.
+    The slide does not move while the drive crosses the play. A reversal shorter than the backlash therefore changes the
+    lag only in part. The lag of an axis that does not move is unchanged. The backlash may grow along the travel of the
+    axis.
     """
 
     def __init__(self, behaviour: AxisBehaviour, seed: int) -> None:
@@ -29,9 +31,9 @@ class PlayOperator:
         self._scatter: Point = ZERO
 
     def after(self, start: Point, end: Point, step: int | None = None) -> Point:
-        """Return the (3,) tip offset in mm during and after a motion between two axis positions.
+        """Return the tip offset, shape (3,), in mm during and after a motion from axis position `start` to `end`.
 
-        `step`: noise counter to use instead of the number of the motion.
+        If `step` is given, it replaces the number of the motion as the counter of the noise.
         """
         self._motions += 1
         if self._idle:

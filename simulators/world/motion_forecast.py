@@ -1,4 +1,4 @@
-"""Events along a motion, computed when it begins, and the resulting motion law."""
+"""Events along a motion, computed when the motion begins, and the motion law that results from them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ class MoveKind(Enum):
 
 
 class MotionCommand(NamedTuple):
-    """Motion as commanded. `speed` is along the path in mm/s, already limited to what the axes can reach."""
+    """Motion as commanded.
+
+    `speed` is the speed along the path in mm/s, already limited to the highest speed that the axes can reach.
+    """
 
     kind: MoveKind
     target: Point
@@ -27,7 +30,7 @@ class MotionCommand(NamedTuple):
 
 
 class Crash(NamedTuple):
-    """Collision of two bodies after `distance` mm of path."""
+    """Collision of the bodies `moving` and `obstacle` after `distance` mm of the path."""
 
     distance: float
     moving: str
@@ -35,11 +38,11 @@ class Crash(NamedTuple):
 
 
 class PathEvents(NamedTuple):
-    """Events along the path of a command, with path distances in mm.
+    """Events along the path of a command; all distances are measured along the path in mm.
 
-    `trip_mm`: distance at which the probe trips, or None; `crash`: first collision that would happen if the motion
-    continued, or None; `free_mm`: distance at which a probe that is deflected at the start separates, 0 if it is not
-    deflected.
+    The probe trips at the distance `trip_mm`, or never if `trip_mm` is None. `crash` is the first collision that would
+    happen if the motion continued, or None if there is no collision. A probe that is deflected at the start loses
+    contact at the distance `free_mm`, which is 0 if the probe is not deflected at the start.
     """
 
     trip_mm: float | None = None
@@ -48,7 +51,7 @@ class PathEvents(NamedTuple):
 
 
 class MotionForecast(NamedTuple):
-    """Motion law that will be executed, and the instants in s of the events along it."""
+    """Motion law that the axes will follow, and the instants in s of the events along the path."""
 
     law: MotionLaw
     trip_s: float | None
@@ -58,7 +61,10 @@ class MotionForecast(NamedTuple):
 
 
 def forecast_motion(law: MotionLaw, events: PathEvents, deceleration: float) -> MotionForecast:
-    """Return the forecast of a motion by `law`, which brakes when the probe trips and ends abruptly at a crash."""
+    """Return the forecast of a motion that follows `law` until an event changes it.
+
+    The motion brakes with `deceleration` in mm/s² when the probe trips, and it ends abruptly at a collision.
+    """
     trip_s = None
     if events.trip_mm is not None and events.trip_mm <= law.end_distance:
         trip_s = law.time_at(events.trip_mm)

@@ -1,4 +1,4 @@
-"""Rotary mount: two axes with their motion laws, and the true bar orientation including the mount's errors."""
+"""Rotary mount: its two axes with their motion laws, and the true orientation of the bar with the errors of the mount."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LIMITS_DEG = {AZIMUTH: 180.0, ELEVATION: 95.0}
 
 
 class RotaryAxis:
-    """One rotary axis; angles in degrees as read by its encoder."""
+    """One rotary axis of a mount. Its angles are encoder readings in degrees."""
 
     def __init__(self, behaviour: MountBehaviour, start_deg: float = 0.0) -> None:
         self._behaviour = behaviour
@@ -51,9 +51,10 @@ class RotaryAxis:
 
 
 class MountPhysics:
-    """Both axes of one mount.
+    """Both rotary axes of one mount.
 
-    `on_turn` is called whenever a motion begins or changes. Mounts with different `name` have different true errors.
+    The function `on_turn` is called whenever a motion begins or changes. Mounts with different names have different
+    true errors.
     """
 
     def __init__(
@@ -74,9 +75,9 @@ class MountPhysics:
         self.now_s = 0.0
 
     def begin_turn(self, axis: str, angle_deg: float, speed_deg_per_s: float | None = None) -> None:
-        """Start a turn to `angle_deg`, even while the axis moves.
+        """Start a turn of `axis` to `angle_deg`, even if the axis is already moving.
 
-        Raises CommandRejected if the angle is outside the axis limits or the speed is not positive.
+        Raises CommandRejected if the angle is outside the axis limits or if the speed is not positive.
         """
         limit = LIMITS_DEG[axis]
         if not abs(angle_deg) <= limit:
@@ -87,7 +88,10 @@ class MountPhysics:
         self._on_turn()
 
     def position_deg(self, axis: str, instant_s: float | None = None) -> float:
-        """Return the encoder reading in degrees now, or the one expected at `instant_s` if nothing intervenes."""
+        """Return the encoder reading of `axis` in degrees, at present or at `instant_s`.
+
+        A future reading assumes that no other command changes the motion.
+        """
         return self._axes[axis].position_deg(self.now_s if instant_s is None else instant_s)
 
     def moving(self, axis: str) -> bool:
@@ -99,12 +103,14 @@ class MountPhysics:
 
     @property
     def max_speed_deg_per_s(self) -> float:
-        """Upper bound of the angular speed of the artefact with both axes moving, in °/s."""
+        """Upper bound in °/s of the angular speed of the artefact if both axes move at once."""
         return self._fastest
 
     @property
     def settled_s(self) -> float:
-        """Instant in s at which both axes will be at rest if nothing intervenes; `now_s` if they already are."""
+        """Instant in s at which both axes will be at rest if no other command intervenes; `now_s` if both are already
+        at rest.
+        """
         return max(self.now_s, *(axis.at_rest_s for axis in self._axes.values()))
 
     def halt(self, axis: str | None = None) -> None:
@@ -114,8 +120,9 @@ class MountPhysics:
         self._on_turn()
 
     def angles_deg(self, instant_s: float | None = None) -> tuple[float, float]:
-        """Return the encoder readings of azimuth and elevation in degrees, now or at `instant_s` if nothing
-        intervenes.
+        """Return the encoder readings of azimuth and elevation in degrees, at present or at `instant_s`.
+
+        Future readings assume that no other command changes the motion.
         """
         instant_s = self.now_s if instant_s is None else instant_s
         return self._axes[AZIMUTH].position_deg(instant_s), self._axes[ELEVATION].position_deg(instant_s)
@@ -125,7 +132,7 @@ class MountPhysics:
         return self._errors.angles_rad(azimuth_deg, elevation_deg)
 
     def wobble_mm(self, azimuth_deg: float) -> Array:
-        """Return the displacement (3,) of the azimuth axis by wobble, in mm."""
+        """Return the displacement, shape (3,), in mm of the azimuth axis by its wobble at the given encoder reading."""
         return self._errors.wobble_mm(azimuth_deg)
 
 

@@ -13,14 +13,14 @@ particular order, so drawing in blocks would not save time."""
 
 
 class NoiseSource:
-    """Standard normal numbers, three per counter value."""
+    """Source of standard normal random numbers, three for each value of a counter."""
 
     def __init__(self, seed: int, stream: str) -> None:
         self._key = (seed, crc32(stream.encode()))
         self._blocks: dict[int, list[list[float]]] = {}
 
     def normal(self, counter: int) -> list[float]:
-        """Return three independent standard normal numbers for `counter`."""
+        """Return the three independent standard normal numbers that belong to `counter`."""
         if counter >= BY_STEP:
             x, y, z = np.random.default_rng([*self._key, counter]).standard_normal(3).tolist()
             return [x, y, z]
@@ -32,5 +32,5 @@ class NoiseSource:
 
 
 def generator(seed: int, stream: str) -> np.random.Generator:
-    """Return a generator for values that are drawn once, separate for each `stream`."""
+    """Return a random generator for values that are drawn only once. Each `stream` has an independent generator."""
     return np.random.default_rng([seed, crc32(stream.encode())])

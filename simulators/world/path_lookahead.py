@@ -1,6 +1,4 @@
-"""Look-ahead along the path of a command before motion begins, for contacts of the tip and collisions of other
-bodies.
-"""
+"""Search for contacts of the tip and collisions of other bodies along the path of a command, before the motion begins."""
 
 from __future__ import annotations
 
@@ -13,10 +11,10 @@ from twin.collision.geometry import Point, translate_point
 
 
 class PathLookahead:
-    """Finds the events (contact, trip, collision) along a path.
+    """Search for the events along a path: contacts of the tip, trips of the probe, and collisions.
 
-    Contacts of the tip are exact. Collisions are swept along the nominal path of the tip, which is within 0.1 mm of the
-    true one.
+    Contacts of the tip are calculated exactly. Collisions of other bodies are searched along the nominal path of the
+    tip, which differs from the true path by less than 0.1 mm.
     """
 
     def __init__(self, tool_offset: Point, contacts: ContactSolver, trigger: Trigger) -> None:
@@ -29,8 +27,10 @@ class PathLookahead:
     ) -> PathEvents:
         """Return the events on the path of `command`.
 
-        `resting`: number of the ball that deflects the probe at the start, or None. Raises CommandRejected if the probe
-        is deflected before a touch, or if a guarded move would deflect it further.
+        `resting` is the number of the ball that deflects the probe at the start, or None if the probe is not deflected.
+        `touch` is the number that selects the noise of the trip. Raises CommandRejected if the probe is deflected
+        before a touch. The same error is raised if the probe is deflected and a guarded move would press it further
+        into the ball.
         """
         free_mm, pressed = self._from_rest(command, snapshot, resting)
         contact = self._contacts.first(command.path, snapshot, resting)

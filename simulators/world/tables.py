@@ -1,4 +1,4 @@
-"""Compensation tables in the controller: banks, their limits, and the active bank."""
+"""Compensation tables in the controller: the banks with their tables, the limits of a table, and the active bank."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulators.world.field import TableField
 
 
 class TableBanks:
-    """Banks of the controller. Bank 0 means no compensation; an active bank is never written."""
+    """Banks of the controller. Bank 0 means no compensation. The active bank cannot be written."""
 
     def __init__(self, settings: StoreSettings) -> None:
         self.limits = StoreLimits(
@@ -27,8 +27,10 @@ class TableBanks:
         self.field: TableField | None = None
 
     def write(self, bank: int, image: TableImage) -> None:
-        """Store `image` in `bank`. Raises CommandRejected if the bank is missing or active, or if the table does not
-        fit.
+        """Store the table `image` in `bank`.
+
+        Raises CommandRejected if the bank does not exist or is active, or if the table exceeds the limits of the
+        controller.
         """
         if bank not in self.limits.banks:
             raise CommandRejected(f"there is no writable bank {bank}", hint=f"writable banks: {self.limits.banks}")
@@ -38,7 +40,7 @@ class TableBanks:
         self.images[bank] = image
 
     def activate(self, bank: int) -> None:
-        """Make `bank` active. Raises CommandRejected if it is empty."""
+        """Make `bank` the active bank. Raises CommandRejected if the bank is empty."""
         if bank and bank not in self.images:
             raise CommandRejected(f"bank {bank} holds no table")
         self.active = bank

@@ -1,4 +1,4 @@
-"""Thermometer readings, and the effect of machine temperature on the tip and on the deviation field."""
+"""Thermometer readings, and the effects of the machine temperature on the tip position and on the deviation field."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ ARTEFACT, MACHINE, AMBIENT = "artefact", "machine", "ambient"
 class ThermalEffects:
     """Thermal model of one machine.
 
-    `ranges_mm` of the axes and `tool_offset_mm` give the lever arms of the thermal deformation; `seed` is that of the
-    thermometer noise.
+    The travel ranges `ranges_mm` of the axes and `tool_offset_mm` determine the lever arms of the thermal deformation.
+    `seed` is the seed of the thermometer noise.
     """
 
     def __init__(
@@ -41,7 +41,9 @@ class ThermalEffects:
     # ------------------------------------------------------------------ thermometers
 
     def temperatures_c(self, now_s: float) -> dict[str, float]:
-        """Return the temperatures in °C by sensor name, including the errors of the sensors."""
+        """Return the thermometer reading in °C of each sensor by its name, including lag, offset and noise of the
+        sensor.
+        """
         s = self._settings
         then_s = max(now_s - s.sensor_lag_s, 0.0)
         readings = {ARTEFACT: self.state.artefact_c(then_s), MACHINE: self.state.machine_c(then_s)}
@@ -61,7 +63,7 @@ class ThermalEffects:
     # ------------------------------------------------------------------ deformation
 
     def drift_mm(self, now_s: float) -> Point:
-        """Return the thermal displacement (3,) of the tip by growth of spindle and ram since the start, in mm."""
+        """Return the displacement, shape (3,), of the tip in mm by thermal growth of spindle and ram since the start."""
         if self.state.machine_is_constant:
             return ZERO
         warmed = self.state.machine_change_k(now_s)
@@ -69,7 +71,9 @@ class ThermalEffects:
         return x * warmed * 1e-3, y * warmed * 1e-3, z * warmed * 1e-3
 
     def field(self, now_s: float) -> FieldOfMany | None:
-        """Return the thermal change of the machine's deviation field since the start, or None if there is none."""
+        """Return the thermal change of the machine's deviation field since the start, or None if the field has not
+        changed.
+        """
         if self.state.machine_is_constant:
             return None
         s = self._settings
@@ -83,11 +87,13 @@ class ThermalEffects:
 
 @dataclass(frozen=True, eq=False)
 class ThermalField:
-    """Thermal deformation field: scale changes `stretch` (3,) about zero, and a column whose top is displaced along Y.
+    """Thermal deformation field of a machine with changed scales and a bent column.
 
-    The column is a cantilever heated from one side. At axis position z its displacement is w = bend ((z - z0)/Lz)²,
-    where z0 is the lower end and Lz the length of the Z travel. Its slope rotates everything that it carries about X,
-    so the tip of a tool that extends along Y is lowered.
+    `stretch`, shape (3,), is the relative change of the scale of each axis; each scale expands from its zero. The
+    column is a cantilever that is heated from one side, and it bends along Y. At the position z of the Z axis its
+    displacement w is w = `bend_mm` ((z - z0)/Lz)², where z0 is the lower end of the Z travel and Lz is its length. The
+    slope of the column rotates everything that the column carries about X. The tip of a tool that extends along Y is
+    therefore lowered.
     """
 
     stretch: Array
@@ -108,16 +114,19 @@ class ThermalField:
 
 
 def artefact_bow_mm(settings: ThermalSettings, warming: ThermalState, now_s: float) -> float:
-    """Return the bow of the artefact at its middle, in mm."""
+    """Return the bow of the artefact at instant `now_s`: the displacement of its middle from the line of its ends, in
+    mm.
+    """
     if settings.artefact_bow_um_per_k == 0.0:
         return 0.0
     return 1e-3 * settings.artefact_bow_um_per_k * warming.artefact_lag_k(now_s)
 
 
 def bend_balls(balls: Array, bow: float) -> Array:
-    """Return the ball centres (N, 3) in mm of an artefact along X that is bent to an arc.
+    """Return the ball centres, shape (N, 3), in mm of an artefact of N balls along X after the artefact is bent to an
+    arc.
 
-    Its ends are fixed and its middle is displaced by `bow` mm along Z.
+    The ends of the artefact stay in place, and its middle is displaced by `bow` mm along Z.
     """
     along = balls[:, 0]
     half = 0.5 * float(np.ptp(along))

@@ -1,6 +1,6 @@
-"""Temperatures of ambient, artefact and machine at any instant.
+"""Temperatures of the ambient air, the artefact and the machine at any instant.
 
-They are computed in closed form, so that time may advance in steps of any size.
+The temperatures are computed in closed form, and time may therefore advance in steps of any size.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _ALIKE = 1e-6  # relative difference of two time constants below which the limit
 
 
 class ThermalState:
-    """True temperatures, without the errors of the thermometers."""
+    """True temperatures of ambient air, artefact and machine, without the errors of the thermometers."""
 
     def __init__(self, settings: ThermalSettings) -> None:
         self._settings = settings
@@ -38,21 +38,21 @@ class ThermalState:
         return s.machine_c + self.machine_change_k(now_s)
 
     def machine_change_k(self, now_s: float) -> float:
-        """Return the temperature change at the machine's thermometer since the start, in K."""
+        """Return the change in K, since the start, of the true temperature at the place of the machine's thermometer."""
         s = self._settings
         return self._change_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
 
     def column_change_k(self, now_s: float) -> float:
-        """Return the change of the temperature difference across the column since the start, in K.
+        """Return the change in K, since the start, of the temperature difference between the two sides of the column.
 
-        It lags the machine's thermometer by an additional time constant.
+        This difference follows the ambient with a longer time constant than the machine's thermometer does.
         """
         s = self._settings
         lag_h = None if s.machine_time_constant_h is None else s.machine_time_constant_h + s.bend_time_constant_h
         return self._change_k(now_s, lag_h, s.machine_k_per_h)
 
     def artefact_lag_k(self, now_s: float) -> float:
-        """Return the warming of the ambient minus that of the artefact since the start, in K.
+        """Return by how many K the ambient has warmed more than the artefact since the start.
 
         Returns 0 if the artefact does not follow the ambient.
         """
@@ -73,9 +73,10 @@ class ThermalState:
 
 
 def first_order_response(hours: float, source_h: float, follower_h: float) -> float:
-    """Return the response of a first-order follower to the rise 1 - exp(-t/source), as a fraction from 0 to 1.
+    """Return the response of a body with a first-order lag to an ambient change, as a fraction of the final change.
 
-    `source_h` and `follower_h` are the time constants in hours; 0 means no lag.
+    The ambient change after t hours is 1 - exp(-t / `source_h`). `source_h` and `follower_h` are the time constants of
+    the ambient and of the body in hours; a time constant of 0 means no lag.
     """
     if hours <= 0.0:
         return 0.0

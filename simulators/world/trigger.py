@@ -1,4 +1,4 @@
-"""Trip of a touch-trigger probe: direction-dependent pretravel, lobing and noise."""
+"""Trip of a touch-trigger probe with pretravel, lobing (dependence of the pretravel on the direction), and noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LOBES = 3
 
 
 class Trigger:
-    """Model of the probe's travel from contact to trip as a function of the touch direction; the probe points along
+    """Model of the tip travel between contact and trip, as a function of the touch direction. The probe points along
     +Y.
     """
 
@@ -25,7 +25,9 @@ class Trigger:
         self.overtravel_mm = settings.overtravel_mm
 
     def travel_mm(self, direction: Point, touch: int) -> float:
-        """Return the travel from contact to trip in mm. Its noise depends only on `touch`, the number of the touch."""
+        """Return the tip travel between contact and trip in mm. The noise of the travel depends only on the number
+        `touch`.
+        """
         travel = self._pretravel_mm
         if self._lobing_mm:
             # Three-lobed pretravel: amplitude * cos(3 φ), φ the direction about the stylus axis Y.

@@ -1,4 +1,4 @@
-"""True error of the simulated machine, known to the simulator and never to the agent."""
+"""True error of the simulated machine. Only the simulator knows this error; the agent never sees it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from twin.machine.volumetric import evaluation_grid, volumetric_error
 class MachineTruth:
     """True error of the machine at its present temperature.
 
-    `banks` are the controller's own, not a copy; `warm_field` returns the present thermal field. The growth of spindle
-    and ram is excluded, because it only shifts the whole field, like a new zero point, and a table need not correct it.
+    `banks` is the controller's own mapping of banks, not a copy, and `warm_field` is a function that returns the
+    present thermal field. The thermal growth of spindle and ram is excluded: it shifts the whole field like a new zero
+    point, and a table need not correct such a shift.
     """
 
     def __init__(
@@ -34,10 +35,11 @@ class MachineTruth:
         self._grid = evaluation_grid(nominal.ranges_mm)
 
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """Return the raw and the rigidly aligned rms error in µm on the 60×20×20 grid, with the table of `bank`.
+        """Return the true rms error in µm with the table of `bank`, on a grid of 60×20×20 points in the workspace.
 
-        The aligned error remains after the best-fitting rigid motion is removed. If `bank` is None or 0, the errors are
-        those without table.
+        The first value is the raw error, and the second is the aligned error, which remains after the best-fitting
+        rigid motion is removed. If `bank` is None or 0, both values are errors without a table. Raises InputError if
+        the bank is empty.
         """
         displayed = self._grid
         correction = np.zeros_like(displayed)

@@ -1,6 +1,7 @@
-"""Conservative test of whether a turn is free of collisions, using spheres around everything that turns.
+"""Conservative test for collisions during a turn of a mount, with spheres around everything that turns.
 
-If the test fails, there may still be no collision; the caller must then check the bodies themselves.
+A passed test proves that there is no collision. A failed test proves nothing, and the caller must then check the bodies
+themselves.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ SLACK_MM = 1.0
 
 
 def is_turn_clear(workpiece: Workpiece, tip: Point, start_s: float, end_s: float) -> bool:
-    """Return True if the artefact certainly stays clear of the probe from `start_s` to `end_s` with the tip resting at
-    `tip`.
+    """Return True if the turning artefact certainly stays clear of the probe between the instants `start_s` and
+    `end_s`.
 
-    Bodies that do not turn (pedestal, table) are checked once.
+    During the turn the tip rests at `tip`. The bodies that do not turn (pedestal and table) are checked only once.
     """
     cover = workpiece.cover
     if cover is None:

@@ -1,4 +1,7 @@
-"""Collisions while a mount turns, sampled in time because the sweep of a turning bar is not straight."""
+"""Collisions while a mount turns.
+
+The bodies are checked at successive instants, because the swept volume of a turning bar has no simple shape.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +32,9 @@ class TurnCrash:
 
 
 def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision of probe or ram with the turning artefact between two instants, or None.
+    """Return the first collision of probe or ram with the turning artefact between `start_s` and `end_s`, or None.
 
-    It is forecast for the case that no other command or fault occurs.
+    The forecast assumes that no other command or fault occurs before `end_s`.
     """
     if _stays_outside(workpiece, controller, start_s):
         return None
@@ -54,10 +57,10 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
 
 
 def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision between the bodies on `turning` and those on `other`, or None if there is none.
+    """Return the first collision between the bodies on `turning` and the bodies on `other`, or None if there is none.
 
-    `other` may turn too. Between two checks the fastest parts move by at most the remaining gap or, if that is larger,
-    by `STEP_MM`.
+    The workpiece `other` may turn too. Between two checks the fastest parts move at most by the present gap between the
+    bodies, or by `STEP_MM` if the gap is smaller than `STEP_MM`.
     """
     apart = np.hypot(*(turning.location_mm - other.location_mm)[:2])
     if apart > turning.sweep_radius_mm + other.sweep_radius_mm:

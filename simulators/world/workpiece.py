@@ -1,4 +1,4 @@
-"""Objects at one station: the mount and, if it carries an artefact, the true artefact as placed by the operator."""
+"""Objects at one station: the mount and, if the mount carries an artefact, the true artefact as the operator placed it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ from twin.collision.swept_volume import SphereCover, cover_turning_bodies
 
 @dataclass(frozen=True, eq=False)
 class WorkpieceSnapshot:
-    """State of the workpiece at one instant: true ball centres, the balls' body names, and all surrounding bodies.
+    """State of the workpiece at one instant: the true ball centres, the body names of the balls, and all bodies around
+    them.
 
-    `pose`: pose of the (first) artefact's mount; `allowed_contacts`: pairs of bodies that may touch.
+    `pose` is the pose of the artefact; if there are several artefacts, it is the pose of the first. `allowed_contacts`
+    are the pairs of bodies that may touch.
     """
 
     pose: Pose
@@ -40,10 +42,11 @@ class WorkpieceSnapshot:
 
 
 class Workpiece:
-    """True pose of the artefact for given mount angles and temperature.
+    """Mount and true artefact at one station, with the pose of the artefact for given mount angles and temperature.
 
-    The pose is recomputed only if the angles change, or the temperature by at least 1 mK (17 nm on a long bar).
-    `name_suffix` is appended to the names of its bodies if there are several workpieces.
+    The pose is recomputed only if a mount angle changes or if the temperature changes by at least 1 mK, which is 17 nm
+    on a long bar. If there are several workpieces, `name_suffix` is appended to the names of the bodies of this
+    workpiece.
     """
 
     def __init__(
@@ -66,9 +69,7 @@ class Workpiece:
         self._yaw_rad = 0.0
 
     def place(self, station: int, rng: np.random.Generator) -> None:
-        """Place the mount at `station` as an operator does: not exactly at the nominal location, and slightly
-        rotated.
-        """
+        """Place the mount at `station` as an operator does, slightly displaced and rotated from its nominal location."""
         self.station = station
         self._location_mm = np.add(self._places[station - 1], _placement_error(self._behaviour, rng))
         self._yaw_rad = math.radians(self._behaviour.place_error_deg) * float(rng.uniform(-1.0, 1.0))
@@ -81,24 +82,24 @@ class Workpiece:
         self._cached = None
 
     def carry(self, artefact: Artefact | None) -> None:
-        """Replace the artefact on this mount; None leaves the mount bare."""
+        """Replace the artefact on this mount. If `artefact` is None, the mount is left without an artefact."""
         self._artefact = artefact
         self._cached = self._cover = None
 
     @property
     def artefact(self) -> Artefact:
-        """True artefact. Must not be read if the mount carries none."""
+        """True artefact on the mount. The property must not be read if the mount carries no artefact."""
         assert self._artefact is not None  # noqa: S101  callers know which mount has the artefact
         return self._artefact
 
     @property
     def location_mm(self) -> Array:
-        """Location (3,) of the azimuth axis in mm, at the height of the middle of the bar."""
+        """Point on the azimuth axis at the height of the middle of the bar, shape (3,), in mm in the workpiece frame."""
         return self._location_mm
 
     @property
     def sweep_radius_mm(self) -> float:
-        """Largest distance in mm of any part of the artefact from the mount's location, for all mount angles."""
+        """Largest distance in mm between the location of the mount and any part of the artefact, over all mount angles."""
         geometry = self._geometry
         if self._artefact is None:
             return geometry.shaft_mm + max(geometry.shaft_radius_mm, geometry.pedestal_radius_mm)
@@ -107,14 +108,15 @@ class Workpiece:
 
     @property
     def cover(self) -> SphereCover | None:
-        """Spheres that enclose everything that turns; None if there is no artefact."""
+        """Set of spheres that encloses everything that turns with the mount; None if the mount carries no artefact."""
         if self._cover is None and self._artefact is not None:
             self._cover = cover_turning_bodies(self._artefact, self._geometry)
         return self._cover
 
     def true_angles_rad(self, instant_s: float) -> tuple[float, float]:
-        """Return the azimuth, including the rotation at placement, and the elevation, in rad, as required by
-        `mount_pose`.
+        """Return the true azimuth and elevation in rad at `instant_s`, in the form that `mount_pose` requires.
+
+        The azimuth includes the rotation of the mount by which the operator misplaced it.
         """
         azimuth, elevation = self.mount.true_angles_rad(*self.mount.angles_deg(instant_s))
         return azimuth + self._yaw_rad, elevation
@@ -123,7 +125,9 @@ class Workpiece:
         return self._thermal_state.artefact_c(now_s)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
-        """Return pose, true ball centres (workpiece frame) and collision scene at an instant."""
+        """Return the artefact's pose, the true ball centres in the workpiece frame, and the collision scene at instant
+        `now_s`.
+        """
         bow = round(artefact_bow_mm(self._temperatures, self._thermal_state, now_s), 5)
         key = (*self.mount.angles_deg(now_s), round(self.temperature_c(now_s), 3), bow)
         if self._cached is None or self._cached[0] != key:
@@ -155,9 +159,9 @@ class Workpiece:
 
 
 def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: str = "artefact") -> Artefact:
-    """Return an artefact whose deviations from its certificate are drawn from the stated uncertainties.
+    """Return a true artefact whose deviations from its certificate are drawn at random from the stated uncertainties.
 
-    `name` selects the random draw.
+    `name` selects the random numbers; each name gives a different artefact.
     """
     rng = generator(settings.seed, name)
     values, vectors = np.linalg.eigh(certified.covariance)

@@ -1,4 +1,7 @@
-"""All workpieces on the table: one mount that is moved with its artefact, or one mount at every station."""
+"""All workpieces on the table.
+
+There is either one mount that is moved with its artefact, or one mount at every station.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from twin.collision.collision import Scene
 
 
 class Worktable:
-    """Workpieces on the table: one at each station or, with a single mount, only that one."""
+    """Workpieces on the table: one workpiece at each station or, if there is only one mount, a single workpiece."""
 
     def __init__(self, scenario: Scenario, mounts: list[MountPhysics]) -> None:
         self._scenario = scenario
@@ -46,7 +49,7 @@ class Worktable:
 
     @property
     def workpiece(self) -> Workpiece:
-        """Workpiece with the movable artefact; with an artefact at every station, the first one."""
+        """Workpiece that carries the movable artefact; if every station has its own artefact, the first workpiece."""
         if len(self._pieces) == 1 or self._scenario.artefacts:
             return self._pieces[0]
         return self._pieces[self._at - 1]
@@ -58,7 +61,7 @@ class Worktable:
     def place_artefact(self, station: int) -> None:
         """Move the artefact to `station`, as the operator does.
 
-        Raises CommandRejected if there is no such station or if every station has its own artefact.
+        Raises CommandRejected if the station does not exist or if every station has its own artefact.
         """
         if not 1 <= station <= self._stations:
             raise CommandRejected(f"there is no station {station}", hint=f"stations are 1 to {self._stations}")
@@ -74,9 +77,9 @@ class Worktable:
         self._place(piece, station)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
-        """Return all balls and bodies on the table at an instant.
+        """Return all balls and bodies on the table at the instant `now_s`.
 
-        The result is cached while nothing turns, moves or warms.
+        The result is cached while no workpiece turns, moves or changes its temperature.
         """
         if len(self._pieces) == 1:
             return self._pieces[0].snapshot(now_s)

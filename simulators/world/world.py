@@ -34,7 +34,10 @@ def mount_name(station: int) -> str:
 
 
 class World:
-    """Physics of the machine. It has no clock of its own: the owner of the clock calls `advance_to`."""
+    """Physics of the simulated machine.
+
+    The world has no clock of its own: the owner of the clock calls `advance_to`.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         settings = scenario.settings
@@ -65,7 +68,7 @@ class World:
         self._looked_ahead = True
 
     def advance_to(self, instant_s: float) -> None:
-        """Advance everything to `instant_s`; does nothing if that instant has passed."""
+        """Advance everything to `instant_s`. If the world has already reached that instant, the method does nothing."""
         if instant_s <= self.now:
             return
         crash = self.turn_crash
@@ -75,10 +78,10 @@ class World:
 
     @property
     def turn_crash(self) -> TurnCrash | None:
-        """First collision of a turning mount if nothing intervenes, or None.
+        """First collision of a turning mount if no further command intervenes, or None if there is no collision.
 
-        Computed on first access after a change: motions that begin at one instant (say both axes of a mount) are
-        considered together.
+        The collision is computed when the property is first read after a change. Two motions that begin at the same
+        instant, such as the motions of both axes of a mount, are therefore considered together.
         """
         if not self._looked_ahead:
             self._turn_crash, self._looked_ahead = self._look_ahead(), True
@@ -86,13 +89,11 @@ class World:
 
     @property
     def workpiece(self) -> Workpiece:
-        """Workpiece with the movable artefact; the first one if every station has its own."""
+        """Workpiece that carries the movable artefact; if every station has its own artefact, the first workpiece."""
         return self.table.workpiece
 
     def mount_at(self, station: int) -> MountPhysics:
-        """Return the mount that turns the workpiece at `station`. Raises CommandRejected if there
-        is no such station.
-        """
+        """Return the mount that turns the workpiece at `station`. Raises CommandRejected if the station does not exist."""
         if self.scenario.mount_count == 1:
             return self.mounts[MOUNT]
         if mount_name(station) not in self.mounts:
@@ -100,9 +101,9 @@ class World:
         return self.mounts[mount_name(station)]
 
     def place_artefact(self, station: int) -> None:
-        """Move the artefact to `station` (numbered from 1), as the operator does.
+        """Move the artefact to `station`, counted from 1, as the operator does.
 
-        Raises CommandRejected if that is not possible.
+        Raises CommandRejected if the station does not exist or if every station has its own artefact.
         """
         self.table.place_artefact(station)
         self._expect_change()
@@ -158,7 +159,7 @@ class World:
 
 
 def true_machine(scenario: Scenario) -> TrueMachine:
-    """Return the true machine, drawn with the seed of the scenario, so all its worlds have the same machine."""
+    """Return the true machine of `scenario`. All worlds of the same scenario have the same machine."""
     settings, truth = scenario.settings, scenario.settings.truth
     if settings.ideal:
         return perfect_machine(scenario.machine, settings.tool)

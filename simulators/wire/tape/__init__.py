@@ -1,1 +1,1 @@
-"""Simulated controller that sends and receives its parameters as paper tapes."""
+"""Simulated controller that sends and receives its parameters in paper tape format over a serial line."""

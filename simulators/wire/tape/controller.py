@@ -1,11 +1,12 @@
-"""Controller that punches and reads its parameters in tape format, written from the manufacturer's manuals.
+"""Simulated controller that punches and reads its parameters in tape format, written from the manufacturer's manuals.
 
-It reads characters at the speed of its line into a small buffer. It sends DC3 when the buffer is nearly full, and DC1
-again when it is nearly empty. Everything happens as machine time passes; `press_read` and `press_punch` are the
-operator's keys.
+The controller reads characters into a small buffer, at the speed of its serial line. It sends DC3 when the buffer is
+nearly full, and DC1 again when the buffer is nearly empty. Characters are transferred as machine time passes. The
+methods `press_read` and `press_punch` stand for the operator's keys.
 
-Source: FANUC B-63503EN/02 (Series 0i connection manual), 5.3: DC1 starts and DC3 stops a reader, DC2 switches a punch
-on and DC4 off, one parity bit (even) among eight; B-63950EN/02, chapter 3: parameters as ``N ... P ...;``.
+Sources: FANUC B-63503EN/02 (Series 0i connection manual), section 5.3: DC1 starts and DC3 stops a reader, DC2 switches
+a punch on and DC4 switches it off, and each character of eight bits contains one even parity bit. FANUC B-63950EN/02,
+chapter 3: each parameter is written as ``N ... P ...;``.
 """
 
 from __future__ import annotations
@@ -38,7 +39,11 @@ def with_parity(character: str) -> int:
 
 
 class TapeCnc:
-    """CNC with a tape interface. `parameters` maps numbers to the texts after them (``P00001100``, ``A1P10A2P20``)."""
+    """CNC with a tape interface.
+
+    `parameters` maps each parameter number to the text that follows the number on the tape, for example ``P00001100``
+    or ``A1P10A2P20``.
+    """
 
     def __init__(
         self, parameters: dict[int, str], *, baud: int = 4800, memory: int = 128, writable: bool = True
@@ -73,7 +78,7 @@ class TapeCnc:
         self._send(DC1)
 
     def press_punch(self, leader: str = "") -> None:
-        """Start punching. `leader`: human-readable text at the beginning of a tape."""
+        """Start to punch the parameters. `leader` is human-readable text at the beginning of the tape."""
         self.mode = Mode.PUNCHING
         blocks = [f"N{number:05d}Q1{values}" for number, values in sorted(self.parameters.items())]
         text = leader + "%\n" + "\n".join(blocks) + "\n%\n"
@@ -85,7 +90,7 @@ class TapeCnc:
         self._outgoing.clear()
 
     def on_advance(self, now_s: float) -> None:
-        """Transfer as many characters as the elapsed time allows."""
+        """Transfer as many characters as the serial line carries between the last call and machine time `now_s`."""
         self.line.pump()
         self._share += (now_s - self._now_s) * self._per_s
         self._now_s = now_s
