@@ -1,4 +1,6 @@
-"""Rotary mount: its two axes with their motion laws, and the true orientation of the bar with the errors of the mount."""
+"""Rotary mount: its two axes with their motion laws, and the true orientation of the bar with the errors of
+the mount.
+"""
 
 from __future__ import annotations
 

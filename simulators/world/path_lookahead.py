@@ -1,4 +1,6 @@
-"""Search for contacts of the tip and collisions of other bodies along the path of a command, before the motion begins."""
+"""Search for contacts of the tip and collisions of other bodies along the path of a command, before the
+motion begins.
+"""
 
 from __future__ import annotations
 

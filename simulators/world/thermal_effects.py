@@ -63,7 +63,9 @@ class ThermalEffects:
     # ------------------------------------------------------------------ deformation
 
     def drift_mm(self, now_s: float) -> Point:
-        """Return the displacement, shape (3,), of the tip in mm by thermal growth of spindle and ram since the start."""
+        """Return the displacement, shape (3,), of the tip in mm by thermal growth of spindle and ram since
+        the start.
+        """
         if self.state.machine_is_constant:
             return ZERO
         warmed = self.state.machine_change_k(now_s)

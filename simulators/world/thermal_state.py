@@ -38,7 +38,9 @@ class ThermalState:
         return s.machine_c + self.machine_change_k(now_s)
 
     def machine_change_k(self, now_s: float) -> float:
-        """Return the change in K, since the start, of the true temperature at the place of the machine's thermometer."""
+        """Return the change in K, since the start, of the true temperature at the place of the machine's
+        thermometer.
+        """
         s = self._settings
         return self._change_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
 

@@ -1,4 +1,6 @@
-"""Objects at one station: the mount and, if the mount carries an artefact, the true artefact as the operator placed it."""
+"""Objects at one station: the mount and, if the mount carries an artefact, the true artefact as the
+operator placed it.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ class Workpiece:
         self._yaw_rad = 0.0
 
     def place(self, station: int, rng: np.random.Generator) -> None:
-        """Place the mount at `station` as an operator does, slightly displaced and rotated from its nominal location."""
+        """Place the mount at `station` as an operator does, slightly displaced and rotated from its nominal
+        location.
+        """
         self.station = station
         self._location_mm = np.add(self._places[station - 1], _placement_error(self._behaviour, rng))
         self._yaw_rad = math.radians(self._behaviour.place_error_deg) * float(rng.uniform(-1.0, 1.0))
@@ -94,12 +98,16 @@ class Workpiece:
 
     @property
     def location_mm(self) -> Array:
-        """Point on the azimuth axis at the height of the middle of the bar, shape (3,), in mm in the workpiece frame."""
+        """Point on the azimuth axis at the height of the middle of the bar, shape (3,), in mm in the
+        workpiece frame.
+        """
         return self._location_mm
 
     @property
     def sweep_radius_mm(self) -> float:
-        """Largest distance in mm between the location of the mount and any part of the artefact, over all mount angles."""
+        """Largest distance in mm between the location of the mount and any part of the artefact, over all
+        mount angles.
+        """
         geometry = self._geometry
         if self._artefact is None:
             return geometry.shaft_mm + max(geometry.shaft_radius_mm, geometry.pedestal_radius_mm)

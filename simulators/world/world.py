@@ -93,7 +93,9 @@ class World:
         return self.table.workpiece
 
     def mount_at(self, station: int) -> MountPhysics:
-        """Return the mount that turns the workpiece at `station`. Raises CommandRejected if the station does not exist."""
+        """Return the mount that turns the workpiece at `station`. Raises CommandRejected if the station
+        does not exist.
+        """
         if self.scenario.mount_count == 1:
             return self.mounts[MOUNT]
         if mount_name(station) not in self.mounts:
