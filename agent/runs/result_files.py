@@ -21,10 +21,11 @@ REPORT = "report.html"
 
 
 def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Mapping[str, str | bytes]) -> Outcome:
-    """Write the available result files under ``STATE/RUN_ID``. Return the outcome with the report's path.
+    """Write the available result files of a run to the directory ``STATE_DIRECTORY/RUN_ID``. Return the outcome,
+    completed by the path of the report.
 
-    For a run without an estimate only the report is written; its measurements are in the journal. `report` contains the
-    files of the report by name.
+    If the run has no estimate, only the report is written; the measurements of the run are in the journal. `report`
+    maps the name of each file of the report to its content.
     """
     state = job.settings.state_directory
     texts = dict(report)

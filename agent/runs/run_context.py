@@ -1,4 +1,5 @@
-"""Context of a run: the devices and records that it uses, and the hooks of the caller that started it."""
+"""Context of a run. It comprises the devices and records that the run uses, and the hooks of the caller that started
+it."""
 
 from __future__ import annotations
 
@@ -35,13 +36,13 @@ def _permit(_: Job, __: PreflightResult) -> None: ...
 
 @dataclass(frozen=True)
 class RunHooks:
-    """Hooks of the caller into a run; the defaults serve a run without an observer.
+    """Functions and objects that the caller passes to a run; the defaults are for a run that is not observed.
 
     `announce` receives states, progress and notes. `attach` receives the supervisor, through which signals and
     endpoints hold or abort the run. `observe` receives every step and its result. `preflight_passed` receives the job
-    that will be measured and its preflight, and may still refuse the run by raising. `lock` prevents other processes
-    from using the machine. `devices` creates the clock and the rig. `reports` renders the report. If `write_files` is
-    True, the results are also written as files; they are in the journal in any case.
+    that will be measured and the result of its preflight; it may raise an error to refuse the run. `lock` prevents
+    other processes from using the machine. `devices` creates the clock and the rig. `reports` renders the report. If
+    `write_files` is True, the results are also written to files; they are in the journal in any case.
     """
 
     announce: Listener = _ignore_announcement
@@ -56,7 +57,7 @@ class RunHooks:
 
 @dataclass(frozen=True)
 class RunContext:
-    """Objects that a run uses. `clock` counts machine seconds; the supervisor can interrupt its waits."""
+    """Objects that a run uses. `clock` counts machine seconds; the supervisor can interrupt the waits of this clock."""
 
     rig: Rig
     engine: Engine

@@ -1,4 +1,5 @@
-"""Request for a run: one value, validated once, for the HTTP body, the panel gateway, OPC UA and the command line."""
+"""Request for a run. HTTP, the panel gateway, OPC UA and the command line use the same request type, which is validated
+once."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ class RunRequest(BaseModel):
     """Request for a run. If a field is None, its value is taken from the settings.
 
     `position_set` is a name, never a path, so that an endpoint cannot choose which file the agent opens. `consent` is
-    True if a person stands at the machine and has confirmed that it may move; a timer never has consent, and the agent
-    then decides from permissions, hours and warm-up alone. `full_allowed` is True if a night may become a full
+    True if a person stands at the machine and has confirmed that it may move. A timer never has consent; the agent then
+    decides from permissions, hours and warm-up alone. `full_allowed` is True if a nightly run may become a full
     calibration.
     """
 
@@ -39,7 +40,8 @@ class RunRequest(BaseModel):
 
     @property
     def single_station(self) -> int | None:
-        """Station of a run that measures at one station. Raises UserError if several are named."""
+        """Requested station of a run that measures at one station, or None. Raises UserError if the request names
+        several stations."""
         stations = self.stations or []
         if len(stations) > 1:
             raise UserError(
@@ -50,6 +52,7 @@ class RunRequest(BaseModel):
 
 
 def run_request(**fields: object) -> RunRequest:
-    """Return the request with these fields. Raise InputError, naming the field, if one is not permitted."""
+    """Return the request with the given fields. Raise InputError, which names the field, if a value is not
+    permitted."""
     with translated(InputError):
         return validate_document(fields, "request", RunRequest)

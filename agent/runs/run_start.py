@@ -1,4 +1,4 @@
-"""Start of a new run: its entry in the journal, and its start conditions."""
+"""Start of a new run. A run starts with its entry in the journal and the reading of its start conditions."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from drivers.clock import Clock, utc_timestamp
 def enter_in_journal(
     journal: Journal, run_id: str, job: Job, kind: Kind, clock: Clock, asked: Mapping[str, object]
 ) -> RunJournal:
-    """Create a run in the journal, and store its settings, its input files and the source `asked` of the request.
+    """Create a run in the journal, and store its settings, its input files and its request there.
 
-    Raises Busy if there is already a run `run_id`.
+    `asked` contains the source and content of the request. Raises Busy if the journal already has a run `run_id`.
     """
     settings, inputs = job.settings.model_dump(mode="json"), inputs_of(job)
     run_journal = journal.start_run(run_id, kind.name, settings, version("volcal"), clock)
@@ -39,9 +39,9 @@ def record_asked(journal: RunJournal, asked: Mapping[str, object]) -> None:
 
 
 def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) -> StartConditions:
-    """Return the present position, time and run number as start conditions; `rig` must be open.
+    """Return the present axis positions, the time and the run number as start conditions. `rig` must be open.
 
-    Raise PlanRefused if the compensation is unfinished.
+    Raise PlanRefused if an earlier run has left a table that is not yet proved or not yet active.
     """
     x, y, z = rig.machine.position().tolist()
     _require_finished_compensation(rig, state_directory)

@@ -2,7 +2,7 @@
 
 A session locks the machine, opens the devices, runs the preflight, carries out the run and stores its results.
 
-`carry_out` begins a new run; `agent.runs.resume.resume` continues an interrupted one. Both use `run_resources` (lock,
+`carry_out` begins a new run; `agent.runs.resume.resume` continues an interrupted run. Both use `run_resources` (lock,
 journal, clock, supervisor), `open_rig`, and a `RunSession`, which turns the progress of the run into a `RunResult`.
 """
 
@@ -40,16 +40,16 @@ from twin.units import S_PER_MIN
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of a run. `error` is the first error if the run did not complete, otherwise None."""
+    """Result of a run. `error` is the first error of a run that did not complete; it is None if the run completed."""
 
     outcome: Outcome
     error: VolcalError | None
 
 
 def new_run_id() -> str:
-    """Return an identity such as ``20261121T012233Z-3f2a``.
+    """Return a new run identity such as ``20261121T012233Z-3f2a``.
 
-    Identities sort by time; those of the same second differ in the random suffix.
+    Run identities sort by start time; identities of the same second differ in the random suffix.
     """
     stamp = utc_timestamp().split(".", maxsplit=1)[0].replace("-", "").replace(":", "")
     return f"{stamp}Z-{secrets.token_hex(2)}"
@@ -67,10 +67,10 @@ def carry_out(
     """Carry out a new run.
 
     `base` is the directory to which relative paths in the settings refer. If `run_id` is None, a new identity is used.
-    `asked` contains the source and content of the request, which are journaled with the run.
+    `asked` contains the source and content of the request; it is journaled with the run.
 
-    Raises an error only if the run cannot be created (lock, configuration, journal). Once the run exists, each of its
-    ends, good or bad, is returned as a `RunResult`.
+    Raises an error only if the run cannot be created because of the lock, the configuration or the journal. Once the
+    run exists, each of its ends, good or bad, is returned as a `RunResult`.
     """
     hooks, run_id, settings = hooks or RunHooks(), run_id or new_run_id(), job.settings
     with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
@@ -96,7 +96,7 @@ def carry_out(
 
 @dataclass(frozen=True)
 class RunResources:
-    """Resources that one run uses until its end. `began_s` is the wall-clock time in s at its beginning."""
+    """Resources that a run uses until its end. `began_s` is the wall-clock time in s at the beginning of the run."""
 
     journal: Journal
     clock: Clock
@@ -104,7 +104,7 @@ class RunResources:
     began_s: float
 
     def interruptible(self, clock: Clock) -> Clock:
-        """Return a clock with the time of `clock` and with waits that the supervisor can interrupt.
+        """Return a clock that has the same time as `clock` and that lets the supervisor interrupt its waits.
 
         `clock` is the clock of these resources, or a clock based on it.
         """
@@ -115,7 +115,8 @@ class RunResources:
 def run_resources(
     state_directory: Path, clock_settings: ClockSettings, run_id: str, hooks: RunHooks
 ) -> Iterator[RunResources]:
-    """Lock the machine, open the journal, and create the clock and the supervisor; release them after the block."""
+    """Lock the machine, open the journal, and create the clock and the supervisor. Release all of them after the `with`
+    block."""
     began_s = wall_seconds()
     with (
         hooks.lock(state_directory, run_id),
@@ -129,9 +130,9 @@ def run_resources(
 
 @contextmanager
 def open_rig(context: RunContext) -> Iterator[None]:
-    """Open the rig for the block; the supervisor can then hold and resume the machine.
+    """Open the rig for the `with` block; during the block the supervisor can hold and resume the machine.
 
-    Errors on closing the rig are recorded as notes.
+    Errors that occur when the rig is closed are recorded as notes.
     """
     rig, tracker = context.rig, context.tracker
 
@@ -167,7 +168,8 @@ class RunSession:
         self.progress = RunProgress()
 
     def plan(self, start: StartConditions) -> PlannedRun:
-        """Plan the run from `start` and call the hook `preflight_passed`. Raises PlanRefused or UserError."""
+        """Plan the run from `start` and call the hook `preflight_passed`. Raises PlanRefused or UserError if the run is
+        refused."""
         context = self._context
         planned = self._kind.plan(self._job, start, context.supervisor.check_stop_request)
         context.hooks.preflight_passed(planned.job, planned.preflight)
@@ -182,9 +184,9 @@ class RunSession:
 
     @contextmanager
     def ended_by_errors(self) -> Iterator[None]:
-        """End the run if the block raises a `VolcalError`.
+        """End the run if the `with` block raises a `VolcalError`.
 
-        In that case nothing has moved, because a run that has begun handles its errors itself.
+        If that happens, nothing has moved yet, because a run that has begun to measure handles its errors itself.
         """
         try:
             yield

@@ -1,4 +1,5 @@
-"""Search for an interrupted run at the end of the journal, and for the reason if it cannot be resumed."""
+"""Search for an interrupted run at the end of the journal. If such a run cannot be resumed, the search also gives the
+reason."""
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ means that an assumption about machine, artefact or procedure is wrong."""
 
 @dataclass(frozen=True)
 class UnfinishedRun:
-    """Interrupted run after which no other run has done anything.
+    """Interrupted run after which no other run has carried out a step or passed its preflight.
 
-    `started` is the UTC time of the start. `state` is the last state entered. `balls` is the number of stored ball
-    centres. `last_step` is the key of the last step that began. `refusal` is the reason why the run cannot be resumed;
-    it is empty if the run can be resumed.
+    `started` is the UTC time of the start. `state` is the last state that the run entered. `balls` is the number of
+    stored ball centres. `last_step` is the key of the last step that began. `refusal` is the reason why the run cannot
+    be resumed; it is empty if the run can be resumed.
     """
 
     run: int
@@ -40,9 +41,9 @@ class UnfinishedRun:
 
 
 def unfinished_run(state_directory: Path) -> UnfinishedRun | None:
-    """Return the last run if it was interrupted; None if it ended regularly or there is none.
+    """Return the last run if it was interrupted. Return None if it ended regularly or if the journal contains no run.
 
-    Only the owner of the machine may call this, because a run in progress looks like an interrupted one. Raise
+    Only the owner of the machine may call this function, because a run in progress looks like an interrupted one. Raise
     InputError if the journal cannot be read.
     """
     if not has_journal(state_directory):

@@ -1,3 +1,2 @@
-"""Calibration service. It consists of the single owner of the machine and of the endpoints for people, panels and other
-programs.
-"""
+"""Calibration service. It consists of the owner of the machine, which alone uses the machine, and of the endpoints for
+people, panels and other programs."""

@@ -1,4 +1,5 @@
-"""Address file of the running service, in the state directory. The HTTP endpoint writes it; commands read it."""
+"""Address file of the running service in the state directory. The HTTP endpoint writes the file, and commands read
+it."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ ADDRESS_FILE = "service.json"
 
 
 def write_address(directory: Path, url: str) -> None:
-    """Write `url` to the address file, so that commands find the service that runs in this process."""
+    """Write `url` to the address file. Commands use this file to find the service, which runs in this process."""
     write_atomically(directory / ADDRESS_FILE, json.dumps({"url": url, "process": os.getpid()}))
 
 
@@ -21,7 +22,8 @@ def remove_address(directory: Path) -> None:
 
 
 def read_address(directory: Path) -> str:
-    """Return the URL of the service. Raise FileNotFoundError if no service runs, and OSError, ValueError or KeyError if
-    the file is invalid.
+    """Return the URL of the running service from the address file.
+
+    Raise FileNotFoundError if no service runs, and OSError, ValueError or KeyError if the file is invalid.
     """
     return str(json.loads((directory / ADDRESS_FILE).read_text(encoding="utf-8"))["url"])

@@ -1,7 +1,8 @@
-"""Stable alarm numbers of the error classes, so that a panel can show its own text for each number.
+"""Stable alarm numbers of the error classes, by which a panel can select a text of its own.
 
-The numbers are a contract (docs/reference/alarms.md): a class keeps its number and a number is never reused. Each
-branch of the class hierarchy has its own hundred. An error class that is not listed has its parent's number.
+The numbers are a contract (docs/reference/alarms.md): a class keeps its number, and a number is never reused. Each
+branch of the class hierarchy has a range of one hundred numbers. An error class without a number of its own has the
+number of its parent class.
 """
 
 from __future__ import annotations
@@ -17,9 +18,8 @@ from drivers import errors
 
 @dataclass(frozen=True)
 class AlarmCode:
-    """Alarm number with its meaning (`text`) and a general `hint`, which is shown if the error has no hint of
-    its own.
-    """
+    """Alarm number, its meaning (`text`) and a general `hint`. The general hint is shown if the error itself has no
+    hint."""
 
     code: int
     text: str
@@ -101,8 +101,9 @@ CODES: Final = MappingProxyType(_CODES)
 
 
 def alarm_code(error: BaseException) -> AlarmCode:
-    """Return the code of the error's class or of its nearest base class in the list, or DEFECT if the list contains
-    neither.
+    """Return the alarm code of the error's class or, if this class has no code, of its nearest base class that has one.
+
+    Return DEFECT if no base class has a code.
     """
     for kind in type(error).__mro__:
         if kind in CODES:
@@ -111,9 +112,8 @@ def alarm_code(error: BaseException) -> AlarmCode:
 
 
 def alarm_of(error: BaseException) -> Alarm:
-    """Return an alarm with the error's text, location and hint. If the error has no hint, the alarm has the general
-    hint of its code.
-    """
+    """Return an alarm with the text, location and hint of the error. If the error has no hint, use the general hint of
+    its alarm code."""
     found = alarm_code(error)
     if isinstance(error, errors.VolcalError):
         return Alarm(found.code, error.message, error.hint or found.hint, MappingProxyType(dict(error.where)))

@@ -1,4 +1,4 @@
-"""Requests that are allowed in each state of a run. `agent.execution.states` has the PackML names of the states.
+"""Requests that are allowed in each state of a run. The PackML names of the states are in `agent.execution.states`.
 
 The states faulted and aborted are sticky: only a reset leaves them. The states complete and refused are not sticky: a
 new run may be started from them.
@@ -39,8 +39,10 @@ ALLOWED: dict[RunState, frozenset[str]] = {
 
 
 def allowed_in(state: RunState, *, unfinished: bool, question_open: bool) -> frozenset[str]:
-    """Return the requests allowed in `state`. `unfinished` is True if an interrupted run can be resumed,
-    `question_open` if a question has not been answered yet.
+    """Return the requests that are allowed in `state`.
+
+    `unfinished` is True if an interrupted run can be resumed. `question_open` is True if a question of the run has not
+    been answered yet.
     """
     allowed = ALLOWED[state]
     if not unfinished:

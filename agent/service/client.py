@@ -31,12 +31,12 @@ STREAM_TIMEOUT_S = 45.0
 
 
 class NoService(LinkLost):
-    """No service runs for this machine."""
+    """Error raised if no service runs for this machine."""
 
 
 @dataclass(frozen=True)
 class Client:
-    """Connection to the service of the machine that `settings` describe."""
+    """HTTP connection to the service of one machine, which is found with the settings of that machine."""
 
     settings: Settings
     _http: httpx.Client = field(init=False)
@@ -58,12 +58,12 @@ class Client:
         return self._request("POST", path, body, headers)
 
     def events(self, after: int | None = None) -> Iterator[tuple[str, Document]]:
-        """Yield the status and then every event, each as (kind, document).
+        """Yield the status and then every event, each as a pair (kind, document).
 
         `after` is the number of the last event that the caller already has. All later events are yielded, including
-        those that occurred before this call.
+        events that occurred before this call.
 
-        Raise LinkLost when the service ends or the connection fails, and LinkTimeout if the service does not respond.
+        Raise LinkLost if the service ends or the connection fails, and LinkTimeout if the service does not respond.
         """
         headers = {} if after is None else {"Last-Event-ID": str(after)}
         timeout = httpx.Timeout(ANSWER_TIMEOUT_S, read=STREAM_TIMEOUT_S)
@@ -101,9 +101,8 @@ _START_IT = "start the service with `systemctl start volcal`, or `volcal serve -
 
 
 def error_of(problem: Mapping[str, Any]) -> VolcalError:
-    """Return the error that a problem document describes, or CommandRejected if this program does not know its
-    class.
-    """
+    """Return the error that a problem document describes. If this program does not know the class of the error, return
+    CommandRejected."""
     title = str(problem.get("title"))
     kind = getattr(errors, title, None) or getattr(run_errors, title, None)
     if not (isinstance(kind, type) and issubclass(kind, VolcalError)):

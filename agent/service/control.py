@@ -1,7 +1,8 @@
-"""Requests to the single owner of the machine. All endpoints use the same interface.
+"""Interface through which every endpoint sends requests to the owner of the machine.
 
 HTTP, the page, the panel gateway, OPC UA and the timer all use a `Control` and are independent of each other. Every
-method may be called from any thread and does not wait for the run; `status` and the events report its effect.
+method may be called from any thread and does not wait for the run. The effect of a request appears in `status` and in
+the events.
 """
 
 from __future__ import annotations
@@ -30,8 +31,7 @@ class Question:
 @dataclass(frozen=True)
 class Alarm:
     """Condition that requires a reaction. `code` is a stable number for panels (docs/reference/alarms.md). `hint`
-    states what to do. `where` names the device, step, file or other location of the error.
-    """
+    states the action to take. `where` names the device, step, file or other location of the error."""
 
     code: int
     text: str
@@ -43,13 +43,18 @@ class Alarm:
 class Status:
     """State of the service at one instant.
 
-    `state`: state of the run in progress or, between runs, the final state of the last run until a reset (only a reset
-    leaves the states faulted and aborted). `packml`: ISA-TR88.00.02 name of the state. `doing`: current activity in
-    plain words. `fraction`: completed part of the run, 0…1. `minutes_left`: remaining machine time in min, as computed
-    by the preflight. `ve_before_um`, `ve_now_um`: volumetric error (VE) according to the last accepted estimate,
-    without the table and with it, in µm, rigidly aligned. `may`: the requests allowed now (``start``, ``hold``,
-    ``resume``, ``abort``, ``reset``, ``answer``, ``resume_run``). `unfinished`: identity of the interrupted run that
-    can be resumed. `written_not_active`: bank that becomes active only when the controller is restarted.
+    - `state` is the state of the run in progress or, between runs, the final state of the last run until a reset. Only
+      a reset leaves the states faulted and aborted.
+    - `packml` is the ISA-TR88.00.02 name of the state.
+    - `doing` is the current activity in plain words.
+    - `fraction` is the completed part of the run, from 0 to 1.
+    - `minutes_left` is the remaining machine time in min, as computed by the preflight.
+    - `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according
+      to the last accepted estimate; both are in µm and rigidly aligned.
+    - `may` contains the requests that are allowed now (``start``, ``hold``, ``resume``, ``abort``, ``reset``,
+      ``answer``, ``resume_run``).
+    - `unfinished` is the identity of the interrupted run that can be resumed.
+    - `written_not_active` is the bank that becomes active only when the controller is restarted.
     """
 
     machine: str
@@ -77,9 +82,11 @@ class Status:
 
 @dataclass(frozen=True)
 class Event:
-    """Event of the service. `number` increases by one with each event while the service runs; `kind`: ``state``,
-    ``progress``, ``note``, ``gate``, ``ball``, ``lost`` (a ball that was not found), ``temperature``, ``question``,
-    ``alarm``, ``outcome``."""
+    """Event of the service.
+
+    `number` increases by one with each event while the service runs. `kind` is ``state``, ``progress``, ``note``,
+    ``gate``, ``ball``, ``lost`` (a ball that was not found), ``temperature``, ``question``, ``alarm`` or ``outcome``.
+    """
 
     number: int
     kind: str
@@ -88,30 +95,34 @@ class Event:
 
 
 class Control(Protocol):
-    """Interface of the owner of the machine."""
+    """Interface of the owner of the machine, which every endpoint uses."""
 
     def status(self) -> Status: ...
 
     def start(self, request: RunRequest) -> str:
         """Start a run and return its identity.
 
-        Raise Busy, naming the run in progress; UserError if the request cannot be carried out; DeviceError if the
-        machine cannot be reached; PermissionMissing if a reset is needed first. If the request is without consent, also
-        raise PermissionMissing if the controller does not permit motion, and GateRefused if the hour is not permitted
-        or the machine has not warmed up yet.
+        Raise Busy, which names the run in progress, if there is one. Raise UserError if the request cannot be carried
+        out, DeviceError if the machine cannot be reached, and PermissionMissing if a reset is needed first.
+
+        If the request is without consent, also raise PermissionMissing if the controller does not permit motion, and
+        GateRefused if the present hour is not permitted or the machine has not warmed up yet.
         """
         ...
 
     def resume_run(self, source: Source) -> str:
-        """Resume the interrupted run and return its identity. Raise UserError if there is none, and Busy, DeviceError
-        or PermissionMissing in the same cases as `start`."""
+        """Resume the interrupted run and return its identity.
+
+        Raise UserError if there is no interrupted run, and Busy, DeviceError or PermissionMissing in the same cases as
+        `start`.
+        """
         ...
 
     def restore_table(self, run_id: str, role: str, source: Source) -> str:
-        """Reactivate the table that run `run_id` stored with `role` (``backup``, ``staged``, ``restored``).
+        """Reactivate the table that the run `run_id` stored with `role` (``backup``, ``staged`` or ``restored``).
 
-        Return the identity of the run that restores the table. Raise Busy, UserError or PermissionMissing in the same
-        cases as `start`. The machine does not move.
+        Return the identity of the new run that restores the table. Raise Busy, UserError or PermissionMissing in the
+        same cases as `start`. The machine does not move.
         """
         ...
 
@@ -120,7 +131,7 @@ class Control(Protocol):
     def resume(self) -> None: ...
 
     def abort(self, reason: str) -> None:
-        """Abort the run. Always allowed; has no effect between runs."""
+        """Abort the run in progress. This request is always allowed; between runs it has no effect."""
         ...
 
     def reset(self) -> None:
@@ -132,7 +143,8 @@ class Control(Protocol):
         ...
 
     def subscribe(self) -> AbstractContextManager[Queue[Event]]:
-        """Subscribe to all events from now on. A reader that falls far behind loses events; the oldest progress events
-        are dropped first.
+        """Subscribe to all events from now on.
+
+        If a reader falls too far behind, its queue drops events, beginning with the oldest progress events.
         """
         ...

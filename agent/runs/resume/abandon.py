@@ -1,6 +1,7 @@
 """Abandonment of an unfinished run.
 
-The former table is reactivated if necessary, and the run ends as aborted.
+The compensation table that was active before the run is reactivated if necessary, and the run ends in the state
+aborted.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from agent.runs.reconcile_result import ReconcileAction, Reconciliation
 
 
 def abandon(rig: Rig, state_directory: Path, reason: str) -> Reconciliation:
-    """Reactivate the former table if necessary, then set the unfinished run to ABORTED in the journal.
+    """Reactivate the table that was active before the run if necessary, then set the unfinished run to ABORTED in the
+    journal.
 
-    If the compensation is left unrepaired, the run remains unfinished. `rig` must be open; nothing moves. Raises the
-    errors of `reconcile`.
+    If `reconcile` leaves the compensation unrepaired, the run remains unfinished. `rig` must be open; nothing moves.
+    Raises DeviceError if the controller cannot be read or refuses, and InputError if the journal cannot be read.
     """
     result = reconcile(rig, state_directory)
     run = result.unfinished

@@ -1,4 +1,4 @@
-"""Clock of a resumed run. It returns recorded instants during the replay and running time after it."""
+"""Clock of a resumed run. During the replay of recorded steps it returns their recorded times; afterwards it runs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from drivers.clock import Clock
 class ResumedClock:
     """Clock that gives the machine seconds of a run as if it had not been interrupted.
 
-    During the replay it returns recorded times, so that decisions that depend on time are repeated. After the replay it
-    continues from the time passed to `start_running`.
+    During the replay the clock returns recorded times, so that decisions that depend on time are repeated. After the
+    replay it runs on from the time passed to `start_running`.
     """
 
     def __init__(self, inner: Clock, begun_s: float) -> None:
@@ -24,12 +24,15 @@ class ResumedClock:
         self._inner.sleep(duration_s)
 
     def advance_to(self, instant_s: float) -> None:
-        """Advance to `instant_s`, at which a recorded step finished; no effect after `start_running`."""
+        """Advance to `instant_s`, the time in s at which a recorded step finished. Do nothing after `start_running`."""
         if self._recorded_s is not None:
             self._recorded_s = max(self._recorded_s, instant_s)
 
     def start_running(self, at_least_s: float) -> None:
-        """Start running time at the later of the recorded time and `at_least_s`. Only the first call has an effect."""
+        """Let the clock run from now on, beginning at the last recorded time or at `at_least_s`, whichever is later.
+
+        Only the first call has an effect.
+        """
         if self._recorded_s is not None:
             self._ahead_s = max(self._recorded_s, at_least_s) - self._inner.now()
             self._recorded_s = None

@@ -1,6 +1,6 @@
 """Engine of a resumed run.
 
-It answers recorded steps from the journal and carries out the remaining ones.
+It takes the results of recorded steps from the journal and carries out the remaining steps.
 """
 
 from __future__ import annotations
@@ -20,26 +20,30 @@ from drivers.roles import TableImage
 
 
 class Return(Protocol):
-    """Return of compensation and machine to the state in which the first step without a record can be carried out."""
+    """Interface of the return after an interruption.
+
+    The return brings compensation and machine to the state in which the first step without a recorded result can be
+    carried out.
+    """
 
     @property
     def complete(self) -> bool:
-        """True if compensation and machine are as they were before the interruption."""
+        """True if compensation and machine are in the same state as before the interruption."""
         ...
 
     def before(self, following: Step) -> bool:
         """Restore compensation and machine as far as the next step, `following`, needs them.
 
-        Return True if `following`, which has no recorded result, took effect before the interruption.
+        Return True if `following` took effect before the interruption although the journal has no result of this step.
         """
         ...
 
 
 class Replay:
-    """Comparison of the records of an interrupted run with the steps of the rebuilt plan.
+    """Replay of the records of an interrupted run, which compares each record with the next step of the rebuilt plan.
 
-    `interrupted_step` is the step that began after the last step with a recorded result and did not end; it is None if
-    there is no such step.
+    `interrupted_step` is the step that had begun but not ended when the run was interrupted; it is None if there is no
+    such step.
     """
 
     def __init__(self, recorded: ReplayLog, clock: ResumedClock, trace: StepTrace) -> None:
@@ -61,16 +65,16 @@ class Replay:
         return recorded
 
     def end(self, step: Step) -> None:
-        """End the replay before `step`. Raise PlanDiverged if another step was interrupted."""
+        """End the replay before `step`. Raise PlanDiverged if the interrupted step is not `step`."""
         interrupted, self.interrupted_step = self.interrupted_step, None
         if interrupted is not None:
             _require_same(interrupted, step)
 
 
 class ReplayingEngine(Engine):
-    """Engine that answers steps from the records, then carries out the remaining ones.
+    """Engine of a resumed run. It first returns the recorded results of steps, then carries out the remaining steps.
 
-    `stored` returns a table from the journal or the controller by bank and CRC-32.
+    `stored` is a function that returns a table from the journal or the controller, given its bank and CRC-32.
     """
 
     def __init__(
@@ -88,9 +92,9 @@ class ReplayingEngine(Engine):
         self._return: Return | None = None
 
     def set_return(self, return_: Return) -> None:
-        """Set the return to be carried out after the replay.
+        """Set the object that brings compensation and machine back to their former state after the replay.
 
-        If none is set, the machine is assumed to be where it was at the interruption.
+        If this method is not called, the engine assumes that the machine is still in the position of the interruption.
         """
         self._return = return_
 
@@ -141,7 +145,7 @@ def _require_same(recorded: RecordedStep, step: Step) -> None:
 
 
 def require_crc(image: TableImage | None, bank: int, crc32: int) -> TableImage:
-    """Return `image`, the table in `bank`. Raise PlanDiverged if its CRC-32 is not `crc32`."""
+    """Return `image`, the table that was read from `bank`. Raise PlanDiverged if its CRC-32 is not `crc32`."""
     if image is None or table_digest(image) != crc32:
         raise PlanDiverged(
             f"bank {bank} does not hold the table any more that it held when the run read it",

@@ -35,14 +35,15 @@ from drivers.roles import TableImage
 def resume(
     state_directory: Path, hooks: RunHooks | None = None, *, asked: Mapping[str, object] | None = None
 ) -> RunResult:
-    """Resume the unfinished run of `state_directory` with the settings, kind and files of its start.
+    """Resume the unfinished run of `state_directory` with the settings, kind and files with which it was started.
 
-    The run is planned again from its start conditions. Its recorded steps are answered from the journal, the machine
-    returns to where it was, and the remaining steps are carried out. `asked` is the source of the request, which is
-    journaled.
+    The run is planned again from its start conditions. The results of its recorded steps are taken from the journal,
+    the machine returns to its position before the interruption, and the remaining steps are carried out. `asked`
+    contains the source of the request to resume; it is journaled.
 
-    Raises InputError if there is nothing to resume, PlanDiverged if a file has changed, and the errors of `carry_out`
-    if they occur before the run is continued. After that, every end of the run is returned as a `RunResult`.
+    Raises InputError if there is no run to resume, PlanDiverged if a file has changed, and another error if the lock,
+    the configuration or the journal prevents the resumption. Once the run is continued, each of its ends, good or bad,
+    is returned as a `RunResult`.
     """
     hooks = hooks or RunHooks()
     origin = resumable_origin(state_directory)
@@ -74,10 +75,10 @@ def resume(
 
 
 def resumable_origin(state_directory: Path) -> Origin:
-    """Return the origin of the unfinished run.
+    """Return the origin of the unfinished run: its settings, its kind and its start conditions.
 
-    Raises InputError, with the reason, if there is no such run, if it cannot be resumed, or if the journal cannot be
-    read; PlanDiverged if a file has changed since the run began.
+    Raises InputError, with the reason, if there is no unfinished run, if it cannot be resumed, or if the journal cannot
+    be read. Raises PlanDiverged if a file has changed since the run began.
     """
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)
@@ -92,9 +93,9 @@ def resumable_origin(state_directory: Path) -> Origin:
 
 
 def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableImage]:
-    """Return a function that returns a table by bank and CRC-32, from the journal or else from the controller.
+    """Return a function that returns a table, given its bank and CRC-32, from the journal or else from the controller.
 
-    The function raises PlanDiverged if the bank no longer contains that table.
+    The returned function raises PlanDiverged if the bank no longer contains the table with this CRC-32.
     """
 
     def stored(bank: int, crc32: int) -> TableImage:
@@ -104,9 +105,9 @@ def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableIm
 
 
 def continuation_time_s(origin: Origin) -> float:
-    """Return the time, in machine seconds, at which the run continues.
+    """Return the machine time in s at which the run continues.
 
-    If machine time is wall time, the duration of the interruption is included and therefore uses up part of the slot.
+    If machine time is wall time, the duration of the interruption is counted and therefore uses up part of the slot.
     """
     if origin.settings.clock.kind != "real":
         return origin.begun_s

@@ -1,8 +1,9 @@
-"""Return path of an interrupted run, from any position to the one at which its next step can be carried out.
+"""Return path of an interrupted run, from any position of the machine to the position at which the next step of the run
+can be carried out.
 
 The probe is first withdrawn along the stylus. Then the mount is turned back and the last ball is measured again.
-Finally every axis approaches its position from the same side as before, so that its play is taken up in the same
-direction.
+Finally each axis approaches its position from the same side as before the interruption, so that the play of the axis is
+taken up in the same direction.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class ReturnPath:
-    """Return path of the machine.
+    """Return path of the machine after an interruption.
 
-    `prefix` is the beginning of every step key. `tolerance_mm` is the largest displacement permitted for the datum
-    ball.
+    `prefix` is the beginning of the key of every step of the path. `tolerance_mm` is the largest permitted
+    displacement, in mm, of the ball that is measured again.
     """
 
     prefix: str
@@ -45,7 +46,8 @@ class ReturnPath:
     tolerance_mm: float
 
     def plan(self, following: Step) -> Plan[None]:
-        """Move to the position at which `following` begins. Raises MeasurementFault if the artefact has moved."""
+        """Move to the position at which the step `following` begins. Raises MeasurementFault if the artefact has
+        moved."""
         trace, rules = self.trace, self.rules
         if not trace.moved:
             return

@@ -1,4 +1,5 @@
-"""Return of compensation and machine, between the last recorded step of a resumed run and its first new one."""
+"""Return of compensation and machine to their former state, between the last recorded step of a resumed run and the
+first step that is carried out."""
 
 from __future__ import annotations
 
@@ -30,8 +31,8 @@ WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
 class ReturnToPosition:
     """Return of a resumed run to the state before its interruption.
 
-    The compensation is restored before the first new step. The machine returns before the first new step that is not
-    one of `WRITING`.
+    The compensation is restored before the first step that is carried out. The machine returns before the first step
+    that uses more than the compensation store, that is, a step of a type that is not in `WRITING`.
     """
 
     def __init__(
@@ -102,10 +103,11 @@ class ReturnToPosition:
 
 
 def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Activation) -> Plan[bool]:
-    """Reactivate the formerly active bank, and restore the contents of the bank that was written, as far as needed.
+    """Restore the compensation as it was before the interruption.
 
-    Return True if `following` is an activation that took effect although it was interrupted. Raises PlanDiverged if a
-    bank no longer contains the table of the run.
+    If necessary, the steps write the staged table into its bank again and reactivate the bank that was active. The
+    result is True if `following` is an activation that took effect although it was interrupted. Raises PlanDiverged if
+    a bank no longer contains the table that the run found there or wrote to it.
     """
     expected = trace.active_bank
     if expected is None or isinstance(following, AwaitActive):

@@ -32,7 +32,7 @@ CLEAR_MM = 1.0
 
 @dataclass(frozen=True)
 class AxisMove:
-    """Motion of one axis from `start_mm` to `end_mm` in step `key`."""
+    """Motion of one axis from `start_mm` to `end_mm` in the step with the key `key`."""
 
     key: str
     start_mm: float
@@ -44,19 +44,20 @@ class AxisMove:
 
     @property
     def beside_mm(self) -> float:
-        """Coordinate in mm, on the path of this move, from which its end can be approached in the same direction."""
+        """Coordinate in mm on the path of this motion; an approach from there reaches `end_mm` in the same
+        direction."""
         return self.end_mm - self.sign * min(2.0 * LONG_MM, abs(self.end_mm - self.start_mm))
 
 
 @dataclass
 class StepTrace:
-    """State of a run after its steps so far.
+    """State of the machine and of the compensation after the steps that a run has finished so far.
 
-    `at_mm` contains the axis positions; it is None until they are read. `axes` contains the last moves of each axis,
-    which determine the side on which its play is taken up. `moved` is True after the first motion. `pose` is the last
-    finished turn of the mount. `datum_mm` is the last ball centre found in this pose with the active table, and
-    `datum_key` is its key. `contents` maps each bank to the CRC-32 of its table. `staged` is the last step that wrote a
-    bank.
+    `at_mm` contains the axis positions in mm; it is None until they are read. `axes` contains, for each axis, its last
+    motions, which determine the side on which the play of the axis is taken up. `moved` is True after the first motion.
+    `pose` is the last finished turn of the mount. `datum_mm` is the last ball centre found in this pose with the active
+    table, and `datum_key` is the key of its record. `contents` maps each bank to the CRC-32 of its table. `staged` is
+    the last step that wrote a table into a bank.
     """
 
     at_mm: Point | None = None
@@ -71,7 +72,7 @@ class StepTrace:
     staged: StageTable | None = None
 
     def add(self, step: Step, result: object) -> None:
-        """Update the state by a finished step and its result."""
+        """Update this state with a finished step and the result of the step."""
         match step:
             case MoveTo():
                 self.last_motion.begin(step.target_mm, touch=False)

@@ -10,8 +10,8 @@ from agent.service.control import Control
 
 
 class Endpoint(Protocol):
-    """Endpoint of the service. `start` returns once clients can connect, or raises an error; `stop` returns once no
-    client is served any longer."""
+    """Endpoint of the service. `start` returns once clients can connect, or raises an error. `stop` returns once the
+    endpoint no longer serves any client."""
 
     @property
     def name(self) -> str: ...
@@ -23,8 +23,9 @@ class Endpoint(Protocol):
 
 @contextmanager
 def open_endpoints(endpoints: Sequence[Endpoint], control: Control) -> Iterator[None]:
-    """Open all endpoints and close them at the end of the block. If one of them cannot be opened, close those that are
-    already open.
+    """Open all endpoints, and close them at the end of the `with` block.
+
+    If an endpoint cannot be opened, close those that are already open and raise its error.
     """
     with ExitStack() as stack:
         for endpoint in endpoints:

@@ -1,6 +1,6 @@
-"""Further endpoints of the service besides HTTP, and extensions of the HTTP application.
+"""Endpoints of the service other than HTTP, and extensions of the HTTP application.
 
-An endpoint that needs an optional dependency imports it when it opens.
+If an endpoint needs an optional dependency, it imports the dependency when it is opened.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from agent.settings.schema import Settings
 
 
 def further_endpoints(settings: Settings) -> Sequence[Endpoint]:
-    """Return the endpoints enabled in the settings, in the order in which they are opened."""
+    """Return the endpoints other than HTTP that are enabled in the settings, in the order in which they are opened."""
     endpoints: list[Endpoint] = []
     if settings.opcua.enabled:
         endpoints.append(OpcUaEndpoint(settings.opcua, settings.state_directory, read_token(token_path(settings))))
@@ -28,5 +28,6 @@ def further_endpoints(settings: Settings) -> Sequence[Endpoint]:
 
 
 def http_extensions(_: Settings) -> Sequence[Extension]:
-    """Return the functions that add pages and routers to the HTTP application; requests to these pass the guard."""
+    """Return the functions that add pages and routers to the HTTP application. The guard of the HTTP application also
+    checks the requests for these pages and routers."""
     return (mount_page, mount_metrics)

@@ -1,6 +1,5 @@
-"""Logging on stdout for the system journal. Each record is one JSON object on one line, with run and step if these are
-known.
-"""
+"""Logging on stdout for the system journal. Each record is a JSON object on one line; it names the run and the step if
+they are known."""
 
 from __future__ import annotations
 

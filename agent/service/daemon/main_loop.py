@@ -31,9 +31,8 @@ US_PER_S = 1e6
 
 @contextmanager
 def queued_signals() -> Iterator[SimpleQueue[int]]:
-    """Yield a queue that receives the signals sent to the process during the block, so that they do not end the
-    process.
-    """
+    """Yield a queue that receives the signals sent to the process during the `with` block. These signals do not end the
+    process."""
     queue: SimpleQueue[int] = SimpleQueue()
 
     def enqueue(number: int, _: FrameType | None) -> None:
@@ -49,7 +48,7 @@ def queued_signals() -> Iterator[SimpleQueue[int]]:
 
 @dataclass
 class MainLoop:
-    """Main loop of the service; ends on SIGTERM or SIGINT."""
+    """Main loop of the service. It ends on SIGTERM or SIGINT."""
 
     owner: Owner
     health: Health
@@ -60,7 +59,7 @@ class MainLoop:
     _hung: bool = False
 
     def run(self) -> None:
-        """Report readiness, then feed the watchdog, report the status and reload the settings on request.
+        """Report readiness to systemd. Then feed the watchdog, report the status, and reload the settings on request.
 
         On SIGTERM or SIGINT hold the run, withdraw the probe, close the owner of the machine and return.
         """
@@ -128,7 +127,7 @@ class MainLoop:
 
 
 def status_text(status: Status, *, hung: bool = False) -> str:
-    """Return the status as one line for `systemctl status`. `hung` is True if the engine hangs."""
+    """Return the status as one line for `systemctl status`. `hung` is True if the thread of the run hangs."""
     parts = [f"{status.machine}: {status.doing}"]
     if status.minutes_left is not None:
         parts.append(f"{100.0 * status.fraction:.0f} %, {status.minutes_left:.0f} min left")

@@ -1,4 +1,4 @@
-"""systemd's notification protocol (sd_notify(3)): one datagram per message to the socket named in NOTIFY_SOCKET."""
+"""Notification protocol of systemd (sd_notify(3)). Each message is a datagram to the socket named in NOTIFY_SOCKET."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ messages).
 
 
 class Notifier:
-    """Sender of notifications to systemd; does nothing if NOTIFY_SOCKET is not set. A lost socket is logged and does
-    not stop the service."""
+    """Sender of notifications to systemd. It does nothing if NOTIFY_SOCKET is not set. If the socket is lost, the loss
+    is logged and the service continues."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         name = environment.get("NOTIFY_SOCKET", "")

@@ -1,4 +1,5 @@
-"""Start-up of the service: lock, owner and endpoints, then the main loop until the service is stopped."""
+"""Start-up of the service. It takes the lock, creates the owner, opens the endpoints, and runs the main loop until the
+service is stopped."""
 
 from __future__ import annotations
 
@@ -43,9 +44,9 @@ REPORT_TIMEOUT_S = 15.0
 def serve(config: Path, circumstances: Callable[[], Circumstances] = current_circumstances) -> None:
     """Run the service until SIGTERM or SIGINT.
 
-    `circumstances` is the function that returns the local time and the time since switch-on, which determine whether a
-    run may start without consent. Raise Busy if another process owns the machine, and ConfigurationError if the
-    settings are invalid.
+    `circumstances` is a function that returns the local time and the time since switch-on. Both determine whether a run
+    may start without consent. Raise Busy if another process owns the machine, and ConfigurationError if the settings
+    are invalid.
     """
     config = config.resolve()
     settings = load_settings(config)

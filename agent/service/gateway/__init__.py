@@ -1,1 +1,1 @@
-"""Modbus TCP server for panels and PLCs. docs/reference/panel-gateway.md is its contract."""
+"""Modbus TCP server for panels and PLCs. Its interface is specified in docs/reference/panel-gateway.md."""

@@ -1,4 +1,4 @@
-"""Access code of panels. It is one number, which all panels share.
+"""Access code of panels: one number that all panels share.
 
 The code prevents a wrong or misconfigured device from moving the machine. It does not protect against eavesdropping or
 attacks, because Modbus transmits it unencrypted and it has only 32 bits.
@@ -23,16 +23,17 @@ LOCKED_TICKS: Final = 5
 
 
 def access_code_path(settings: GatewaySettings, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the path of the file passed by systemd (LoadCredential=panel-code:…), or else of the file named in the
-    settings. Return None if there is neither.
+    """Return the path of the access code file.
+
+    A file passed by systemd (LoadCredential=panel-code:…) has priority over the file named in the settings. Return None
+    if there is neither.
     """
     return handed_over(CREDENTIAL, environment) or settings.access_code_file
 
 
 def read_access_code(path: Path) -> int:
-    """Return the access code. Raise ConfigurationError unless the file contains a number from 1 to 4294967295 and only
-    the owner of the file can read it.
-    """
+    """Return the access code. Raise ConfigurationError if the file does not contain a number from 1 to 4294967295, or
+    if users other than its owner can access the file."""
     text = read_text(path, error=ConfigurationError).strip()
     if (mode := open_mode(path)) is not None:
         raise ConfigurationError(
@@ -48,9 +49,8 @@ def read_access_code(path: Path) -> int:
 
 
 class AccessCode:
-    """Check of the access code. After a wrong code, no further code is checked for LOCKED_TICKS seconds. Call `tick`
-    once per second.
-    """
+    """Check of the access code. After a wrong code, no code is checked for LOCKED_TICKS seconds. `tick` must be called
+    once per second."""
 
     def __init__(self, code: int | None) -> None:
         self._code = None if code is None else code.to_bytes(4)

@@ -1,4 +1,5 @@
-"""Conversion of a panel's command registers to a request. Invalid values are refused before anything is executed."""
+"""Conversion of the command registers written by a panel to a request. Invalid values are refused before anything is
+executed."""
 
 from __future__ import annotations
 
@@ -21,13 +22,15 @@ _FULL_ALLOWED = {0: None, 1: False, 2: True}
 
 
 class ValueNotAllowed(Exception):
-    """A command register holds a value that is not allowed; the message names the register."""
+    """Error raised if a command register holds a value that is not allowed. The message names the register."""
 
 
 @dataclass(frozen=True)
 class CommandRequest:
-    """One command as written by a panel. `text` is the name of the position set, or None if it contains invalid
-    characters.
+    """One command as written by a panel.
+
+    `numbers` maps the name of each numeric register to its value. `text` is the name of the position set; it is None if
+    it contains invalid characters.
     """
 
     numbers: Mapping[str, int]
@@ -43,15 +46,15 @@ class CommandRequest:
 
     @property
     def content(self) -> tuple[int | str | None, ...]:
-        """All values except the access code, to distinguish a repetition from a different command with the same
-        sequence number."""
+        """All values except the access code. With them, a repetition can be distinguished from a different command that
+        has the same sequence number."""
         return (*(value for name, value in self.numbers.items() if name != "access_code"), self.text)
 
     def command(self) -> Command | None:
         return _COMMANDS.get(self.numbers["command"])
 
     def run_request(self) -> RunRequest:
-        """Return the request for a run. Raise ValueNotAllowed for an invalid register value."""
+        """Return the request for a run. Raise ValueNotAllowed if a register value is invalid."""
         if self.text is None or not _SET_NAMES.fullmatch(self.text):
             raise ValueNotAllowed("position_set: ASCII names of sets joined by +")
         fields = {
@@ -69,12 +72,13 @@ class CommandRequest:
             raise ValueNotAllowed(str(error)) from error
 
     def answer(self) -> tuple[int, bool]:
-        """Return the number of the question and True for yes. Raise ValueNotAllowed for an invalid answer."""
+        """Return the number of the question, and True if the answer is yes. Raise ValueNotAllowed if the answer is
+        invalid."""
         return self.numbers["question_number"], _one_of("answer", self.numbers["answer"], {1: True, 2: False})
 
 
 def read_command(words: Sequence[int]) -> CommandRequest:
-    """Return the command that is encoded in `words`, the registers of the whole command block."""
+    """Return the command that is encoded in `words`, the register values of the whole command block."""
     numbers: dict[str, int] = {}
     for register in COMMAND:
         if register.form is not Form.TEXT:

@@ -1,6 +1,5 @@
-"""Execution of panel commands. Each sequence number is executed only once. Most commands require the access code. All
-panels can read the result.
-"""
+"""Execution of panel commands. The command with a given sequence number is executed only once. Most commands require
+the access code. All panels can read the result."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ log = structlog.get_logger()
 
 
 class CommandHandler:
-    """Command handler shared by all connections. Any thread may submit requests. They are executed one at a time,
+    """Command handler shared by all connections. Any thread may submit commands. They are executed one at a time,
     except that `abort` takes effect immediately."""
 
     def __init__(self, control: Control, ledger: SequenceLedger, access: AccessCode) -> None:
@@ -35,7 +34,7 @@ class CommandHandler:
 
     @property
     def latest_start(self) -> str | None:
-        """Identity of the run last started or resumed by a panel."""
+        """Identity of the run that a panel started or resumed last."""
         return self._latest_start
 
     def state(self) -> tuple[int, int]:
@@ -47,10 +46,10 @@ class CommandHandler:
         self._control.abort(ABORT_REASON)
 
     def submit(self, request: CommandRequest) -> None:
-        """Execute a request that has the next sequence number, and store its result.
+        """Execute a command that has the next sequence number, and store its result.
 
-        A panel repeats its last request if the response was lost; the repetition has no effect. Raise RegisterError
-        without executing anything if the request has any other number, or if its number cannot be recorded.
+        If the response was lost, a panel repeats its last command; this repetition has no effect. Raise RegisterError
+        without executing anything if the command has any other sequence number, or if the number cannot be recorded.
         """
         with self._lock:
             if request.sequence == self._ledger.accepted and request.content == self._ledger.content:

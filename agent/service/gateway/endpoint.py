@@ -1,4 +1,4 @@
-"""Endpoint of the service for panels, open from the start of the service until its end."""
+"""Endpoint of the service for panels. It is open from the start of the service until its end."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class GatewayEndpoint:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port that the server uses; available only while the endpoint is open."""
+        """Host and port on which the server listens; available only while the endpoint is open."""
         if self._server is None:
             raise RuntimeError("the gateway is not open")
         return self._server.address
@@ -63,7 +63,7 @@ class GatewayEndpoint:
         log.info("panel gateway open", address="{}:{}".format(*self.address), commands=gateway.access.is_set)
 
     def stop(self) -> None:
-        """Close the endpoint; idempotent."""
+        """Close the endpoint. Do nothing if it is already closed."""
         self._stopped.set()
         if self._server is not None:
             self._server.stop()

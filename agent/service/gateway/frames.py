@@ -1,7 +1,8 @@
-"""Decoding of Modbus TCP requests, their execution on a set of registers and coils, and encoding of the responses.
+"""Modbus TCP requests. They are decoded, executed on a set of registers and coils, and answered with an encoded
+response.
 
-Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application Protocol
-V1.1b3, 6.1, 6.3 to 6.6, 6.11 and 6.12, exception codes in 7.
+Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header in section 3.1.3); MODBUS Application
+Protocol V1.1b3 (function codes in sections 6.1, 6.3 to 6.6, 6.11 and 6.12, exception codes in section 7).
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class ExceptionCode(IntEnum):
 
 
 class RegisterError(Exception):
-    """The request cannot be executed; the client receives an exception response."""
+    """Error raised if a request cannot be executed. The client receives a Modbus exception response."""
 
     def __init__(self, code: ExceptionCode) -> None:
         super().__init__(code.name)
@@ -47,11 +48,12 @@ class RegisterError(Exception):
 
 
 class FramingError(Exception):
-    """The received bytes are not Modbus TCP; the connection must be closed."""
+    """Error raised if the received bytes are not Modbus TCP. The connection must then be closed."""
 
 
 class RegisterTable(Protocol):
-    """Registers and coils that requests read and write. A method that raises RegisterError has changed nothing."""
+    """Interface of the registers and coils that requests read and write. A method that raises RegisterError has changed
+    nothing."""
 
     def read(self, address: int, count: int) -> Sequence[int]: ...
 
@@ -63,7 +65,8 @@ class RegisterTable(Protocol):
 
 
 def body_length(header: bytes) -> int:
-    """Return the number of bytes that follow the 7-byte header. Raise FramingError if it is not a Modbus TCP header."""
+    """Return the number of bytes that follow the 7-byte header of a request. Raise FramingError if these 7 bytes are
+    not a Modbus TCP header."""
     _, protocol, length, _ = HEADER.unpack(header)
     if protocol != 0 or not 2 <= length <= MAX_PDU_BYTES + 1:
         raise FramingError(f"MBAP header {header.hex(' ')}")
@@ -71,15 +74,14 @@ def body_length(header: bytes) -> int:
 
 
 def answer_frame(header: bytes, answer: bytes) -> bytes:
-    """Return the response frame for the PDU `answer`, with the transaction and unit numbers of the request's
-    `header`.
-    """
+    """Return the response frame that contains `answer`, the response PDU. The transaction and unit numbers are those of
+    `header`, the header of the request."""
     transaction, _, _, unit = HEADER.unpack(header)
     return HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
 
 
 def answer_request(request: bytes, table: RegisterTable) -> bytes:
-    """Return the response to one request PDU (function code and data), which may be an exception response."""
+    """Return the response PDU for one request PDU (function code and data). It may be an exception response."""
     function = request[0]
     try:
         if function not in _ANSWERS:

@@ -1,4 +1,4 @@
-"""State shared by all connections: the control, the command handler and the heartbeats."""
+"""Gateway state that all panel connections share: the control, the command handler and the heartbeats."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class Gateway:
-    """State shared by all connections. `on_panel_timeout` is the action to take if the panel's heartbeat is lost during
-    a run that a panel has started.
+    """Gateway state that all panel connections share.
+
+    `on_panel_timeout` is the reaction if the panel's heartbeat is lost during a run that a panel has started: ``note``
+    logs the loss, ``hold`` also holds the run.
     """
 
     control: Control
@@ -33,10 +35,10 @@ class Gateway:
         return self.control.status()
 
     def image(self) -> tuple[int, ...]:
-        """Return the words of all status registers at one instant.
+        """Return the content of all status registers.
 
-        The last accepted sequence number is read before the status, so that a panel that reads its own number as
-        accepted also reads the resulting state, never an earlier one.
+        The last accepted sequence number is read before the status. A panel that finds its own sequence number there
+        therefore also finds the status after its command, never an earlier status.
         """
         accepted, result = self.handler.state()
         facts = GatewayFacts(
@@ -49,7 +51,8 @@ class Gateway:
         return status_image(self.status(), facts)
 
     def tick(self) -> None:
-        """Update the heartbeats, and the lock that a wrong access code sets. Must be called once per second."""
+        """Update the heartbeats and the lock that follows a wrong access code. This method must be called once per
+        second."""
         self.access.tick()
         status = self._status_or_none()
         if self.heartbeats.tick(service_alive=status is not None):

@@ -1,4 +1,4 @@
-"""Heartbeats of service and panel, counted in ticks of 1 s."""
+"""Heartbeats of the service and of the panel, counted in ticks of 1 s."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import threading
 
 
 class Heartbeats:
-    """Counters that show that service and panel are alive.
+    """Two counters that show that the service and the panel are alive.
 
-    The service's counter increases while the owner of the machine responds. The panel must keep changing its counter.
-
-    A panel that has never written its counter is not monitored.
+    The counter of the service increases while the owner of the machine responds. The panel must keep changing its own
+    counter. A panel that has never written its counter is not monitored.
     """
 
     def __init__(self, timeout_ticks: int) -> None:
@@ -34,7 +33,8 @@ class Heartbeats:
             return self._panel_beat is not None and self._silent_ticks < self._timeout_ticks
 
     def beat(self, value: int) -> None:
-        """Store a counter value written by the panel. A value equal to the previous one is not a sign of life."""
+        """Store a counter value written by the panel. A value that equals the previous value does not prove that the
+        panel is alive."""
         with self._lock:
             if value != self._panel_beat:
                 self._panel_beat, self._silent_ticks = value, 0

@@ -13,9 +13,8 @@ _LIMITS = {Form.U16: (0, 0xFFFF), Form.U32: (0, 0xFFFFFFFF), Form.I32: (-0x80000
 
 
 def number_words(register: Register, value: float | None) -> tuple[int, ...]:
-    """Return the words of a number, rounded and clipped to the register's range. For None and NaN, return the
-    register's value for "unknown".
-    """
+    """Return the register words of a number, after rounding it and clipping it to the range of the register. If the
+    number is None or NaN, return the value that means "unknown" in this register."""
     if value is None or math.isnan(value):
         whole = UNKNOWN[register.form]
     else:
@@ -27,8 +26,8 @@ def number_words(register: Register, value: float | None) -> tuple[int, ...]:
 
 
 def text_words(register: Register, text: str) -> tuple[int, ...]:
-    """Return the words of a text, transliterated to ASCII and truncated or padded with zeros to the register's
-    length."""
+    """Return the register words of a text. The text is transliterated to ASCII, then truncated or padded with zeros to
+    the length of the register."""
     plain = unicodedata.normalize("NFKD", text.translate(_ASCII_FOR))
     kept = "".join(c for c in plain if not unicodedata.combining(c))
     data = kept.encode("ascii", "replace")[: 2 * register.words].ljust(2 * register.words, b"\0")
@@ -36,7 +35,7 @@ def text_words(register: Register, text: str) -> tuple[int, ...]:
 
 
 def whole_number(words: Sequence[int]) -> int:
-    """Return the unsigned value of the words, the high word first."""
+    """Return the unsigned number encoded in the words, of which the first is the high word."""
     number = 0
     for word in words:
         number = number << 16 | word
@@ -44,9 +43,8 @@ def whole_number(words: Sequence[int]) -> int:
 
 
 def plain_text(words: Sequence[int]) -> str | None:
-    """Return the text in the words without its padding of zeros or blanks. Return None if the text is not printable
-    ASCII, or if other characters follow a zero.
-    """
+    """Return the text encoded in the words, without trailing zeros and blanks. Return None if the text is not printable
+    ASCII, or if other characters follow a zero."""
     text, *after = b"".join(word.to_bytes(2) for word in words).rstrip(b"\0 ").split(b"\0")
     if after or not all(0x20 <= byte < 0x7F for byte in text):
         return None

@@ -1,7 +1,7 @@
 """Register map of the panel gateway as data; docs/reference/panel-gateway.md shows the same tables.
 
-Addresses are protocol addresses (from 0). A 32-bit value takes two registers, high word first; text takes one register
-per two ASCII characters, the first one in the high byte, padded with zeros.
+Addresses are protocol addresses, which count from 0. A 32-bit value takes two registers, the high word first. A text
+takes one register per two ASCII characters, the first character in the high byte, and is padded with zeros.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ UNKNOWN: Final = {Form.U16: 0xFFFF, Form.U32: 0xFFFFFFFF, Form.I32: -0x80000000}
 
 @dataclass(frozen=True)
 class Register:
-    """One value of the register map. `address` is the address of its first register; `words` is the number of registers
-    that it takes.
-    """
+    """One value of the register map. `address` is the address of the first register of the value; `words` is the number
+    of registers that the value takes."""
 
     name: str
     address: int
@@ -154,7 +153,7 @@ MAY: Final = ("start", "hold", "resume", "abort", "reset", "answer", "resume_run
 
 
 class Command(IntEnum):
-    """Values of the register `command`. Abort is also a coil; it is included here for panels that cannot write
+    """Values of the register `command`. Abort is also a coil; the value for it is provided for panels that cannot write
     coils."""
 
     START = 1
@@ -171,7 +170,7 @@ FREE_COMMANDS: Final = frozenset({Command.HOLD, Command.ABORT})
 
 
 class Result(IntEnum):
-    """Values of the register `result` below 100; a value of 100 or more is an alarm code."""
+    """Values of the register `result` below 100. In this register a value of 100 or more is an alarm number."""
 
     NONE = 0
     DONE = 1

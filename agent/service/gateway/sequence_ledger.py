@@ -1,7 +1,7 @@
 """Sequence number of the last accepted panel command, stored on disk.
 
-A panel that reconnects, or a PLC that repeats its command block, must not start a run a second time, and a restart of
-the service must not make an old number valid again. The number is therefore stored durably before the command is
+A panel that reconnects, or a PLC that repeats its command block, must not start a run a second time. A restart of the
+service must not make an old sequence number valid again. The number is therefore stored durably before the command is
 executed: after a power failure a command may be lost, but it is never executed twice.
 """
 
@@ -25,12 +25,13 @@ Content = tuple[int | str | None, ...]
 
 
 def next_sequence(number: int) -> int:
-    """Return the sequence number that follows `number`; 0 is never used, because cleared registers contain it."""
+    """Return the sequence number that follows `number`. The number 0 is never used, because registers that have been
+    cleared contain it."""
     return number % MAX_SEQUENCE + 1
 
 
 class SequenceLedger:
-    """Sequence number and content of the last accepted command. Only one thread at a time may write; the command
+    """Stored sequence number and content of the last accepted command. Only one thread at a time may write; the command
     handler ensures this.
 
     Raise ConfigurationError if the stored file is invalid.
@@ -41,9 +42,8 @@ class SequenceLedger:
         self.accepted, self.content = self._load()
 
     def record(self, number: int, content: Content) -> None:
-        """Store number and content durably. Raise InputError and leave the stored values unchanged if they cannot be
-        stored.
-        """
+        """Store the sequence number and content of a command durably. If they cannot be stored, raise InputError and
+        leave the stored values unchanged."""
         write_atomically(self._path, json.dumps({"accepted": number, "content": list(content)}) + "\n")
         self.accepted, self.content = number, content
 

@@ -1,4 +1,4 @@
-"""Sockets of the gateway: one thread per panel, so that no panel delays another."""
+"""Sockets of the gateway. Each panel has a thread of its own, so that no panel delays another one."""
 
 from __future__ import annotations
 
@@ -46,12 +46,13 @@ class _Client:
 
 
 class ModbusServer:
-    """Server that listens from its construction and responds from `start` to `stop`.
+    """Modbus TCP server. It listens from its construction and responds from `start` to `stop`.
 
-    Connections from addresses outside of `allowed` are closed. If a client connects when `max_clients` are connected,
-    the connection that has been idle for longest is closed, as in the Modbus implementation guide (4.2.2). A connection
-    is closed if its peer sends nothing for `idle_timeout_s`, takes that long to read a response, or sends anything but
-    Modbus. Raise ConfigurationError if the address cannot be bound.
+    A connection from an address outside `allowed` is closed. If a client connects while `max_clients` are connected,
+    the connection that has been idle for longest is closed, as in the Modbus implementation guide (4.2.2).
+
+    A connection is closed if its client sends nothing for `idle_timeout_s`, takes longer than `idle_timeout_s` to read
+    a response, or sends bytes that are not Modbus. Raise ConfigurationError if the address cannot be bound.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class ModbusServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port that the server uses."""
+        """Host and port on which the server listens."""
         host, port = self._listener.getsockname()[:2]
         return str(host), int(port)
 
@@ -84,7 +85,7 @@ class ModbusServer:
         self._thread.start()
 
     def stop(self) -> None:
-        """Close all connections. No further request is executed once this method has returned."""
+        """Close all connections. After this method has returned, the server executes no further request."""
         with self._guard:
             self._stopped = True
             with contextlib.suppress(OSError):

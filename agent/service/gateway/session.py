@@ -1,8 +1,8 @@
-"""Registers and abort coil as one panel connection sees them.
+"""Registers and abort coil of one panel connection.
 
-All connections read the same status. Values that a panel writes into the command registers are only a draft within its
-connection until it writes the sequence number. Commands of two panels therefore cannot mix, and a draft is discarded
-when its connection closes.
+All connections read the same status. A value that a panel writes into the command registers remains a draft of its own
+connection until the panel writes the sequence number. Commands of two panels therefore cannot mix, and a draft is
+discarded when its connection closes.
 """
 
 from __future__ import annotations
