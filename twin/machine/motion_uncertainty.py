@@ -1,4 +1,4 @@
-"""Standard uncertainty of the 21 geometric errors from the covariance of their coefficients."""
+"""Standard uncertainties of the 21 geometric errors, computed from the covariance of their coefficients."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS, ErrorModel, seri
 
 
 def motion_uncertainty(model: ErrorModel, covariance: Array) -> Mapping[str, float]:
-    """Return the standard uncertainty (mm or rad) of each geometric error by its ISO name.
+    """Return the standard uncertainty (mm or rad) of each geometric error, keyed by its ISO 230-1 name.
 
-    For an error motion it is the root mean square over the range of its axis; for a squareness it is the uncertainty of
-    that parameter. `covariance` (p, p): covariance of the parameters, or the matrix of their second moments. The mean
-    over the range of the product of the Legendre polynomials P_k P_l is zero for k ≠ l and 1 / (2 k + 1) for k = l, so
-    only variances contribute.
+    The uncertainty of an error motion is the root mean square of its standard uncertainty over the range of the axis.
+    The uncertainty of a squareness is that of its single parameter. `covariance`, shape (p, p), is the covariance of
+    the p parameters or the matrix of their second moments. Only its diagonal is used, because Legendre polynomials of
+    different orders are orthogonal over the range; the mean square of the polynomial of order k is 1 / (2 k + 1).
     """
     if covariance.shape != (model.size, model.size):
         raise DataError(f"the covariance has shape {covariance.shape}, but the model has {model.size} parameters")

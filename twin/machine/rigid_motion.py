@@ -1,7 +1,7 @@
 """Displacement fields of small rigid motions.
 
-Measurements of a free artefact (one whose pose is unknown) cannot observe these motions, and they are not counted as
-machine errors.
+These motions are not counted as machine errors, because measurements of a free artefact (an artefact whose pose is
+unknown) cannot reveal them.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from twin.arrays import Array
 
 
 def rigid_fields(points: Array, middle: Array, size_mm: float) -> Array:
-    """Return six rigid motion fields (n, 3, 6) at points (n, 3) mm: three translations, three rotations.
+    """Return the displacement fields of six small rigid motions at `points`, shape (n, 3), in mm.
 
-    The rotations are about `middle` (3,) and are scaled so that the displacement at the distance `size_mm` is 1.
+    The result has shape (n, 3, 6): three translations along x, y and z with displacement 1, then three rotations about
+    axes parallel to x, y and z through the point `middle`, shape (3,). A rotation displaces a point at the distance
+    `size_mm` from its axis by 1.
     """
     x, y, z = ((points - middle) / size_mm).T
     fields = np.zeros((len(points), 3, 6))

@@ -1,7 +1,8 @@
 """True machine of a simulation.
 
-The true machine has effects that the identified model cannot represent: Legendre terms of higher order and a deflection
-grid. A simulator is built on one true machine, and a study draws many of them.
+The true machine has effects that the identified model cannot represent: Legendre terms of higher order, and a
+deflection that is given on a grid of axis positions. A simulator uses one true machine, whereas a study draws many of
+them at random.
 """
 
 from __future__ import annotations
@@ -20,7 +21,11 @@ from twin.machine.machine_population import family_from_amplitudes
 
 @dataclass(frozen=True, eq=False)
 class TrueMachine:
-    """True errors of one machine. `model` is None for a machine without errors; `parameters` (p,) belong to `model`."""
+    """True errors of one machine.
+
+    `model` is None for a machine without parametric errors. `parameters`, shape (p,), contains the values of the p
+    parameters of `model`. `deflection` is None for a machine without deflection.
+    """
 
     model: ErrorModel | None
     parameters: Array
@@ -28,8 +33,9 @@ class TrueMachine:
     deflection: DeflectionGrid | None
 
     def deviation(self, bare_positions: Array) -> Array:
-        """Return the deviation (n, 3) mm of the tool centre point at axis positions (n, 3) mm; no correction is
-        applied.
+        """Return the deviation of the tool centre point at axis positions without any correction applied.
+
+        The axis positions and the result have shape (n, 3) and are in mm.
         """
         total = np.zeros_like(bare_positions)
         if self.model is not None:
@@ -54,9 +60,10 @@ def draw_machine(
     with_deflection: bool,
     rng: np.random.Generator,
 ) -> TrueMachine:
-    """Draw one machine of the family of machines, extended to Legendre order `order`.
+    """Draw one machine at random from the family in the machine file, with Legendre series up to `order`.
 
-    The half-widths of the additional orders decrease by the same factor as those within the family.
+    Beyond the orders for which the machine file gives half-widths, each half-width is the previous one multiplied by
+    the decay factor of the family. All drawn parameters are multiplied by `scale`.
     """
     offset = description.tool(tool)
     nominal = description.model

@@ -1,9 +1,9 @@
-"""Volumetric error, which is the rms length of the deviation over a grid.
+"""Volumetric error: the rms length of the deviation over a grid of axis positions.
 
-A rigid motion of the whole workspace is not a machine error, and an artefact whose pose is unknown cannot observe it.
-Every volumetric error is therefore given both raw and aligned, which means after the best rigid motion is removed. For
-a field that is linear in its parameters E, with basis B at n points, the mean square is the quadratic form Eᵀ (Bᵀ B /
-n) E, so the grid has to be evaluated only once.
+A rigid motion of the whole workspace is not a machine error, and an artefact whose pose is unknown cannot reveal it.
+Every volumetric error is therefore given twice: raw, and aligned (after the best-fitting rigid motion has been
+removed). If a field is linear in its parameters E, with the basis matrix B at n points, its mean square is the
+quadratic form Eᵀ (BᵀB / n) E. The grid therefore has to be evaluated only once for any number of parameter vectors.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ _END_TOLERANCE = 1e-9  # relative to the range
 
 @dataclass(frozen=True)
 class VolumetricRms:
-    """Rms deviation in mm.
+    """Rms length of a field of deviations, in mm.
 
-    `raw_mm`: rms of the deviation itself; `aligned_mm`: rms after the best rigid motion of the workspace is removed.
+    `raw_mm` is the rms of the field itself; `aligned_mm` is the rms after the best-fitting rigid motion of the
+    workspace has been removed.
     """
 
     raw_mm: float
@@ -46,19 +47,20 @@ class VolumetricRms:
 
 
 def evaluation_grid(ranges_mm: Ranges, shape: tuple[int, int, int] = (60, 20, 20)) -> Array:
-    """Return the axis positions (n, 3) of a regular grid over the ranges, ends included; x slowest, z fastest.
+    """Return the axis positions, shape (n, 3), of a regular grid over the axis ranges, including their ends.
 
-    Raises ModelError for fewer than two points along an axis.
+    The x position changes slowest and the z position fastest. Raises ModelError if an axis has fewer than two points.
     """
     x, y, z = (np.linspace(low, high, max(count, 0)) for (low, high), count in zip(ranges_mm, shape, strict=True))
     return covering_grid(ranges_mm, (x, y, z))
 
 
 def covering_grid(ranges_mm: Ranges, nodes: tuple[ArrayLike, ArrayLike, ArrayLike]) -> Array:
-    """Return the axis positions (n, 3) of the grid with these nodes (mm) along X, Y, Z; x slowest, z fastest.
+    """Return the axis positions, shape (n, 3), of the grid with the given `nodes` in mm along X, Y and Z.
 
-    Raises ModelError naming the axis if the nodes do not ascend from one end of the range to the other, because an rms
-    over a part of the workspace is not a volumetric error.
+    The x position changes slowest and the z position fastest. Raises ModelError, naming the axis, if the nodes do not
+    ascend from one end of the range to the other, because an rms over only a part of the workspace is not a volumetric
+    error.
     """
     lines = [np.asarray(line, dtype=np.float64) for line in nodes]
     for axis, line, (low, high) in zip(AXES, lines, ranges_mm, strict=True):
@@ -78,16 +80,16 @@ def _refuse_gap(axis: str, nodes: Array, low: float, high: float) -> None:
 
 
 def rms(deviation: Array) -> float:
-    """Return the root mean square length of deviations (n, 3)."""
+    """Return the root mean square length of the n deviation vectors in an array of shape (n, 3)."""
     return float(np.sqrt(np.mean(np.einsum("ij,ij->i", deviation, deviation))))
 
 
 def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
-    """Return the residual (n, 3) of `deviation` (n, 3) at tool points (n, 3) after the best small rigid motion is
-    removed.
+    """Remove the best-fitting small rigid motion from `deviation` and return the residual, shape (n, 3).
 
-    The translation and the small rotation are fitted by least squares with equal weights. A rotation that the tool
-    points do not determine (because they are too few or collinear) is not fitted.
+    `deviation`, shape (n, 3), is given at the tool points `points`, shape (n, 3). The translation and the small
+    rotation are fitted by least squares with equal weights. A rotation that the tool points do not determine (because
+    there are too few of them or they are collinear) is not fitted.
     """
     field = as_points(deviation, "deviation")
     motions = _rigid_motions(as_points(points, "points"))
@@ -96,10 +98,10 @@ def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
 
 
 def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) -> Array:
-    """Return the displacements (m, 3) at points `elsewhere` (m, 3) of the small rigid motion that best fits a
-    deviation.
+    """Fit a small rigid motion to a deviation, and return the displacements that this motion causes at other points.
 
-    `deviation` (n, 3) is given at tool points `points` (n, 3).
+    `deviation`, shape (n, 3), is given at the tool points `points`, shape (n, 3). The result, shape (m, 3), applies to
+    the points `elsewhere`, shape (m, 3).
     """
     at, field, other = (as_points(each, "points") for each in (points, deviation, elsewhere))
     middle, size_mm = at.mean(axis=0), max(float(np.ptp(at, axis=0).max()), 1.0)
@@ -109,19 +111,20 @@ def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) ->
 
 
 def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> VolumetricRms:
-    """Return the raw and the aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
+    """Return the raw and the aligned rms of a field of deviations, shape (n, 3), given at tool points, shape (n, 3)."""
     field = as_points(deviation, "deviation")
     return VolumetricRms(rms(field), rms(align_rigidly(points, field)))
 
 
 @dataclass(frozen=True)
 class QuadraticForm:
-    """Mean square over a grid of a deviation field, as a function of the parameters.
+    """Mean square of a deviation field over a grid, as a quadratic function of the p model parameters.
 
-    The field is linear in the parameters. An optional fixed field can be added to it.
+    The field is linear in the parameters. A fixed field, which does not depend on them, can be added.
 
-    `raw`, `aligned` (p, p): quadratic coefficients in mm² per product of two parameter units. `raw_linear`,
-    `aligned_linear` (p,) and `raw_constant`, `aligned_constant` come from the fixed field and are zero without one.
+    `raw` and `aligned`, shape (p, p), are the quadratic coefficients in mm² per product of two parameter units.
+    `raw_linear` and `aligned_linear`, shape (p,), and `raw_constant` and `aligned_constant` come from the fixed field;
+    they are zero if there is none.
     """
 
     model: ErrorModel
@@ -136,7 +139,9 @@ class QuadraticForm:
 
     @classmethod
     def build(cls, model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> QuadraticForm:
-        """Build the quadratic form for the grid positions (n, 3) and the tool offset (3,)."""
+        """Build the quadratic form for the axis positions of a grid, shape (n, 3), and a tool offset, shape (3,), in
+        mm.
+        """
         points = as_points(axis_positions, "axis positions")
         offset = as_vector(tool_offset, 3, "tool offset")
         sums = GridQuadrature.for_points(points, _degrees(model))
@@ -152,7 +157,9 @@ class QuadraticForm:
         return cls(model, points, offset, raw, aligned, np.zeros(model.size), np.zeros(model.size))
 
     def with_field(self, field: ArrayLike) -> QuadraticForm:
-        """Return the quadratic form of the linear field plus a fixed `field` (n, 3) in mm on the same grid."""
+        """Return a quadratic form for the same grid with the fixed `field`, shape (n, 3), in mm added to the linear
+        field.
+        """
         fixed = as_points(field, "field")
         if fixed.shape != self.axis_positions.shape:
             raise DataError(f"the field has {len(fixed)} points, the grid {len(self.axis_positions)}")
@@ -176,7 +183,10 @@ class QuadraticForm:
         )
 
     def values(self, parameters: ArrayLike) -> tuple[Array, Array]:
-        """Return the raw and the aligned rms in mm, as arrays (m,), of m machines with parameters (m, p)."""
+        """Return the raw and the aligned rms of m machines in mm, as two arrays of shape (m,).
+
+        `parameters`, shape (m, p), has one row for each machine.
+        """
         vectors = np.asarray(parameters, dtype=np.float64)
         if vectors.ndim != 2 or vectors.shape[1] != self.model.size:
             raise ModelError(f"parameters have shape {vectors.shape}, expected (m, {self.model.size})")
@@ -185,7 +195,7 @@ class QuadraticForm:
         return np.sqrt(raw), np.sqrt(aligned)
 
     def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> VolumetricRms:
-        """Return the volumetric error of one machine with parameters (p,).
+        """Return the volumetric error of one machine with `parameters`, shape (p,), and an optional fixed `field`.
 
         To evaluate many machines with the same fixed field, call `with_field` once and then `values`.
         """
@@ -194,9 +204,11 @@ class QuadraticForm:
         return VolumetricRms(float(raw[0]), float(aligned[0]))
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Return the root of the expected mean square for parameters of mean zero and covariance P (p, p).
+        """Return the root of the expected mean square over machines whose parameters have mean zero and this
+        `covariance`.
 
-        This is sqrt(trace(Q P) + c), where Q is `raw` or `aligned` and c is the mean square of the fixed field.
+        With P for the covariance, shape (p, p), the result is sqrt(trace(Q P) + c). Q is `raw` or `aligned`, and c is
+        the mean square of the fixed field.
         """
         raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
         aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant

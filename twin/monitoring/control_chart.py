@@ -1,7 +1,9 @@
-"""Control charts of single values: individuals with moving range, and exponentially weighted moving average (EWMA).
+"""Control charts of single values: the individuals chart, and the chart of the exponentially weighted moving average
+(EWMA).
 
-Shewhart's individuals chart follows ISO 7870-2. The EWMA chart follows ISO 7870-6; its weight 0.2 and its width 2.962
-are those of Lucas & Saccucci, Technometrics 32 (1990), and give one false alarm in 500 points.
+The individuals chart (Shewhart, with limits from the moving range) follows ISO 7870-2. The EWMA chart follows ISO
+7870-6. Its weight of 0.2 and its limit width of 2.962 standard deviations are those of Lucas & Saccucci, Technometrics
+32 (1990); they give one false alarm in 500 points.
 """
 
 from __future__ import annotations
@@ -39,9 +41,10 @@ class IndividualsChart:
 
 @dataclass(frozen=True, eq=False)
 class EwmaChart:
-    """Moving averages `values` (n,) with their limits `lower` and `upper` (n,).
+    """EWMA control chart of n values: moving averages `values` with their limits `lower` and `upper`, each of shape
+    (n,).
 
-    `outside` contains the indices at which the moving average is beyond its limits.
+    `outside` contains the indices of the moving averages that are beyond a limit.
     """
 
     values: Array
@@ -51,7 +54,10 @@ class EwmaChart:
 
 
 def individuals_chart(values: ArrayLike) -> IndividualsChart:
-    """Return the individuals chart of values (n,), given in order of time. Raise DataError if n is less than 3."""
+    """Return the individuals chart of `values`, shape (n,), in order of time.
+
+    Raises DataError if n is less than 3 or if a value is not finite.
+    """
     found = _series(values)
     sigma = float(np.abs(np.diff(found)).mean()) / D2
     centre = float(found.mean())
@@ -61,10 +67,10 @@ def individuals_chart(values: ArrayLike) -> IndividualsChart:
 
 
 def ewma_chart(values: ArrayLike, centre: float, sigma: float) -> EwmaChart:
-    """Return the EWMA chart of the values x_i: z_i = w x_i + (1 - w) z_(i-1) with the weight w and z_0 = `centre`.
+    """Return the EWMA chart of `values` x_1 … x_n, with the moving averages z_i = w x_i + (1 - w) z_(i-1).
 
-    The limits use the exact variance of z_i. `sigma` is the standard deviation of a single value. Raise DataError if
-    there are fewer than 3 values.
+    The weight w is `EWMA_WEIGHT`, and z_0 is `centre`. `sigma` is the standard deviation of a single value. The limits
+    use the exact variance of z_i, which depends on i. Raises DataError if n is less than 3 or if a value is not finite.
     """
     found = _series(values)
     smooth = np.empty_like(found)

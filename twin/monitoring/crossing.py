@@ -1,4 +1,4 @@
-"""Time at which a drifting value will reach its limit, as expected from the fitted drift and at the earliest."""
+"""Prediction of the night in which a drifting value will reach its limit: the expected and the earliest night."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _STEPS = 60  # bisections of the horizon
 class LimitCrossing:
     """Number of nights from the last measured night until `limit` is reached.
 
-    `expected` is the number of nights until the fitted line reaches the limit, and `earliest` the number until the edge
-    of the 95 % band of this line reaches it. Each is 0 if the limit is already reached, and infinite if the limit is
-    not reached within the horizon of the computation.
+    `expected` is the number of nights until the fitted line reaches the limit. `earliest` is the number of nights until
+    the edge of the 95 % band of the line reaches the limit. Each number is 0 if the limit is already reached, and
+    infinite if the limit is not reached within the horizon of the computation.
     """
 
     limit: float
@@ -29,10 +29,10 @@ class LimitCrossing:
 
 
 def limit_crossing(drift: Drift, limit: float, horizon: float, *, two_sided: bool) -> LimitCrossing:
-    """Return the number of nights until the fitted drift reaches `limit`, which has the unit of the values.
+    """Return the number of nights until the fitted `drift` reaches `limit`, as expected and at the earliest.
 
-    Only the next `horizon` nights are considered. If `two_sided`, the value must stay within [-limit, limit]; otherwise
-    it must not exceed `limit`.
+    `limit` has the unit of the values. Only the next `horizon` nights are considered. If `two_sided`, the limits are
+    `limit` and -`limit`; otherwise only the upper limit counts.
     """
     sides = (1.0, -1.0) if two_sided else (1.0,)
     expected = min(_line(drift, limit, side, horizon) for side in sides)

@@ -1,9 +1,11 @@
-"""Positions that best show if an error has jumped, or which of several suspected errors has jumped.
+"""Choice of positions whose measurement best shows if an error has jumped, or which of several errors has jumped.
 
-The measurement of a position with the information factor W responds to a change a of the unknowns z with W a. Touch
-noise and the covariance C of z give this response the covariance 1 + W C Wᵀ. The detectability of the change is the
-noncentrality of the χ² test, aᵀWᵀ(1 + W C Wᵀ)⁻¹W a. If a is the difference of two suspected jumps, the detectability is
-twice the divergence between them (Box & Hill, Technometrics 9, 1967).
+A position is described by its information factor W: WᵀW is the information (the inverse covariance) that its ball
+centres give about the unknowns z of the identification. If z changes by a, the whitened measurement of the position
+changes by W a. Touch noise and the covariance C of z give this measurement the covariance I + W C Wᵀ, where I is the
+identity matrix. The detectability of the change is the noncentrality of the χ² test, aᵀWᵀ(I + W C Wᵀ)⁻¹W a. If a is the
+difference of two suspected jumps, the detectability is twice the divergence between them (Box & Hill, Technometrics 9,
+1967).
 """
 
 from __future__ import annotations
@@ -23,10 +25,10 @@ from twin.monitoring.step_detection import ERRORS
 
 @dataclass(frozen=True, eq=False)
 class JumpQuestions:
-    """Questions that further measurements should answer about possible jumps of the errors.
+    """Questions about possible jumps of the errors, which further measurements should answer.
 
-    `shifts` (m, P) contains m possible shifts of the unknowns z. `weights` (q, m) contains, for each of the q
-    questions, the weights with which the noncentralities of the shifts are added up.
+    `shifts`, shape (m, P), contains m possible shifts of the P unknowns z. `weights`, shape (q, m), contains one row
+    for each of the q questions: the weights with which the noncentralities of the m shifts are summed.
     """
 
     shifts: Array
@@ -34,25 +36,28 @@ class JumpQuestions:
 
     @classmethod
     def which_jump(cls, jumps: Array) -> JumpQuestions:
-        """Return one question for each pair of the `jumps` (k, P): which of the two jumps has occurred?"""
+        """Return one question for each pair of the k suspected `jumps`: which jump of the pair has occurred?
+
+        `jumps`, shape (k, P), contains each jump as a change of the P unknowns.
+        """
         pairs = np.array(list(combinations(range(len(jumps)), 2)), dtype=np.intp).reshape(-1, 2)
         return cls(jumps[pairs[:, 0]] - jumps[pairs[:, 1]], np.eye(len(pairs)))
 
     @classmethod
     def any_jump(cls, unknowns: Unknowns) -> JumpQuestions:
-        """Return one question for each error: has this error jumped?
+        """Return one question for each geometric error: has this error jumped?
 
-        Each coefficient is shifted by its standard deviation in the family of machines.
+        The assumed jumps shift each coefficient of the error by its standard deviation in the family of machines.
         """
         names = np.array([parameter.error for parameter in unknowns.model.parameters])
         moves = np.eye(len(names), unknowns.blocks.size)
         return cls(moves, np.array([names == error for error in ERRORS], dtype=np.float64))
 
     def noncentralities(self, factors: Array, covariance: Array) -> Array:
-        """Return the noncentralities (N, q) that N positions with the information `factors` (N, r, P) give for the
-        questions.
+        """Return the noncentrality, shape (N, q), that each of N positions contributes to each of the q questions.
 
-        `covariance` (P, P) is the covariance of z before these positions are measured.
+        `factors`, shape (N, r, P), contains the information factors of the positions, with r rows each. `covariance`,
+        shape (P, P), is the covariance of the unknowns z before these positions are measured.
         """
         seen = factors @ self.shifts.T
         noise = np.eye(factors.shape[1]) + factors @ covariance @ factors.transpose(0, 2, 1)
@@ -66,13 +71,12 @@ def rank_discriminating_positions(
     allowed: NDArray[np.bool_],
     minutes: Array,
 ) -> Iterator[int]:
-    """Yield the indices of the candidates in the order in which they should be measured, each by the largest value per
-    minute.
+    """Yield the indices of the candidates in the order in which they should be measured.
 
-    The value of a candidate assumes that `measured` and all candidates yielded earlier have been measured. `allowed`
-    (N,) marks the candidates that may be chosen, each once; `minutes` (N,) is the time that each needs. The value is
-    the increase of the sum of ln(1 + noncentrality) over the questions, so questions that are already answered count
-    little.
+    Each yielded candidate is the one with the largest value per minute, if `measured` and all candidates yielded
+    earlier have been measured. The value is the increase of the sum of ln(1 + noncentrality) over the questions. The
+    logarithm gives little value to questions that are already answered. `allowed`, shape (N,), marks the candidates
+    that may be yielded, each of them once. `minutes`, shape (N,), contains the time that each candidate needs.
     """
     left, chosen = allowed.copy(), list(measured)
     obtained = _answered(candidates, measured, questions)

@@ -1,12 +1,14 @@
-"""Drift per night by weighted regression. Steps at known times have their own terms, so that they do not bias the
-drift.
+"""Drift per night by weighted linear regression, with separate terms for steps at known times.
 
-The model of the value y_i of night t_i is y_i = level + slope (t_i - t_n) - (sum of the steps after t_i), where t_n is
-the last night. The variances are proportional to the stated ones. The factor of proportionality comes from the
-residuals (GUM Type A; Deming 1943), because contributions common to all nights (certificate, prior) are part of the
-stated uncertainty but cause no scatter about a trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom the
-stated uncertainties are used unchanged. Estimates of neighbouring nights that share information scatter too little: if
-the residuals have a lag-1 correlation r > 0, the variance is multiplied by (1 + r) / (1 - r) (Bartlett 1935).
+The separate terms prevent the steps from biasing the drift. The value y_i of night t_i is modelled as y_i = level +
+slope (t_i - t_n) - (sum of the steps after t_i), where t_n is the last night.
+
+The variances are assumed to be proportional to the stated variances. The factor of proportionality is estimated from
+the residuals (GUM Type A; Deming 1943), because contributions common to all nights (certificate, prior) are part of the
+stated uncertainty but cause no scatter about a trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom, the
+stated uncertainties are used unchanged. Estimates of neighbouring nights share information and therefore scatter too
+little. If the residuals have a lag-1 correlation r > 0, the variance is multiplied by (1 + r) / (1 - r) (Bartlett
+1935).
 """
 
 from __future__ import annotations
@@ -30,12 +32,14 @@ _HIGHEST_CORRELATION = 0.9
 class Drift:
     """Fitted drift, in the unit of the values.
 
-    `level` is the value of the line at the last night and `slope` its change per night; `level_sigma` and `slope_sigma`
-    are their standard uncertainties and `covariance` is their covariance. `steps` contains, for each step, the first
-    night after it, its size and its standard uncertainty. `fitted` (n,) contains the fitted values. `scatter` is the
-    factor by which the stated uncertainties are multiplied. `correlation` is the lag-1 correlation of the residuals,
-    and `freedom` the number of degrees of freedom. `factor` is the coverage factor for 95 % (1.96 if the stated
-    uncertainties were used unchanged).
+    `level` is the value of the fitted line at the last night, and `slope` is its change per night. `level_sigma` and
+    `slope_sigma` are the standard uncertainties of `level` and `slope`, and `covariance` is their covariance. `steps`
+    contains one tuple for each step: the first night after the step, the size of the step, and its standard
+    uncertainty. `fitted`, shape (n,), contains the fitted values.
+
+    `scatter` is the factor by which the stated uncertainties were multiplied, `correlation` is the lag-1 correlation of
+    the residuals, and `freedom` is the number of degrees of freedom. `factor` is the coverage factor for 95 %; it is
+    1.96 if the stated uncertainties were used unchanged.
     """
 
     level: float
@@ -52,24 +56,24 @@ class Drift:
 
     @property
     def significant(self) -> bool:
-        """True if the slope exceeds its expanded uncertainty (95 %)."""
+        """True if the magnitude of the slope exceeds its expanded uncertainty (95 %)."""
         return abs(self.slope) > self.factor * self.slope_sigma
 
     def predict(self, nights: float) -> tuple[float, float]:
-        """Predict the value of the fitted line at a given number of nights after the last measured night.
+        """Predict the value of the fitted line `nights` nights after the last measured night.
 
-        Return the value and its standard uncertainty.
+        Return the predicted value and its standard uncertainty.
         """
         variance = self.level_sigma**2 + 2.0 * nights * self.covariance + (nights * self.slope_sigma) ** 2
         return self.level + self.slope * nights, float(np.sqrt(max(variance, 0.0)))
 
 
 def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Sequence[float] = ()) -> Drift:
-    """Fit the drift of `values` (n,) that have standard uncertainties `sigmas` (n,) and times `nights` (n,), in
-    ascending order.
+    """Fit the drift of the `values` measured in n `nights`.
 
-    `steps` contains the times, in nights, at which a new level begins. Raise DataError if there are too few values or
-    if the input is invalid.
+    `nights`, in ascending order, `values` and `sigmas` have shape (n,); `sigmas` contains the standard uncertainties of
+    the values. `steps` contains the times, in nights, at which a new level begins. Raises DataError if there are too
+    few values or if the input is invalid.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     _check(t, y, u)
@@ -105,8 +109,11 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
 
 
 def regression_design(t: Array, steps: Sequence[float]) -> Array:
-    """Return the design matrix (n, 2 + k). Its columns belong to the level at the last night, the slope, and each of
-    the k steps (-1 before the step, 0 after it)."""
+    """Return the design matrix, shape (n, 2 + k), of the drift regression for n nights `t` and k `steps`.
+
+    The first column belongs to the level at the last night and the second to the slope. Each further column belongs to
+    one step; it is -1 before the step and 0 after it.
+    """
     before = [-(t < at).astype(np.float64) for at in steps]
     return np.stack([np.ones_like(t), t - t[-1], *before], axis=1)
 

@@ -1,7 +1,7 @@
-"""Expected volumetric error that remains with a given compensation table active, according to the current knowledge of
-the machine.
+"""Expected volumetric error of a machine on which a given compensation table is active.
 
-The active table may be older than the current knowledge: the machine may have drifted since the table was written.
+The expectation uses the current knowledge of the machine, which may be newer than the table: the machine may have
+drifted since the table was written.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True, eq=False)
 class ResidualWithTable:
-    """Expected residual error over a workspace for one tool.
+    """Expected error that remains over a workspace with a compensation table active, for one tool.
 
-    `form` contains the quadratic forms (P, P) of the mean square error in the unknowns z (P,), whose meaning `unknowns`
-    defines. `left_out_mm2` is the mean square in mm² of the part of the misfit that its modes do not represent.
+    `unknowns` defines the P unknowns z of the machine. `form` contains the quadratic forms, shape (P, P), that give the
+    mean square error from z. `left_out_mm2` is the mean square, in mm², of the part of the misfit that the misfit modes
+    do not represent.
     """
 
     unknowns: Unknowns
@@ -33,9 +34,9 @@ class ResidualWithTable:
 
     @classmethod
     def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ResidualWithTable:
-        """Build the residual error for a `grid` of axis positions (n, 3) in mm and a tool offset (3,) in mm.
+        """Prepare the computation for a `grid` of axis positions, shape (n, 3), and a tool offset, shape (3,), in mm.
 
-        `scales` are the scales of the current knowledge.
+        `scales` are the scale factors of noise, prior and misfit from the current estimate.
         """
         form = Criterion.build(unknowns, grid, tool_offset)
         return cls(unknowns, form, 3.0 * left_out_variance(unknowns, scales))
@@ -43,21 +44,24 @@ class ResidualWithTable:
     def of(self, mean: Array, covariance: Array, written: ArrayLike) -> VolumetricRms:
         """Return the root of the expected mean square of the residual field (machine minus table).
 
-        The machine's unknowns z have `mean` (P,) and `covariance` (P, P). The table contains the parameters `written`
-        (p,) in mm or rad.
+        The P unknowns z of the machine have the given `mean`, shape (P,), and `covariance`, shape (P, P). The table
+        corrects the model parameters `written`, shape (p,), in mm or rad.
         """
         return self._root(covariance, self.uncompensated(mean, written), self.left_out_mm2)
 
     def between(self, mean: Array, other: Array) -> VolumetricRms:
-        """Return the volumetric rms of the difference between two machines, given by their unknowns z (P,).
+        """Return the volumetric rms of the difference between two machines, each given by its unknowns z, shape (P,).
 
-        Only the model parameters in z are compared; all other unknowns, such as the misfit, are ignored.
+        Only the model parameters in z are compared. All other unknowns, such as the misfit, are ignored.
         """
         step = self._parameters_only(mean - other)
         return self._root(np.zeros_like(self.form.raw), step, 0.0)
 
     def uncompensated(self, mean: Array, written: ArrayLike) -> Array:
-        """Return `mean` (P,) minus the vector z that represents the parameters `written` (p,), given in mm or rad."""
+        """Subtract the parameters `written` in a table from the `mean`, shape (P,), of the unknowns z.
+
+        `written`, shape (p,), is in mm or rad and is converted to the units of z. Return the difference, shape (P,).
+        """
         return uncompensated(self.unknowns, mean, written)
 
     def _parameters_only(self, step: Array) -> Array:
@@ -75,8 +79,10 @@ class ResidualWithTable:
 
 
 def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
-    """Return `mean` (P,) of the unknowns z minus the vector z that represents the parameters `written` (p,), given in
-    mm or rad."""
+    """Subtract the parameters `written` in a table from the `mean`, shape (P,), of the unknowns z.
+
+    `written`, shape (p,), is in mm or rad and is converted to the units of z. Return the difference, shape (P,).
+    """
     parameters, scale = as_vector(written, unknowns.model.size, "written parameters"), unknowns.scale
     left = mean.copy()
     left[unknowns.blocks.parameters] -= np.where(scale > 0.0, parameters / np.where(scale > 0.0, scale, 1.0), 0.0)
@@ -84,7 +90,10 @@ def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
 
 
 def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
-    """Return the variance (mm²) per direction of the part of the misfit whose wavelength is too short for the modes."""
+    """Return the variance in mm², per direction, of the part of the misfit that the misfit modes do not represent.
+
+    This part has wavelengths that are too short for the modes.
+    """
     modes = unknowns.modes
     return 0.0 if modes is None else unknowns.misfit_mm**2 * float(modes.left_out @ np.square(scales.kinds))
 
@@ -92,11 +101,11 @@ def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
 def residual_covariance(
     unknowns: Unknowns, scales: Scales, mean: Array, covariance: Array, points: ArrayLike, tool_offset: ArrayLike
 ) -> Array:
-    """Return the expected outer product (3n, 3n) in mm² of the residual field (machine minus table) at axis positions
-    (n, 3). Rows and columns run point by point, in the order x, y, z.
+    """Return the matrix of second moments, shape (3n, 3n), in mm² of the residual field (machine minus table).
 
-    `mean` (P,) is the mean of the unknowns z minus the vector z of the written parameters, as returned by
-    `uncompensated`. `covariance` (P, P) is the covariance of z.
+    The residual field is taken at n axis positions `points`, shape (n, 3). Rows and columns run point by point, in the
+    order x, y, z. `mean`, shape (P,), is the mean of the unknowns z minus the parameters in the table, as returned by
+    `uncompensated`. `covariance`, shape (P, P), is the covariance of z.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     blocks = unknowns.blocks

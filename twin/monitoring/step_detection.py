@@ -1,17 +1,19 @@
-"""Test if a machine is still as expected, and identify the error that has jumped if it is not.
+"""Test if a machine is still as expected; if it is not, identify the error that has jumped.
 
-The prior knowledge of the unknowns z is a Gaussian with mean m and covariance C. The measured ball centres give the
-equations y = A z + noise with the design matrix A and the right side y; they are whitened, and the poses are projected
-out. The noise has the standard deviation σ. The innovation y - A m then has the covariance S = σ² + A C Aᵀ. A score
-test is used for the hypothesis that, in addition, one error has jumped by a. If the matrix J selects the coefficients
-of this error in z, and a has mean zero and the variance Λ of the family of machines, the logarithm of the likelihood
-ratio is
+The prior knowledge of the P unknowns z is a Gaussian distribution with mean m and covariance C. The measured ball
+centres give the equations y = A z + noise. The design matrix A and the right side y are whitened, and the poses are
+projected out of both. The noise has the standard deviation σ. The innovation y - A m, the difference between
+measurement and expectation, then has the covariance S = σ² I + A C Aᵀ, where I is the identity matrix.
 
-    ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(1 + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
+A score test examines the hypothesis that one error has also jumped by a. The matrix J selects the coefficients of this
+error in z. The jump a has mean zero and the variance Λ that the error has in the family of machines. The logarithm of
+the likelihood ratio is then
 
-so a series of many coefficients is penalised for its degrees of freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995).
-The score s has P elements and the information F is a P by P matrix, where P is the number of unknowns; F is computed as
-F = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
+    ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(I + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
+
+with the score s, shape (P,), and the information F, shape (P, P). The second term penalises an error with many
+coefficients for its degrees of freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995). F is computed as F = C⁻¹ -
+C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
 """
 
 from __future__ import annotations
@@ -47,12 +49,15 @@ _TRAVEL_POINTS = 101
 
 @dataclass(frozen=True)
 class SuspectedJump:
-    """Geometric error, named `error`, that may have jumped.
+    """Geometric error that may have jumped; `error` is its ISO 230-1 name.
 
     `evidence` is the natural logarithm of the likelihood ratio of a jump against no jump. `chi2` is the test statistic
-    with `freedom` degrees of freedom. `change` is stated in `unit`. For a squareness it is the change of the angle; for
-    an error motion it is the peak-to-valley change over the travel, with the sign of the change at the end of the
-    travel minus that at its start. `coefficients` gives the change of each coefficient by name, in mm or rad.
+    of the jump, with `freedom` degrees of freedom.
+
+    `change` is the size of the jump in `unit`. For a squareness it is the change of the angle. For an error motion it
+    is the peak-to-valley value of the change over the travel; it is negative if the change at the end of the travel is
+    smaller than the change at the start. `coefficients` gives the change of each coefficient, keyed by its name, in mm
+    or rad.
     """
 
     error: str
@@ -72,13 +77,13 @@ class SuspectedJump:
 class Innovation:
     """Comparison of measured ball centres with prior knowledge of the P unknowns z.
 
-    The equations of the ball centres are y = A z + noise, with the design matrix A and the right side y. They are
-    whitened, and the poses are projected out. `mean` m (P,) and `covariance` C (P, P) of z apply before the
-    measurement. The innovation y - A m has the covariance S = σ² + A C Aᵀ, where σ is the standard deviation of the
-    noise.
+    The equations of the ball centres are y = A z + noise. The design matrix A and the right side y are whitened, and
+    the poses are projected out of both. Before the measurement, z has the `mean` m, shape (P,), and the `covariance` C,
+    shape (P, P). The innovation y - A m has the covariance S = σ² I + A C Aᵀ, where σ is the standard deviation of the
+    noise and I is the identity matrix.
 
-    `score` (P,) is AᵀS⁻¹(y - A m), and `information` (P, P) is AᵀS⁻¹A. `chi2` is (y - A m)ᵀS⁻¹(y - A m); it belongs to
-    `rows` equations.
+    `score`, shape (P,), is AᵀS⁻¹(y - A m), and `information`, shape (P, P), is AᵀS⁻¹A. `chi2` is (y - A m)ᵀS⁻¹(y - A
+    m), and `rows` is the number of equations that contribute to `chi2`.
     """
 
     unknowns: Unknowns
@@ -105,20 +110,21 @@ class Innovation:
         return np.asarray(0.5 * (after + after.T))
 
     def suspects(self, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Return every error of the model as a suspect, the likeliest first.
+        """Return all errors of the model as suspects, the most likely one first.
 
-        `jump` is the standard deviation of the assumed jump, in units of the standard deviation in the family of
-        machines.
+        `jump` is the standard deviation of the assumed jump of a coefficient, divided by the standard deviation of the
+        coefficient in the family of machines.
         """
         found = [self._suspect(error, jump) for error in ERRORS if self._columns(error).size]
         return tuple(sorted(found, key=lambda one: -one.evidence))
 
     def find_jumps(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Return the errors that have jumped, found one after another.
+        """Search for the errors that have jumped, one after another, and return them.
 
-        When the next error is tested, those already found remain free to have jumped. The search ends at the first
-        error whose evidence is less than `evidence`, or after `most` errors. `jump` has the same meaning as in
-        `suspects`.
+        Each search step takes the error with the largest evidence. Errors found in earlier steps stay free to have
+        jumped. The search ends at an error whose evidence is smaller than `evidence`, or after `most` errors. `jump` is
+        the standard deviation of the assumed jump of a coefficient, divided by the standard deviation of the
+        coefficient in the family of machines.
         """
         left, named = self, []
         for _ in range(most):
@@ -178,10 +184,10 @@ class Innovation:
 
 
 def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
-    """Compare `observations` with the prior knowledge `known`.
+    """Compare measured ball centres (`observations`) with the prior knowledge `known`.
 
-    `known` must already include the process noise for the time since its estimate. Its scale of the touch noise is
-    used. Raise DataError if model, artefact or balls do not match.
+    The covariance in `known` must already include the process noise for the time since the earlier estimate. The scale
+    of the touch noise is taken from `known`. Raises DataError if model, artefact or balls do not match.
     """
     options = Options(carried_over=known, outliers="none", estimate_scales=False)
     problem = build_problem(family, observations, artefact, options)

@@ -1,10 +1,11 @@
-"""Steps in a series of nights, found one by one as long as each explains more than noise would.
+"""Search for steps (sudden changes of level) in a series of nights.
 
-A candidate is scored by the amount by which it reduces the residual sum of squares of the whole regression (level,
-slope, and steps found so far), in units of the noise. The noise is estimated from the median of successive differences
-(median moving range), which neither the slope nor single steps increase much. A candidate is accepted if the reduction
-exceeds about `PENALTY_PER_LOG` ln n for n nights. This penalty accounts for the two fitted values of a step (size and
-time) and for the search over times, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
+Steps are found one by one. Each candidate is scored by the amount by which it reduces the residual sum of squares of
+the whole regression (level, slope, and steps found so far), in units of the noise variance. The noise is estimated from
+the median of successive differences (median moving range), because neither the slope nor single steps increase this
+median much. A candidate is accepted if the reduction exceeds a penalty of about `PENALTY_PER_LOG` ln n for n nights.
+The penalty accounts for the two fitted values of a step (size and time) and for the search over times, as in the
+modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ def find_steps(
 ) -> tuple[float, ...]:
     """Return the times at which the level changes, in ascending order, including the `known` times.
 
-    Known steps that cannot be distinguished from the slope or from each other are left out. With fewer than
-    `MIN_NIGHTS` values no further step is searched for. A step needs two values on either side and must remain
-    significant when any one value is omitted, so that one outlier does not count as a step.
+    A known step is omitted if it cannot be distinguished from the slope or from another step. If there are fewer than
+    `MIN_NIGHTS` values, only the known steps are returned. A new step needs two values on either side. It must also
+    remain significant if any single value is omitted, which prevents an outlier from being reported as a step.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     steps = list(_usable(t, known))

@@ -1,9 +1,9 @@
-"""Coverage of stated uncertainty regions: estimates are compared with machines whose true errors are known.
+"""Coverage of stated uncertainty regions, observed on simulated machines whose true errors are known.
 
-Every region belongs to a nominal level. Each comparison is reduced to one number: the level of the region whose
-boundary passes through the true value. If the regions are stated correctly, these levels are uniformly distributed
-between 0 and 1 over many machines. The fraction of levels that do not exceed 0.95 is the observed coverage of the 95 %
-regions.
+An uncertainty region, such as an interval, is stated for a nominal level, for example 95 %. Each comparison of an
+estimate with the truth is reduced to one number: the level of the region whose boundary passes through the true value.
+If the regions are stated correctly, these levels are uniformly distributed between 0 and 1 over many machines. The
+fraction of levels that do not exceed 0.95 is the observed coverage of the 95 % regions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _RESAMPLES = 2000
 class ObservedCoverage:
     """Observed coverage over all machines, and its standard error.
 
-    `observed` is the fraction of the comparisons in which the region contains the true value.
+    `observed` is the fraction of comparisons whose region contains the true value.
     """
 
     observed: float
@@ -44,10 +44,11 @@ class ObservedCoverage:
 
 
 def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Generator) -> ObservedCoverage:
-    """Return the observed coverage at a nominal level.
+    """Return the observed coverage of the regions with the level `nominal`.
 
-    `levels` holds one array (m,) of comparison levels per machine. The standard error comes from resampling whole
-    machines with replacement (bootstrap), since the comparisons of one machine are correlated.
+    `levels` contains one array, shape (m,), for each machine: the levels of its m comparisons. The standard error is
+    obtained by resampling whole machines with replacement (bootstrap), since the comparisons of one machine are
+    correlated.
     """
     held = np.array([np.count_nonzero(one <= nominal) for one in levels], dtype=np.float64)
     counts = np.array([np.size(one) for one in levels], dtype=np.float64)
@@ -58,11 +59,10 @@ def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Ge
 
 @dataclass(frozen=True, eq=False)
 class FieldError:
-    """Error of the estimated field of deviations at n points: the true deviation minus the expected one, after the
-    best-fitting rigid motion has been removed.
+    """Error of the estimated field of deviations at n points: the true deviation minus the expected one.
 
-    The rigid motion is removed because no artefact can determine it. `error` (3n,) is in mm. `covariance` (3n, 3n) in
-    mm² is the stated covariance of this error.
+    The best-fitting rigid motion has been removed from the error, because no artefact can determine this motion.
+    `error`, shape (3n,), is in mm. `covariance`, shape (3n, 3n), is the stated covariance of the error in mm².
     """
 
     error: Array
@@ -70,7 +70,7 @@ class FieldError:
 
     @classmethod
     def of(cls, estimate: Estimate, truth: TrueMachine, axis_positions: Array) -> FieldError:
-        """Return the field error at axis positions (n, 3), for the tool of `truth`."""
+        """Return the field error at axis positions, shape (n, 3), in mm, for the tool of the true machine `truth`."""
         offset = truth.tool_offset
         left = truth.deviation(axis_positions)
         left -= exact_deviation(estimate.model, axis_positions, offset, estimate.parameters)
@@ -88,24 +88,34 @@ class FieldError:
         return cls(expected - motions @ (motions.T @ expected), whole)
 
     def pointwise_levels(self) -> Array:
-        """Return, for each component at each point, the level of the interval that ends at the true value, as an array
-        (3n,)."""
+        """Return one level for each component of the error at each point, as an array of shape (3n,).
+
+        Each level is that of the symmetric interval whose end coincides with the true value.
+        """
         return two_sided_level(self.error / np.sqrt(np.diagonal(self.covariance)))
 
     def joint_level(self) -> float:
-        """Return the level of the joint region of all components at all points whose boundary passes through the true
-        value."""
+        """Return the level of the joint uncertainty region whose boundary passes through the true value.
+
+        The region is an ellipsoid that covers all components of the error at all points.
+        """
         return joint_level(self.error, self.covariance)
 
 
 def two_sided_level(standardised: Array) -> Array:
-    """Return the levels (n,) of the symmetric intervals that end at the n given values, which are standard normal."""
+    """Return the levels, shape (n,), of symmetric intervals about zero of a standard normal variable.
+
+    Interval i ends at the given value `standardised[i]`.
+    """
     return np.asarray(2.0 * ndtr(np.abs(standardised)) - 1.0)
 
 
 def joint_level(error: Array, covariance: Array) -> float:
-    """Return the level of the ellipsoid whose surface passes through `error` (n,). Directions in which `covariance` (n,
-    n) is zero are ignored."""
+    """Return the level of the uncertainty ellipsoid whose surface passes through `error`, shape (n,).
+
+    `covariance`, shape (n, n), defines the shape of the ellipsoid. Directions in which the covariance is zero are
+    ignored.
+    """
     values, vectors = np.linalg.eigh(covariance)
     used = values > _MIN_VARIANCE * values[-1]
     square = float(np.sum((vectors.T @ error)[used] ** 2 / values[used]))
@@ -113,11 +123,11 @@ def joint_level(error: Array, covariance: Array) -> float:
 
 
 def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) -> Array:
-    """Return one level for each parameter whose standard uncertainty is below `share_of_prior` times its prior standard
-    deviation.
+    """Return one level for each parameter that the measurement has determined.
 
-    `truth` (p,) contains the true parameters of the same model. The result is therefore meaningful only for a machine
-    that the model can represent.
+    A parameter counts as determined if its standard uncertainty is below `share_of_prior` times its prior standard
+    deviation. The level is that of the symmetric interval that ends at the true value. `truth`, shape (p,), contains
+    the true values of the p parameters. The levels are meaningful only for a machine that the model can represent.
     """
     sigma = estimate.standard_uncertainty
     known = sigma < share_of_prior * estimate.scales.prior * estimate.prior_scale
@@ -126,11 +136,12 @@ def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) ->
 
 @dataclass(frozen=True)
 class VolumetricComparison:
-    """True and expected value of the volumetric error (VE) or of the volumetric compensated error (VCE), both after the
-    best-fitting rigid motion has been removed.
+    """Comparison of the true with the expected value of the volumetric error (VE) or the volumetric compensated error
+    (VCE).
 
-    `true_mm` is the true value, and `expected_mm` the root of the expected mean square. `level` is the level of the
-    equal-tailed interval that ends at the true value.
+    `true_mm` is the true value, and `expected_mm` is the root of the expected mean square. Both apply after the
+    best-fitting rigid motion has been removed. `level` is the level of the equal-tailed interval whose end coincides
+    with the true value.
     """
 
     true_mm: float
@@ -141,8 +152,10 @@ class VolumetricComparison:
 def volumetric_comparisons(
     estimate: Estimate, truth: TrueMachine, grid: Array
 ) -> tuple[VolumetricComparison, VolumetricComparison]:
-    """Return two comparisons over axis positions (n, 3): first VE, then VCE, each compared with its stated
-    distribution."""
+    """Compare the true VE, and then the true VCE, with the distribution that `estimate` states for it.
+
+    Both are computed over axis positions `grid`, shape (n, 3), in mm. Return the two comparisons in this order.
+    """
     offset = truth.tool_offset
     true = truth.deviation(grid)
     left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
@@ -158,10 +171,10 @@ def volumetric_comparisons(
 def held_out_levels(
     estimate: Estimate, family: Family, seen: Observations, artefact: Artefact, options: Options
 ) -> Array:
-    """Return one level for each of the K positions in `seen`: that of the joint region of all balls of the position,
-    after its pose has been removed.
+    """Return one level, shape (K,), for each of the K held-out positions in `seen`.
 
-    The estimate must not have used these positions.
+    The level is that of the joint uncertainty region of all balls of the position, after the pose of the position has
+    been removed. The estimate must not have used the observations in `seen`.
     """
     problem = build_problem(family, seen, artefact, options)
     left, local = problem.sides(estimate.z)

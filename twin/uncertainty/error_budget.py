@@ -1,10 +1,11 @@
-"""Expected volumetric compensated error (VCE) in closed form, split by influence.
+"""Expected volumetric compensated error (VCE) in closed form, divided into contributions of the influences.
 
-The estimate is a linear function of all errors of a procedure (`twin.uncertainty.linear_estimator`), so the field that
-remains after compensation is also linear in these errors. The expected mean square of this field over machines,
-certificates and touches is the trace of Q M, where Q is the quadratic form of the field and M holds the second moments
-of its parameters. All influences are independent and have mean zero, except the deflection, which is the same for all
-machines and contributes its own mean square. The squares of the contributions therefore add up.
+The estimate is a linear function of all errors of a procedure (`twin.uncertainty.linear_estimator`). The field that
+remains after compensation is therefore also linear in these errors. The mean square of this field, expected over
+machines, certificates and touches, is the trace of the matrix product Q M. Q is the quadratic form of the field, and M
+contains the second moments of its parameters. All influences are independent and have mean zero, except the deflection,
+which is the same for all machines and contributes its own mean square. The squares of the contributions therefore add
+up.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ determine them or the prior shrinks them towards zero.
 
 @dataclass(frozen=True, eq=False)
 class ErrorBudget:
-    """Error budget of a procedure.
+    """Error budget of a procedure: the contribution of each influence to the expected VCE.
 
-    The residual field (true machine minus compensation model) is described by the u parameters of the joint model of
-    `field`. `moments` contains the second moments (u, u) of these parameters that each influence causes. `bias` (u,) is
-    the parameter error that the deflection causes in all machines.
+    The residual field (true machine minus compensation model) has u parameters, those of the joint model of `field`.
+    `moments` contains, for each influence, the second moments, shape (u, u), that the influence causes in these
+    parameters. `bias`, shape (u,), contains the errors of the parameters that the deflection causes in all machines.
     """
 
     field: FieldForm
@@ -59,7 +60,10 @@ class ErrorBudget:
 
     @cached_property
     def contributions(self) -> Mapping[str, VolumetricRms]:
-        """Contribution of each influence to the expected VCE: the root of its part of the expected mean square."""
+        """Contribution of each influence to the expected VCE.
+
+        The contribution is the root of the part of the expected mean square that the influence causes.
+        """
         squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
         fixed = self.field.fixed_square(self.bias)
         squares[MISFIT] = (squares[MISFIT][0] + fixed[0], squares[MISFIT][1] + fixed[1])
@@ -91,15 +95,15 @@ class ErrorBudget:
         )
 
     def parameter_uncertainty(self) -> Array:
-        """Return the root mean square error (p,) of the identified parameters (true minus identified) in mm or rad."""
+        """Return the rms errors, shape (p,), of the p identified parameters (true minus identified) in mm or rad."""
         squares = np.maximum(np.diagonal(self.total) + self.bias**2, 0.0)
         return np.asarray(np.sqrt(squares[self.field.model_indices]))
 
     def field_uncertainty(self, axis_positions: ArrayLike, aligned: bool = False) -> Array:
-        """Return the expected rms (n, 3) in mm, per direction, of the residual field at axis positions (n, 3).
+        """Return the expected rms, shape (n, 3), of each component of the residual field at n axis positions, in mm.
 
-        If `aligned`, the best-fitting rigid motion over the grid of `field` is removed, since no artefact in an unknown
-        pose can determine it.
+        `axis_positions` has shape (n, 3). If `aligned`, the best-fitting rigid motion over the grid of `field` is
+        removed first, since an artefact in an unknown pose cannot determine this motion.
         """
         basis, deflection = self.field.columns_at(axis_positions, aligned)
         squares = np.einsum("nip,nip->ni", basis @ self.total, basis) + (deflection + basis @ self.bias) ** 2
@@ -116,11 +120,11 @@ def error_budget(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> ErrorBudget:
-    """Return the error budget for identifying `model` from planned `observations` on machines that follow
-    `assumptions`.
+    """Return the error budget of a procedure that identifies `model` from planned `observations`.
 
-    `family` is the prior. The error is evaluated on `grid` (n, 3) in mm for `tool_offset` (3,) in mm. All scales are 1
-    and no ball is rejected, regardless of `options`. To evaluate many position sets, build the `FieldForm` once and use
+    The true machines follow `assumptions`; `family` is the prior of the identification. The error is evaluated for a
+    tool offset, shape (3,), on a `grid` of axis positions, shape (n, 3), in mm. All scales are 1 and no ball is
+    rejected, regardless of `options`. To evaluate many position sets, build the `FieldForm` once and use
     `error_budget_of_form`.
     """
     return error_budget_of_form(
@@ -131,7 +135,10 @@ def error_budget(
 def error_budget_of_form(
     field: FieldForm, family: Family, artefact: Artefact, observations: Observations, options: Options
 ) -> ErrorBudget:
-    """Return the error budget for an existing field form. Raise DataError if the prior belongs to another model."""
+    """Return the error budget of a procedure for an existing quadratic form of the residual field.
+
+    Raises DataError if `family`, the prior, belongs to another model than `field`.
+    """
     if family.model != field.model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     assumptions = field.assumptions

@@ -1,8 +1,8 @@
-"""Identification as a linear map from measurement errors to parameters. The linearisation is accurate to nanometres.
+"""Identification as a linear map from measurement errors to parameters; the linearisation is accurate to nanometres.
 
-No measurements are needed: at the planned ball centres, without estimated scales and without outlier rejection, the
-estimate is the product of a matrix K and the data. K = H⁻¹Aᵀ follows from the design matrix A and the posterior
-precision H, which depend on the chosen formulation, weights and prior.
+No measurements are needed. For the planned ball centres, the estimate is the product of a matrix K and the data if no
+scales are estimated and no outliers are rejected. K = H⁻¹Aᵀ follows from the design matrix A and the posterior
+precision H. Both depend on the chosen formulation, weights and prior.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from twin.identification.unknowns import UnknownBlocks
 class LinearEstimator:
     """Response of the p estimated parameters, in mm or rad, to each influence.
 
-    `certificate` (p, m) is the response to one standard deviation of each of the m certificate errors. `influences` (p,
-    x) is the response to each of the x added fields. `noise` (p, p) is the covariance caused by the stated touch noise.
+    `certificate`, shape (p, m), is the response to one standard deviation of each of the m certificate errors.
+    `influences`, shape (p, x), is the response to each of x additional error fields. `noise`, shape (p, p), is the
+    covariance that the stated touch noise causes in the parameters.
     """
 
     certificate: Array
@@ -36,10 +37,11 @@ class LinearEstimator:
 
     @classmethod
     def of(cls, problem: IdentificationProblem, options: Options, influences: Array) -> LinearEstimator:
-        """Build the estimator. `influences` (n, 3, x) contains x fields in mm, which are added to the tool points of
-        the n rows of `problem.observations`.
+        """Build the linear estimator of an identification problem.
 
-        Raise DataError if `options` contains a carried-over estimate, since its mean belongs to one particular machine.
+        `influences`, shape (n, 3, x), contains x error fields in mm; each is added to the tool points of the n rows of
+        `problem.observations`. Raises DataError if `options` contains a carried-over estimate, since the mean of such
+        an estimate belongs to one particular machine.
         """
         if options.carried_over is not None:
             raise DataError(

@@ -1,9 +1,9 @@
 """Monte Carlo simulation of a whole procedure: true machine, true artefact, simulated measurements, residual error.
 
-Everything that `twin.identification` models as uncertain is drawn at random here: the machine from its family (uniform,
-of any Legendre order, with deflection), the artefact from its certificate, and the errors of thermometer, drift and
-touches from their uncertainties. The true field is computed from the exact product of the axis transforms, not from its
-linearisation.
+Every quantity that `twin.identification` models as uncertain is drawn at random here. The machine is drawn from its
+family (uniform, of any Legendre order, with deflection), and the artefact from its certificate. The errors of
+thermometer, drift and touches are drawn from their uncertainties. The true field is computed from the exact product of
+the axis transforms, not from its linearisation.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _STEPS = 3
 
 
 def draw_truth(assumptions: TruthAssumptions, rng: np.random.Generator, tool_offset: ArrayLike) -> TrueMachine:
-    """Draw one machine of the family. It has the deflection that is common to all machines."""
+    """Draw one true machine at random from the family; it has the deflection that all machines of the family share."""
     family = assumptions.family
     offset = np.asarray(tool_offset, dtype=np.float64)
     return TrueMachine(family.model, family.draw(rng, 1)[0], offset, assumptions.deflection)
@@ -43,11 +43,11 @@ def simulated_observations(
     assumptions: TruthAssumptions,
     rng: np.random.Generator,
 ) -> Observations:
-    """Return simulated observations on the machine `truth`.
+    """Simulate the measurement of the `planned` balls on the machine `truth`, and return the observations.
 
-    `planned` contains the observations of an error-free machine at the same balls; `artefact` is the artefact as
-    certified. Every random influence is drawn even if it is switched off, so that switching one off does not change the
-    others.
+    `planned` contains the observations that an error-free machine would give at the same balls. `artefact` is the
+    artefact with its certified values. Random numbers are drawn even for an influence that is switched off, so the
+    values of the other influences do not depend on the switches.
     """
     real, shift_k = _draw_artefact(artefact, assumptions, rng)
     change = _ball_displacements(planned, artefact, real, assumptions.artefact_temperature_c)
@@ -61,25 +61,27 @@ def simulated_observations(
 
 
 def uncompensated_errors(form: FieldForm, truths: Array) -> tuple[Array, Array]:
-    """Return the VE in mm of m machines, raw and after the best-fitting rigid motion is removed (aligned), each as an
-    array (m,).
+    """Return the volumetric errors (VE) of m machines in mm, raw and aligned, as two arrays of shape (m,).
 
-    `truths` (m, t) contains the parameters of the machines in the true family.
+    Aligned means after the best-fitting rigid motion has been removed. `truths`, shape (m, t), contains the t
+    parameters of each machine in the family of true machines.
     """
     return form.form.values(_embed(form, truths, form.true_indices))
 
 
 def compensated_errors(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array, Array]:
-    """Return the VCE in mm of m machines, raw and after the best-fitting rigid motion is removed (aligned), each as an
-    array (m,).
+    """Return the volumetric compensated errors (VCE) of m machines in mm, raw and aligned, as two arrays of shape (m,).
 
-    `truths` (m, t) contains the true parameters, and `estimates` (m, p) those of the compensation of each machine.
+    Aligned means after the best-fitting rigid motion has been removed. `truths`, shape (m, t), contains the t true
+    parameters of each machine; `estimates`, shape (m, p), contains the p parameters by which it is compensated.
     """
     return form.form.values(_embed(form, truths, form.true_indices) - _embed(form, estimates, form.model_indices))
 
 
 def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> VolumetricRms:
-    """Return the volumetric error of `truth` after compensation by `estimate`."""
+    """Return the volumetric error that remains on the machine `truth` after compensation with the parameters of
+    `estimate`.
+    """
     raw, aligned = compensated_errors(form, truth.parameters[None, :], estimate.parameters[None, :])
     return VolumetricRms(float(raw[0]), float(aligned[0]))
 
@@ -171,7 +173,11 @@ def _draw_drift(position: IndexArray, drift_mm: float, rng: np.random.Generator)
 
 
 def position_progress(position: IndexArray) -> Array:
-    """Return the progress (n,) of each row within its position, from 0 at the first row to 1 at the last."""
+    """Return the progress, shape (n,), of each of n measured balls within its position.
+
+    The progress rises linearly from 0 at the first ball of the position to 1 at the last. `position`, shape (n,),
+    contains the number of the position to which each ball belongs.
+    """
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     order = np.argsort(group, kind="stable")
     rank = np.empty(len(group))

@@ -1,14 +1,16 @@
 """Distribution of a quadratic form of Gaussian variables, such as the mean square of an uncertain field.
 
-If x has the mean m and the covariance L Lᵀ, the form Q = xᵀAx + 2bᵀx + c is a sum of independent non-central squares,
+If the vector x of Gaussian variables has the mean m and the covariance L Lᵀ, the quadratic form Q = xᵀAx + 2bᵀx + c is
+a sum of independent non-central squares,
 
     Q = c₀ + Σ λ_j (g_j + δ_j)²,    g_j standard normal,
 
-where the λ_j are weights, the δ_j are shifts and c₀ is the lower bound of Q. The moment generating function of Q is
-known. The probability that Q exceeds q is an inverse Laplace transform of this function (Imhof, Biometrika 48, 1961,
-integrates over real frequencies). Here the path of integration is a parabola through the saddle point (Rice, SIAM J.
-Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983). On this path the integrand neither oscillates nor
-decays slowly, both tails are accurate to many digits, and the accuracy does not depend on the number of terms.
+with the weights λ_j, the shifts δ_j and the lower bound c₀. The moment generating function of Q is known, and the
+probability that Q exceeds a value q is an inverse Laplace transform of this function. Imhof (Biometrika 48, 1961)
+evaluates the transform along real frequencies. Here the path of integration is a parabola through the saddle point
+(Rice, SIAM J. Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983). On this path the integrand does not
+oscillate and decays fast. Both tails are accurate to many digits, and the accuracy does not depend on the number of
+terms.
 """
 
 from __future__ import annotations
@@ -52,9 +54,10 @@ class _Path:
 
 @dataclass(frozen=True, eq=False)
 class QuadraticDistribution:
-    """Distribution of Q = c₀ + Σ λ_j (g_j + δ_j)² with standard normal g_j.
+    """Distribution of Q = c₀ + Σ λ_j (g_j + δ_j)², where the g_j are independent standard normal variables.
 
-    `weights` (k,) contains the positive λ_j, and `shifts` (k,) the δ_j. `least` is the lower bound c₀.
+    `weights`, shape (k,), contains the positive weights λ_j, and `shifts`, shape (k,), the shifts δ_j. `least` is the
+    lower bound c₀ of Q.
     """
 
     weights: Array
@@ -70,12 +73,12 @@ class QuadraticDistribution:
         mean: ArrayLike,
         covariance: ArrayLike,
     ) -> QuadraticDistribution:
-        """Return the distribution of xᵀ form x + 2 linearᵀ x + constant for Gaussian x. The expression must never be
-        negative.
+        """Return the distribution of Q = xᵀ `form` x + 2 `linear`ᵀ x + `constant` for a Gaussian vector x of p
+        variables.
 
-        `form` and `covariance` have shape (p, p), `linear` and `mean` shape (p,). Some variables may have zero
-        variance. Raise DataError if the covariance is zero or invalid: not finite, not symmetric, or with a negative
-        variance in some direction.
+        Q must not be negative for any x. `form` and `covariance` have shape (p, p); `linear` and `mean` have shape
+        (p,). Some variables may have zero variance. Raises DataError if the covariance is zero, not finite, not
+        symmetric, or gives a negative variance in some direction.
         """
         return cls.about(form, linear, constant, (mean,), covariance_factor(covariance))[0]
 
@@ -88,8 +91,10 @@ class QuadraticDistribution:
         means: Sequence[ArrayLike],
         factor: Array,
     ) -> tuple[QuadraticDistribution, ...]:
-        """Return one distribution for each of several means (p,). All share one covariance, given by its `factor` L (p,
-        p) with covariance L Lᵀ."""
+        """Return one distribution of Q for each of several `means`, shape (p,), of the Gaussian vector x.
+
+        All distributions share the covariance L Lᵀ of x; `factor`, shape (p, p), is the matrix L.
+        """
         size = len(factor)
         matrix = np.asarray(form, dtype=np.float64)
         if matrix.shape != (size, size):
@@ -133,13 +138,17 @@ class QuadraticDistribution:
         return 1.0 - self._tail(above, upper=False)
 
     def at_most(self, value: float) -> float:
-        """Return the probability that Q ≤ value. It is accurate in the lower tail too, where 1 - `exceeds` would be
-        lost in rounding."""
+        """Return the probability that Q ≤ value.
+
+        The result is accurate even for very small probabilities, which 1 - `exceeds` would lose by rounding.
+        """
         return self._at_most(value - self.least)
 
     def quantile(self, probability: float) -> float:
-        """Return the value that Q does not exceed with the given probability. Raise DataError unless `probability` is
-        between 0 and 1."""
+        """Return the value that Q does not exceed with the given probability.
+
+        Raises DataError if `probability` is not between 0 and 1.
+        """
         if not 0.0 < probability < 1.0:
             raise DataError(f"the probability must lie between 0 and 1, not {probability}")
         upper = self._mean_above
@@ -233,9 +242,10 @@ class QuadraticDistribution:
 
 
 def covariance_factor(covariance: ArrayLike) -> Array:
-    """Return a matrix L (p, p) with L Lᵀ = covariance. Variables may have zero variance.
+    """Return a matrix L, shape (p, p), whose product L Lᵀ is `covariance`.
 
-    Raise DataError for an invalid or zero covariance, naming the row if the fault lies in a single row.
+    Variables may have zero variance. Raises DataError if the covariance is invalid or zero; the error names the row if
+    a single row is at fault.
     """
     matrix = np.asarray(covariance, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():

@@ -1,5 +1,7 @@
-"""Distribution of a quadratic form of Gaussian variables whose mean and covariance are one of several pairs, all
-equally probable."""
+"""Distribution of a quadratic form of Gaussian variables with several possible means and covariances.
+
+Each possible pair of mean and covariance is equally probable.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 
 @dataclass(frozen=True, eq=False)
 class QuadraticMixture:
-    """Distribution of the quadratic form Q as a mixture of the distributions `parts`, which have equal weights."""
+    """Distribution of a quadratic form Q as a mixture of the distributions `parts`, which have equal weights."""
 
     parts: tuple[QuadraticDistribution, ...]
 
@@ -34,8 +36,10 @@ class QuadraticMixture:
         return float(np.mean([part.at_most(value) for part in self.parts]))
 
     def quantile(self, probability: float) -> float:
-        """Return the value that Q does not exceed with the given probability. Raise DataError unless `probability` is
-        between 0 and 1."""
+        """Return the value that Q does not exceed with the given probability.
+
+        Raises DataError if `probability` is not between 0 and 1.
+        """
         ends = [part.quantile(probability) for part in self.parts]
         lower, upper = (
             min(ends) * (1.0 - 1e-9),

@@ -1,5 +1,8 @@
-"""Random machines that the identified model cannot fully represent. They are measured under conditions that differ from
-the stated ones."""
+"""Random machines for a test of the stated uncertainties.
+
+The identified model cannot fully represent these machines, and the true measurement conditions differ from the stated
+conditions.
+"""
 
 from __future__ import annotations
 
@@ -46,9 +49,9 @@ DEFLECTION_FORMS = ("none", "beams", *_DRAW_FUNCTIONS)
 class RandomMachine:
     """Random machine and the true conditions of its measurement.
 
-    `form` is the form of its deflection. `truth` contains its true errors. `assumptions` contains the true temperature
-    of the artefact, the uncertainty of its thermometer, the drift, and the other influences to be simulated. `noise` is
-    the true standard deviation of the touch noise divided by the stated one.
+    `form` is the name of the form of its deflection. `truth` contains its true errors. `assumptions` contains the true
+    temperature of the artefact, the uncertainty of the thermometer, the drift, and the other influences to be
+    simulated. `noise` is the true standard deviation of the touch noise divided by the stated one.
     """
 
     form: str
@@ -57,9 +60,9 @@ class RandomMachine:
     noise: float
 
     def measure(self, planned: Observations, artefacts: Artefact, rng: np.random.Generator) -> Observations:
-        """Simulate the measurement of the `planned` observations on this machine.
+        """Simulate the measurement of the `planned` balls on this machine, and return the observations.
 
-        The result contains the stated covariance of the ball centres, not the true one.
+        As in a real measurement, the observations contain the stated covariance of the ball centres, not the true one.
         """
         true = replace(planned, covariance=self.noise**2 * planned.covariance)
         seen = simulated_observations(true, artefacts, self.truth, self.assumptions, rng)
@@ -69,9 +72,10 @@ class RandomMachine:
 def draw_random_machine(
     description: MachineDescription, tool_offset: Array, form: str, rng: np.random.Generator
 ) -> RandomMachine:
-    """Draw a random machine.
+    """Draw a random machine with the given `form` of deflection.
 
-    `form` is one of `DEFLECTION_FORMS`, or `AS_MODELLED` for a machine that the model represents exactly.
+    `form` is one of `DEFLECTION_FORMS`, or `AS_MODELLED` for a machine that the model represents exactly and whose
+    measurement conditions are the stated ones.
     """
     if form == AS_MODELLED:
         assumptions = TruthAssumptions.as_modelled(description)

@@ -32,9 +32,10 @@ IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 class FieldForm:
     """Quadratic form of the residual field.
 
-    `form` is the quadratic form of the joint model with u parameters; it includes the deflection as a fixed field.
-    `model_indices` (p,) are the indices of the identified model's parameters in the joint model, and `true_indices`
-    (t,) those of the parameters of the true machines' family.
+    The joint model has u parameters: all p parameters of the identified model and all t parameters of the true
+    machines. `form` is the quadratic form of the joint model; it includes the deflection as a fixed field.
+    `model_indices`, shape (p,), and `true_indices`, shape (t,), are the indices of the parameters of the identified
+    model and of the true machines in the joint model.
     """
 
     model: ErrorModel
@@ -47,8 +48,10 @@ class FieldForm:
     def build(
         cls, model: ErrorModel, assumptions: TruthAssumptions, grid: ArrayLike, tool_offset: ArrayLike
     ) -> FieldForm:
-        """Build the form for grid positions (n, 3) and tool offset (3,) in mm. Raise ModelError if `model` cannot be
-        combined with the model of the true family."""
+        """Build the quadratic form for a `grid` of axis positions, shape (n, 3), and a tool offset, shape (3,), in mm.
+
+        Raises ModelError if `model` and the model of the true machines differ in kinematic chain or axis ranges.
+        """
         truth = assumptions.family.model
         joint = joint_model(model, truth)
         form = QuadraticForm.build(joint, grid, tool_offset)
@@ -63,24 +66,30 @@ class FieldForm:
 
     @property
     def unmodelled(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Mask (t,) of the true family's parameters that the identified model does not have."""
+        """Boolean mask, shape (t,), of the parameters of the true machines that the identified model does not have."""
         return ~np.isin(self.true_indices, self.model_indices)
 
     def mean_square(self, moments: Array) -> tuple[float, float]:
-        """Return the mean square (raw, aligned) in mm² of a field whose parameters have second moments (u, u)."""
+        """Return the expected mean square, raw and aligned, in mm² of a field with random parameters.
+
+        `moments`, shape (u, u), contains the second moments of the u parameters. The deflection is not included.
+        """
         return float(np.vdot(self.form.raw, moments)), float(np.vdot(self.form.aligned, moments))
 
     def fixed_square(self, parameters: Array) -> tuple[float, float]:
-        """Return the mean square (raw, aligned) in mm² of a sum of two fields: the deflection, and the field of the
-        given parameters (u,)."""
+        """Return the mean square, raw and aligned, in mm² of a fixed field.
+
+        The fixed field is the deflection plus the field of the given `parameters`, shape (u,).
+        """
         one = self.form.value(parameters)
         return one.raw_mm**2, one.aligned_mm**2
 
     def columns_at(self, axis_positions: ArrayLike, aligned: bool = False) -> tuple[Array, Array]:
-        """Return the basis (n, 3, u), in mm per unit of each parameter, and the deflection (n, 3) in mm at axis
-        positions (n, 3).
+        """Return the basis of the joint model and the deflection at axis positions, shape (n, 3), in mm.
 
-        If `aligned`, the best-fitting rigid motion over the grid of the form is removed from each column.
+        The basis has shape (n, 3, u) and is in mm per unit of each parameter; the deflection has shape (n, 3) and is in
+        mm. If `aligned`, the rigid motion that best fits over the grid of the form is removed from the deflection and
+        from the field of each parameter.
         """
         points, form = as_points(axis_positions, "axis positions"), self.form
         basis = deviation_basis(form.model, points, form.tool_offset)
@@ -118,19 +127,21 @@ class FieldForm:
 
     @property
     def family_moments(self) -> Array:
-        """Second moments (u, u) of the true machines' parameters in the joint model."""
+        """Second moments, shape (u, u), of the parameters of the true machines before compensation."""
         variances = np.zeros(self.size)
         variances[self.true_indices] = self.assumptions.family.prior_standard_deviation**2
         return np.diag(variances)
 
     def uncompensated(self) -> VolumetricRms:
-        """Return the root of the expected mean square of the true machines' deviations without compensation."""
+        """Return the root of the mean square deviation expected over the true machines without compensation."""
         return self.form.expected(self.family_moments)
 
 
 def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
-    """Return the smallest model with all parameters of both models. Raise ModelError if their chains or ranges
-    differ."""
+    """Return the smallest model that has all parameters of both models.
+
+    Raises ModelError if the models differ in kinematic chain or axis ranges.
+    """
     if one.chain != other.chain or one.ranges_mm != other.ranges_mm:
         raise ModelError(
             "the true machines and the model differ in kinematic chain or axis ranges",
@@ -142,8 +153,10 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
 
 
 def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:
-    """Return the deflection (n, 3) in mm. Outside the deflection grid the value of the nearest border point is used, as
-    in a `TrueMachine`."""
+    """Return the deflection, shape (n, 3), in mm at axis positions, shape (n, 3), in mm.
+
+    At a position outside the deflection grid, the value at the nearest border point is used, as in a `TrueMachine`.
+    """
     lower, upper = (np.array([nodes[end] for nodes in deflection.nodes]) for end in (0, -1))
     return deflection.at(np.clip(axis_positions, lower, upper))
 

@@ -1,4 +1,8 @@
-"""Posterior of a machine as a scale mixture: it has one Gaussian for each set of scales that the measurements allow."""
+"""Posterior distribution of a machine as a mixture of Gaussians.
+
+The identification estimates scales, which are factors on the standard deviations of noise, prior and misfit. The
+mixture contains one Gaussian for each set of scales that is compatible with the measurements.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +20,9 @@ from twin.uncertainty.quadratic_distribution import covariance_factor
 class MixtureComponent:
     """One Gaussian of the mixture.
 
-    `mean` (m,) and `covariance` (m, m) refer to the parameters (mm or rad), followed by the misfit coefficients.
-    `unresolved_mm2` is the variance per direction, in mm², of the part of the misfit whose wavelength is too short for
-    the modes.
+    `mean`, shape (m,), and `covariance`, shape (m, m), refer to a vector that contains the model parameters (mm or
+    rad), followed by the misfit coefficients. `unresolved_mm2` is the variance per direction, in mm², of the part of
+    the misfit whose wavelength is too short for the misfit modes.
     """
 
     mean: Array
@@ -27,12 +31,15 @@ class MixtureComponent:
 
     @cached_property
     def factor(self) -> Array:
-        """Matrix L (m, m) with L Lᵀ = covariance."""
+        """Matrix L, shape (m, m), whose product L Lᵀ is the covariance."""
         return covariance_factor(self.covariance)
 
 
 def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
-    """Return the components, which all have equal weight. There is only one if the scales were not estimated."""
+    """Return the Gaussians of the posterior distribution that `estimate` describes; all have equal weight.
+
+    There is only one Gaussian if the scales were not estimated.
+    """
     if not estimate.alternatives:
         return (_as_stated(estimate),)
     unknowns, blocks = estimate.unknowns, estimate.unknowns.blocks

@@ -1,8 +1,8 @@
-"""Assumptions about the true machine, the true artefact and the true conditions of a measurement. They include errors
-that the identified model does not have.
+"""Assumptions about the true machine, the true artefact and the true conditions of a measurement.
 
-The simulation draws machines according to these assumptions, and the closed form computes second moments from them, so
-the results of both can be compared.
+The assumptions include errors that the identified model does not have. The Monte Carlo simulation draws machines
+according to them, and the closed form computes second moments from them. The results of the two methods can therefore
+be compared.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from twin.machine.machine_population import Family
 
 @dataclass(frozen=True, eq=False)
 class TruthAssumptions:
-    """True errors of machine, artefact and conditions that affect a procedure.
+    """Assumed true errors of machine, artefact and measurement conditions.
 
     `family` is the family of the true machines, whose Legendre order may exceed that of the identified model.
-    `deflection` is common to all true machines. `touch_noise`, `certificate` and `cte` state for three errors whether
-    they occur: those of a ball centre, of the certified ball positions, and of the artefact's coefficient of thermal
-    expansion (CTE). If true, the error varies within its stated uncertainty; if false, it is zero.
+    `deflection` is the deflection that all true machines share. `touch_noise`, `certificate` and `cte` switch three
+    errors on or off: the error of a ball centre, the error of the certified ball positions, and the error of the
+    artefact's coefficient of thermal expansion (CTE). An error that is switched on varies according to its stated
+    uncertainty; an error that is switched off is zero.
 
     `artefact_temperature_c` is the true temperature of the artefact during the measurement. `thermometer_uncertainty_k`
-    is the standard uncertainty of its thermometer, whose error is constant during a run. `drift_mm` is the standard
-    deviation, per direction, of the machine's drift from the first to the last ball of a position; the drift is linear
-    in between.
+    is the standard uncertainty of the thermometer of the artefact; its error is constant during a run. The machine
+    drifts linearly from the first to the last ball of each position, and `drift_mm` is the standard deviation of this
+    drift, per direction, at the last ball.
     """
 
     family: Family
@@ -46,11 +47,13 @@ class TruthAssumptions:
 
     @classmethod
     def as_modelled(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Return the assumptions for machines that the model can represent. There is no deflection, no thermometer
-        error and no drift."""
+        """Return the assumptions for machines that the identified model can represent.
+
+        There is no deflection, no thermometer error and no drift.
+        """
         return cls(machine.family)
 
     @classmethod
     def of_case(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Return the assumptions for machines of the machine file's family with the deflection of that file."""
+        """Return the assumptions for machines with the family and the deflection of a machine file."""
         return cls(machine.family, machine.deflection)

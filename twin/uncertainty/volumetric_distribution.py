@@ -19,15 +19,18 @@ from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistribution:
-    """Distribution of the mean square deviation in mm² over the workspace: `raw`, and `aligned`, which means after the
-    best-fitting rigid motion has been removed."""
+    """Distribution of the mean square deviation over the workspace, in mm².
+
+    `raw` is the distribution for the whole deviation; `aligned` is the distribution after the best-fitting rigid motion
+    has been removed.
+    """
 
     raw: QuadraticDistribution | QuadraticMixture
     aligned: QuadraticDistribution | QuadraticMixture
 
     @property
     def expected(self) -> VolumetricRms:
-        """Root of the expected mean square."""
+        """Root of the expected mean square, raw and aligned, in mm."""
         return VolumetricRms(math.sqrt(self.raw.mean), math.sqrt(self.aligned.mean))
 
     @property
@@ -40,25 +43,28 @@ class VolumetricDistribution:
         return VolumetricRms(raw, aligned)
 
     def limits(self, coverage: float = 0.95) -> tuple[VolumetricRms, VolumetricRms]:
-        """Return the lower and the upper limit of the equal-tailed interval with the given coverage."""
+        """Return the lower and the upper limit of the equal-tailed interval that has the given coverage."""
         outside = 0.5 * (1.0 - coverage)
         return self.quantile(outside), self.quantile(1.0 - outside)
 
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistributions:
-    """Distributions of two volumetric errors: `ve` is that of the machine without compensation, `vce` that of the
-    machine minus the compensation model."""
+    """Distributions of the volumetric error without compensation (`ve`) and with compensation (`vce`).
+
+    `vce` applies to the residual field, which is the machine minus the compensation model.
+    """
 
     ve: VolumetricDistribution
     vce: VolumetricDistribution
 
 
 def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
-    """Return the distributions of VE and VCE over axis positions (n, 3) for the machine that `estimate` describes.
+    """Return the distributions of VE and VCE for the machine that `estimate` describes.
 
-    The distributions are averaged over all scales that the measurements allow. Raise DataError for an invalid or zero
-    covariance.
+    The errors are taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
+    sets of scales (factors on the standard deviations of noise, prior and misfit) that are compatible with the
+    measurements. Raises DataError if a covariance is invalid or zero.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     written = np.zeros(_size(estimate))
