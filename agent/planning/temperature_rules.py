@@ -1,4 +1,4 @@
-"""Rules of plans and of the identification, built from the section `[temperature]` of the settings."""
+"""Temperature rules of the plans and of the identification, built from the section `[temperature]` of the settings."""
 
 from __future__ import annotations
 

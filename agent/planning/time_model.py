@@ -1,8 +1,9 @@
-"""Time of each step: motion by the motion law within the machine's limits, and the latency of every command.
+"""Model of the time that each step of a plan takes: the time of its motion plus the latency of its command.
 
-Motion is computed as in `twin.collision.motion_law`: moves are straight lines from rest to rest, and a touch brakes at
-the trip. The time that a controller takes to start a command and to report its end is in no data sheet; it is modelled
-as a latency for each kind of command.
+The motion follows the motion law of `twin.collision.motion_law` within the machine's limits of speed and acceleration.
+Moves are straight lines from rest to rest, and a touch brakes at the trip of the probe. The time that a controller
+takes to start a command and to report its end is in no data sheet. It is modelled as one latency for each kind of
+command.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ from twin.units import S_PER_MIN
 
 @dataclass(frozen=True)
 class TimeModel:
-    """Model of step times. `rapid_mm_per_s`, `acceleration_mm_per_s2`: limits of X, Y and Z from the machine file.
+    """Model of the time that the steps of a plan take.
 
-    The mount's speed and acceleration apply to each of its axes, which turn simultaneously. The latencies are added to
-    each move, touch and turn; that of a turn includes the mount's settling. `carrying_s`: operator's time to put
-    artefact and mount at another station.
+    `rapid_mm_per_s` and `acceleration_mm_per_s2` are the limits of X, Y and Z from the machine file. The speed
+    `turn_deg_per_s` and the acceleration `turn_deg_per_s2` apply to each axis of the mount; both axes turn
+    simultaneously. One latency is added to each move, touch and turn. The latency of a turn includes the time in which
+    the mount settles. `carrying_s` is the time that the operator needs to put the artefact and the mount at another
+    station.
     """
 
     rapid_mm_per_s: Point
@@ -44,9 +47,10 @@ class TimeModel:
         return travel_time_s(path.length, speed, path.limit_along(self.acceleration_mm_per_s2))
 
     def touch_s(self, path: StraightPath, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
-        """Return the time in s of a touch, without latency, and the axis positions afterwards.
+        """Return the time in s of a touch along `path`, without latency, and the axis positions (3,) at its end.
 
-        `trip_mm`: distance along `path` at which the probe trips and the axes brake; None for a miss.
+        `trip_mm` is the distance along `path` at which the probe trips and the axes start to brake; it is None for a
+        miss.
         """
         speed = min(feed_mm_per_s, path.limit_along(self.rapid_mm_per_s))
         acceleration = path.limit_along(self.acceleration_mm_per_s2)
@@ -59,12 +63,14 @@ class TimeModel:
         return trip_s + speed / acceleration, path.at(trip_mm + 0.5 * speed * speed / acceleration)
 
     def turn_s(self, start_deg: tuple[float, float], target_deg: tuple[float, float]) -> float:
-        """Return the time in s to turn azimuth and elevation simultaneously, without latency."""
+        """Return the time in s that the mount takes to turn from `start_deg` to `target_deg`, without latency. Both are
+        pairs of azimuth and elevation; the two axes turn simultaneously."""
         angle_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
         return travel_time_s(angle_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
 
     def overhead_s(self, step: Step) -> float:
-        """Return the time in s that `step` takes in addition to its motion: its latency, or the operator's time."""
+        """Return the time in s that `step` takes in addition to its motion. This is the latency of a move, touch or
+        turn, or the time in which the operator carries the artefact; it is 0 for all other steps."""
         match step:
             case MoveTo():
                 return self.command_latency_s
@@ -78,7 +84,8 @@ class TimeModel:
 
 
 def time_model(machine: MachineDescription, timing: TimingSettings) -> TimeModel:
-    """Return the time model, with the axes' dynamics from the machine file and everything else from the settings."""
+    """Return the time model for `machine`. The limits of speed and acceleration of X, Y and Z come from the machine
+    file, and all other values come from the settings `timing`."""
     x, y, z = machine.rapid_mm_per_min
     return TimeModel(
         rapid_mm_per_s=(x / S_PER_MIN, y / S_PER_MIN, z / S_PER_MIN),

@@ -1,1 +1,2 @@
-"""Plans: generators of immutable steps, with no access to hardware, clock, random numbers or I/O."""
+"""Measuring plans. A plan is a generator of immutable steps and has no access to hardware, clock, random numbers or
+I/O."""

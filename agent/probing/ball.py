@@ -1,5 +1,5 @@
-"""Measurement of one ball. The touches of the pattern are made, a sphere is fitted, and its limits are checked. If a
-limit is exceeded, the measurement is repeated a few times."""
+"""Measurement of one ball. The touches of the pattern are made, a sphere is fitted to them, and the limits of the
+fitted sphere are checked. If a limit is exceeded, the measurement is repeated a few times."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ __all__ = ["FittedBall", "LostBall", "measure_ball", "point"]
 
 @dataclass(frozen=True, eq=False)
 class FittedBall:
-    """Fitted ball. `centre_mm` (3,): displayed axis positions at which the centres of stylus tip and ball coincide.
+    """Sphere fitted to the touches of one ball. `centre_mm` (3,) holds the displayed axis positions at which the
+    centres of stylus tip and ball coincide.
 
-    `radius_mm`, `form_mm` and `residuals_mm` (k,) belong to the sphere fitted with a free radius, even if the centre
-    was fitted with a fixed radius, because they show whether the ball is clean.
+    `radius_mm`, `form_mm` and `residuals_mm` (k,), with one residual for each of the k touches, belong to a sphere
+    fitted with a free radius. This holds even if the centre was fitted with a fixed radius, because only the values of
+    a free radius show whether the ball is clean.
     """
 
     centre_mm: Vector
@@ -38,7 +40,7 @@ class FittedBall:
 
 @dataclass(frozen=True)
 class LostBall:
-    """Ball that was not measured, with the reason."""
+    """Ball that could not be measured, with the reason in words and the number of touches made."""
 
     reason: str
     touches: int
@@ -47,12 +49,17 @@ class LostBall:
 def measure_ball(
     key: str, predicted_mm: Vector, probing: ProbingParameters, search: Search, path: TouchPath | None = None
 ) -> Plan[FittedBall | LostBall]:
-    """Measure the ball at its expected centre; if a limit is exceeded, repeat the doubtful touches, then the ball.
+    """Measure the ball that is expected at the axis positions `predicted_mm` (3,), and repeat the measurement if it
+    fails.
 
-    If all repeats fail, raise MeasurementFault if `probing.stop_on_failure`, else return LostBall. If `search` has a
-    guarded feed, the ball is first located by touches that stay away from its holder. After the first miss, the touches
-    use the wide search distances. After a miss with these, the ball is given up. A ball found far from its expected
-    centre is measured again about the centre found, so that all balls are touched along the same normals.
+    If the fitted sphere exceeds a limit, the doubtful touches are repeated first, then the whole ball. If the ball is
+    found far from its expected centre, it is measured again about the centre found, because all balls must be touched
+    along the same normals. If `search` has a guarded feed, the ball is first located by touches that stay away from its
+    holder.
+
+    After the first miss, the wide search distances are used. If a touch with the wide distances misses too, the ball is
+    given up. If the ball is given up or all repeats fail, the plan raises MeasurementFault if `probing.stop_on_failure`
+    is set, and otherwise returns LostBall.
     """
     ball = _Ball(key, predicted_mm, probing, search, path)
     if search.guarded_feed_mm_per_s is not None:

@@ -1,4 +1,5 @@
-"""Gates that a fitted ball must pass, and the choice of the touches to repeat if it fails one."""
+"""Gates (limits) that a fitted ball must pass, and the choice of the touches that are repeated if the ball fails a
+gate."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ MIN_POLE_REDUNDANCY = 0.05
 
 @dataclass(frozen=True)
 class FailedGate:
-    """Gate that a ball did not pass."""
+    """Gate that a fitted ball did not pass, with the value found, the limit and a text with both."""
 
     gate: str
     figure_um: float
@@ -29,7 +30,8 @@ class FailedGate:
     text: str
 
     def payload(self, ball: str, then: str) -> dict[str, object]:
-        """Return the journal payload. `ball`: key of the ball in the run; `then`: text of the reaction."""
+        """Return the payload of the journal record about this gate. `ball` is the key of the ball in the run, and
+        `then` is a text that states what is done next."""
         return {
             "ball": ball,
             "gate": self.gate,
@@ -41,7 +43,8 @@ class FailedGate:
 
 
 def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate | None:
-    """Return the first gate that `fit`, a sphere with a free radius, does not pass; None if it passes all."""
+    """Return the first gate that `fit`, a sphere fitted with a free radius, does not pass; None if it passes all
+    gates."""
     limits = probing.limits
     deviation = fit.radius - probing.expected_radius_mm
     worst = int(np.abs(fit.residuals).argmax())
@@ -61,21 +64,24 @@ def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate 
 
 
 def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
-    """Return the distance in mm of the pole touch from the sphere through all other touches.
+    """Return the distance in mm of the pole touch from the sphere through all other touches; None for the five-point
+    pattern.
 
-    To first order it is residual / redundancy. It is None for the five-point pattern: its other four touches lie in one
-    plane and determine no sphere, so a late trip at the pole looks like a ball that is farther away.
+    To first order, the distance is the residual of the pole touch divided by its redundancy, which is the fraction of a
+    touch's error that appears in its residual. In the five-point pattern, the other four touches lie in one plane and
+    determine no sphere. With that pattern, a late trip at the pole looks like a ball that is farther away.
     """
     share = float(probing.redundancies[0])
     return float(fit.residuals[0]) / share if share > MIN_POLE_REDUNDANCY else None
 
 
 def doubtful_touches(fit: SphereFit, probing: ProbingParameters) -> tuple[int, ...]:
-    """Return the indices of the touches to repeat: the worst touch, and all touches that the pattern cannot distinguish
+    """Return the indices of the touches to repeat: the worst touch, and each touch that the pattern cannot distinguish
     from it.
 
-    Residuals are divided by √redundancy (Baarda's test). With five points and a free radius, a wrong touch on the
-    equator changes the residuals of all four equator touches equally, so all four are repeated.
+    To find the worst touch, each residual is divided by the square root of its touch's redundancy (Baarda's test). If
+    five points are fitted with a free radius, a wrong touch on the equator changes the residuals of all four equator
+    touches equally. All four are then repeated.
     """
     # Standardised residual w_i = |v_i| / √r_i; touches without redundancy have none.
     shown = np.sqrt(probing.redundancies)

@@ -1,6 +1,6 @@
-"""Measurement of one position. The plan moves the tip clear, turns the mount, and measures both end balls. It aligns
-the expected centres of the other balls to the end balls, measures the other balls, and measures the first ball
-again."""
+"""Measurement of one position. The plan moves the tip clear, turns the mount, and measures both end balls. From the end
+balls it corrects the expected centres of the other balls and measures these balls. At the end it measures the first
+ball again."""
 
 from __future__ import annotations
 
@@ -26,8 +26,11 @@ from twin.artefact.end_ball_alignment import align_to_end_balls
 
 @dataclass(frozen=True)
 class PositionTask:
-    """Position to be measured. `predicted_mm` (N, 3): expected axis positions of all balls. `reachable` (N,): True for
-    balls within reach. `located`: True if a ball has been found at this station since the artefact was put there."""
+    """Position to be measured.
+
+    `predicted_mm` (N, 3) holds the expected axis positions of all N balls. `reachable` (N,) is True for balls within
+    reach. `located` is True if a ball has been found at this station since the artefact was put there.
+    """
 
     key: str
     index: int
@@ -80,8 +83,12 @@ class MeasuredBall:
 
 @dataclass(frozen=True)
 class MeasuredPosition:
-    """Result of one position. `again`: repeated measurement of the first ball, None if that ball was lost in the
-    repetition. `drift_mm` (3,): displacement of that ball, NaN if it was lost. `lost`: number of lost balls."""
+    """Result of the measurement of one position.
+
+    `lost` is the number of lost balls. `again` is the repeated measurement of the first ball; it is None if that ball
+    was lost in the repetition. `drift_mm` (3,) is the displacement of the first ball between its two measurements; it
+    is NaN if the ball was lost.
+    """
 
     balls: tuple[MeasuredBall, ...]
     lost: int
@@ -120,12 +127,13 @@ def measure_position(
     before: Sequence[Conditions] = (),
     planner: PathPlanner | None = None,
 ) -> Plan[MeasuredPosition]:
-    """Measure every reachable ball of `task`. If `planner` is None, the plan ends at the retreat plane.
+    """Measure every reachable ball of `task`. If `planner` is None, the tip moves on plain paths, and the plan ends at
+    the retreat plane.
 
-    `here` (3,): axis positions at the start of the plan. Both end balls are measured first (wide search); the expected
-    locations of the others are aligned to them. The first ball is measured again at the end to find the drift.
-    `before`: conditions of the previous position; if the artefact has not settled thermally, the plan waits before it
-    measures.
+    `here` (3,) holds the axis positions at the start of the plan. Both end balls are measured first with the wide
+    search, and the expected centres of the other balls are aligned to them. The first ball is measured again at the end
+    to find the drift. `before` holds the temperature readings of the previous position. If they show that the artefact
+    has not settled thermally, the plan waits before it measures.
     """
     own = planner or PlainPathPlanner(rules.retreat, rules.probing)
     first, between, last = own.sequence(task)

@@ -1,8 +1,8 @@
-"""Drift within a position: displacement of the first ball when it is measured again. Excessive drift is a fault.
+"""Drift within a position: the displacement of the first ball when it is measured again. Excessive drift is a fault.
 
 The drift is not corrected here. The repeated centre enters the identification with its time, like all other centres.
-The identification fits the drift of the whole machine over the whole run to all centres, which is more precise than a
-straight line through two noisy measurements of one ball.
+The identification fits the drift of the whole machine over the whole run to all centres. This fit is more precise than
+a straight line through two noisy measurements of one ball.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class DriftLimits:
-    """Limits of the first ball's displacement: if it exceeds `event_mm`, the recorded event has a note; if it exceeds
-    `fault_mm`, MeasurementFault is raised."""
+    """Limits of the displacement of a position's first ball between its two measurements. Above `event_mm`, the
+    recorded event contains a note. Above `fault_mm`, MeasurementFault is raised."""
 
     event_mm: float
     fault_mm: float
 
 
 def judge_drift(key: str, drift_mm: Array, limits: DriftLimits) -> Plan[None]:
-    """Record the displacement `drift_mm` (3,). Raises MeasurementFault if its length exceeds `limits.fault_mm`."""
+    """Record the displacement `drift_mm` (3,) of the first ball. Raises MeasurementFault if its length exceeds
+    `limits.fault_mm`."""
     distance_mm = float(np.linalg.norm(drift_mm))
     yield Record(f"{key}/drift", "event", _payload(drift_mm, distance_mm, limits))
     if distance_mm > limits.fault_mm:

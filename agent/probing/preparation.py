@@ -25,8 +25,11 @@ from twin.collision.measuring_layout import MeasuringLayout
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """Checks before a run. If the rules of a check are None, the check is omitted. `layout`: layout in which a ball is
-    reachable only if it is accessible for the dense touch pattern and for the moves of the checks."""
+    """Checks that are made before a run. A check is left out if its rules are None.
+
+    `layout` is a layout in which a ball counts as reachable only if it is accessible for the dense touch pattern and
+    for the moves of the checks.
+    """
 
     check: ProbeCheck | None
     qualification: QualificationRules | None
@@ -40,8 +43,8 @@ class Preparation:
 
 @dataclass(frozen=True, eq=False)
 class PreparationResult:
-    """Result of the preparation. `rules`: rules with the qualified stylus; `standing_at`: station at which the artefact
-    stands afterwards."""
+    """Result of the preparation. `rules` are the measuring rules with the qualified stylus, and `standing_at` is the
+    station at which the artefact stands afterwards."""
 
     rules: PositionRules
     standing_at: int | None
@@ -51,7 +54,7 @@ class PreparationResult:
 
     @property
     def reversals(self) -> tuple[AxisReversal, ...]:
-        """Lost motion of X, Y and Z at reversal; empty if it was not measured."""
+        """Lost motion of X, Y and Z at reversal; empty if the lost motion was not measured."""
         return () if self.reversal is None else self.reversal.axes
 
 
@@ -61,11 +64,11 @@ PREFIX = "probe"
 def prepare_probe(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, preparation: Preparation
 ) -> Plan[PreparationResult]:
-    """Make the checks of `preparation` on the first suitable ball of `order`, the datum ball.
+    """Make the checks of `preparation` on the datum ball, which is the first suitable ball of `order`.
 
-    The plan may start anywhere and ends clear of the artefact (`PathPlanner.leave`). Raises MeasurementFault if the
-    ball is not found or exceeds its limits, if the probe's repeatability is too poor, or if the lost motion is too
-    large.
+    The plan may start anywhere. After the checks, it ends clear of the artefact (`PathPlanner.leave`). Raises
+    MeasurementFault if no ball is suitable, if the ball is not found or exceeds its limits, if the probe's
+    repeatability is too poor, or if the lost motion is too large.
     """
     yield from _park_all_mounts(rules)
     if preparation.is_empty:

@@ -1,5 +1,5 @@
-"""Check of the repeatability of the probe. Twice the standard deviation (2σ) of n touches at one point is compared with
-a limit, with regard to the confidence interval of 2σ."""
+"""Check of the repeatability of the probe. The pole of a ball is touched n times, and twice the standard deviation (2σ)
+of these touches is compared with a limit. The comparison takes the confidence interval of 2σ into account."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ exactly at its limit would refuse every second run."""
 
 @dataclass(frozen=True)
 class ProbeCheck:
-    """Rules of the check. `touches`: number of touches of the pole; `limit_mm`: limit of 2σ."""
+    """Rules of the probe check. `touches` is the number of touches of the pole, and `limit_mm` is the limit of 2σ."""
 
     touches: int
     limit_mm: float
@@ -30,8 +30,8 @@ class ProbeCheck:
 
 @dataclass(frozen=True)
 class Repeatability:
-    """Repeatability, stated as 2σ of `touches` touches at the pole. `interval_um` is the confidence interval of 2σ at
-    the level `confidence`."""
+    """Repeatability of the probe, stated as twice the standard deviation (2σ) of `touches` touches at the pole.
+    `interval_um` is the confidence interval of 2σ at the level `confidence`."""
 
     two_sigma_um: float
     limit_um: float
@@ -50,9 +50,11 @@ class Repeatability:
 
 
 def check_repeatability(key: str, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[Repeatability]:
-    """Touch the pole of the ball at `centre` repeatedly; if 2σ exceeds the limit, repeat the series once.
+    """Touch the pole of the ball at `centre` repeatedly, and compare 2σ of the touches with the limit. If 2σ exceeds
+    the limit, the series is repeated once.
 
-    Raises MeasurementFault if a touch misses, or if 2σ of all touches exceeds the limit with `REFUSAL_CONFIDENCE`.
+    Raises MeasurementFault if a touch misses, or if 2σ of all touches exceeds the limit with the confidence
+    `REFUSAL_CONFIDENCE`.
     """
     depths = yield from _depths(key, 0, centre, probing, check)
     if 2.0 * estimate_repeatability(depths).sigma > check.limit_mm:

@@ -1,4 +1,5 @@
-"""Parameters of probing a ball: distances, feeds, the qualified stylus, and the limits of a measured ball."""
+"""Parameters of the probing of a ball: distances, feeds, the qualified stylus, and the limits that a measured ball must
+keep."""
 
 from __future__ import annotations
 
@@ -17,11 +18,12 @@ PLACEMENT_ALLOWANCE_MM = 3.0
 
 @dataclass(frozen=True)
 class Search:
-    """Search distances of a touch. `approach_mm`: distance before the expected surface at which the touch begins.
-    `beyond_mm`: distance beyond it at which a miss is declared.
+    """Search distances of a touch.
 
-    `guarded_feed_mm_per_s`: feed of the moves beside a ball that must be located first. It is None if the location of
-    the ball is known; these moves are then made at rapid traverse.
+    `approach_mm` is the distance in front of the expected surface at which the touch begins. `beyond_mm` is the
+    distance behind the expected surface at which a miss is declared. `guarded_feed_mm_per_s` is the feed of the moves
+    beside a ball whose location is not known yet. It is None if the location is known; these moves are then made at
+    rapid traverse.
     """
 
     approach_mm: float
@@ -31,10 +33,12 @@ class Search:
 
 @dataclass(frozen=True)
 class BallLimits:
-    """Limits of a measured ball. If one is exceeded, the doubtful touches are repeated, then the whole ball.
+    """Limits that a measured ball must keep. If a limit is exceeded, first the doubtful touches are repeated, then the
+    whole ball.
 
-    `radius_deviation_mm`: limit of the deviation from the expected radius. `touch_mm`: limit of a residual of the
-    fitted sphere. `pole_mm`: limit of the distance of the pole touch from the sphere through the other touches.
+    `radius_deviation_mm` is the limit of the deviation from the expected radius. `form_mm` is the limit of the form
+    error. `touch_mm` is the limit of each residual of the fitted sphere. `pole_mm` is the limit of the distance of the
+    pole touch from the sphere through the other touches.
     """
 
     radius_deviation_mm: float
@@ -45,8 +49,8 @@ class BallLimits:
 
 @dataclass(frozen=True)
 class FastTouch:
-    """First of two touches, which locates the surface fast. The tip then moves back by `back_off_mm` from the latched
-    position before the second, measuring touch."""
+    """Fast touch that locates the surface before the measuring touch. After the fast touch, the tip moves back by
+    `back_off_mm` from the latched position."""
 
     feed_mm_per_s: float
     back_off_mm: float
@@ -54,10 +58,11 @@ class FastTouch:
 
 @dataclass(frozen=True, eq=False)
 class Stylus:
-    """Qualified stylus. `radius_mm`: effective sum of ball and tip radius (reduced by the pretravel).
+    """Qualified stylus.
 
-    `radius_sigma_mm`: standard uncertainty of that sum for any single ball. `fixed`: True if spheres are fitted with
-    this radius. `pretravel`: correction of every touch, None for no correction.
+    `radius_mm` is the effective sum of the radii of ball and tip, which is reduced by the pretravel. `radius_sigma_mm`
+    is the standard uncertainty of this sum for any single ball. `fixed` is True if spheres are fitted with this radius.
+    `pretravel` is the correction that is applied to every touch; it is None if touches are not corrected.
     """
 
     radius_mm: float
@@ -68,12 +73,13 @@ class Stylus:
 
 @dataclass(frozen=True)
 class ProbingParameters:
-    """Parameters of probing. `directions` (k, 3): unit vectors of the tip's travel towards the ball, the pole first.
+    """Parameters of the probing of all balls in a run.
 
-    All balls are touched along the same vectors, so that pretravel and lobing shift all centres equally and cancel in
-    their differences. At contact the centres of ball and tip are `ball_radius_mm` + `tip_radius_mm` apart.
-    `feed_mm_per_s`: feed of the measuring touch. `fast_touch`: fast touch before it, None if there is none.
-    `guarded_feed_mm_per_s`: feed of moves near a ball that is being located.
+    `directions` (k, 3) holds the k unit vectors along which the tip moves towards the ball, the pole first. All balls
+    are touched along these vectors. Pretravel and lobing therefore shift all centres equally and cancel in their
+    differences. At contact, the centres of ball and tip are `ball_radius_mm` + `tip_radius_mm` apart. `feed_mm_per_s`
+    is the feed of the measuring touch. `fast_touch` is a fast touch before the measuring touch, or None.
+    `guarded_feed_mm_per_s` is the feed of moves near a ball that is being located.
     """
 
     directions: Array
@@ -95,8 +101,8 @@ class ProbingParameters:
 
     @property
     def locating_search(self) -> Search:
-        """Search for the first ball of an artefact not located yet; its moves are slow enough to stop within the
-        probe's overtravel."""
+        """Search distances and feed for the first ball of an artefact that has not been located yet. At this feed, the
+        tip stops within the probe's overtravel."""
         return replace(self.wide_search, guarded_feed_mm_per_s=self.guarded_feed_mm_per_s)
 
     @property
@@ -106,8 +112,8 @@ class ProbingParameters:
 
     @cached_property
     def locating_directions(self) -> Array:
-        """Touch directions (5, 3): the pole and a ring near it, so that a tip some millimetres off its path stays clear
-        of the holder."""
+        """Touch directions (5, 3) for locating a ball: the pole and a ring near it. They keep a tip that is some
+        millimetres off its path clear of the holder."""
         return ring_directions(LOCATING_RINGS, self.stylus_axis)
 
     @property
@@ -116,13 +122,13 @@ class ProbingParameters:
 
     @property
     def expected_radius_mm(self) -> float:
-        """Expected radius of a sphere through latched positions: the qualified radius, or the sum of the nominal
-        radii."""
+        """Expected radius of a sphere through latched positions. It is the qualified radius if the stylus has been
+        qualified, and otherwise the sum of the nominal radii of ball and tip."""
         return self.contact_mm if self.stylus is None else self.stylus.radius_mm
 
     @property
     def required_travel_mm(self) -> tuple[Array, Array]:
-        """Travel in mm that is needed to touch a ball with the wide search: (3,) below and (3,) above the axis
+        """Travel of X, Y and Z in mm that a touch with the wide search needs: (3,) below and (3,) above the axis
         positions of the ball."""
         starts = -self.directions * (self.contact_mm + self.wide_search.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + PLACEMENT_ALLOWANCE_MM
@@ -130,13 +136,13 @@ class ProbingParameters:
 
     @cached_property
     def redundancies(self) -> Array:
-        """Redundancies (k,): fraction of each touch's error that appears in its residual
-        (`twin.artefact.touch_pattern`)."""
+        """Redundancies (k,) of the k touches. The redundancy of a touch is the fraction of its error that appears in
+        its residual (see `twin.artefact.touch_pattern`)."""
         return redundancies(self.directions)
 
     @cached_property
     def centre_per_radius(self) -> Array:
-        """Shift (3,) of a fitted centre per mm by which a fixed radius is too large."""
+        """Shift (3,) of a fitted centre for each millimetre by which the fixed radius is too large."""
         return centre_shift_per_radius(self.directions)
 
     def qualified(self, stylus: Stylus) -> ProbingParameters:

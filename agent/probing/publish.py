@@ -30,8 +30,8 @@ class ActiveCompensation:
 
 
 def read_state(prefix: str) -> Plan[ActiveCompensation]:
-    """Read the active bank and its table, so that they can be restored. Raises StoreError if an active bank has no
-    table."""
+    """Read the active bank and the table in it, so that a later fault can be answered by restoring them. Raises
+    StoreError if the active bank contains no table."""
     bank = yield ReadActiveBank(f"{prefix}/active-bank")
     table = (yield ReadTable(f"{prefix}/active-table", bank)) if bank else None
     if bank and table is None:
@@ -40,8 +40,8 @@ def read_state(prefix: str) -> Plan[ActiveCompensation]:
 
 
 def choose_bank(banks: tuple[int, ...], active: int) -> int:
-    """Return an inactive bank to write. Bank 0 means no compensation and is never written. Raises StoreError if there
-    is none."""
+    """Return a bank of `banks` that is inactive and can be written. Bank 0 means no compensation and is never written.
+    Raises StoreError if no such bank exists."""
     free = [bank for bank in banks if bank not in (0, active)]
     if not free:
         raise StoreError(
@@ -52,8 +52,8 @@ def choose_bank(banks: tuple[int, ...], active: int) -> int:
 
 
 def stage_table(bank: int, table: TableImage) -> Plan[None]:
-    """Write `table` to the inactive `bank`, read it back and compare every value. Raises ReadBackMismatch if they
-    differ."""
+    """Write `table` to the inactive `bank`, read it back and compare every value. Raises ReadBackMismatch if a value
+    differs."""
     yield StageTable("publish/stage", bank, table)
     back = yield ReadTable("publish/read-back", bank)
     if back is None or not back.same_as(table):
@@ -65,14 +65,16 @@ def stage_table(bank: int, table: TableImage) -> Plan[None]:
 
 
 def restore(bank: int, *, after_fault: bool, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
-    """Reactivate the former `bank`. A controller in fault accepts no table command, so its fault is cleared first."""
+    """Reactivate `bank`, which was active before the run. If `after_fault` is set, the controller's fault is cleared
+    first, because a controller in fault accepts no table command."""
     if after_fault:
         yield ResetFault("restore/reset")
     yield from activate("restore", bank, activation)
 
 
 def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
-    """Activate `bank` and check that it is active. Raises ReadBackMismatch if it is not.
+    """Activate `bank` and check that it is active. Raises ReadBackMismatch if the controller reports another active
+    bank.
 
     Raises NotActiveYet if a person must act before the bank becomes active; the plan can be resumed at that step.
     """

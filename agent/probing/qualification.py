@@ -1,5 +1,5 @@
-"""Qualification of the stylus on one densely touched ball. It gives the effective radius and, if a pretravel map is
-requested, the pretravel by direction."""
+"""Stylus qualification by dense touches of one ball. It gives the effective radius. If a pretravel map is requested, it
+also gives the pretravel for each direction."""
 
 from __future__ import annotations
 
@@ -19,9 +19,12 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True, eq=False)
 class QualificationRules:
-    """Rules of a qualification. `directions` (k, 3): touch directions of the dense pattern, the pole first. `ball`:
-    number of the datum ball, None for the first ball accessible from all directions. `with_map`: True if a pretravel
-    map is fitted. `spread_mm`: standard deviation of the radii among the balls."""
+    """Rules of a stylus qualification.
+
+    `directions` (k, 3) holds the k touch directions of the dense pattern, the pole first. `ball` is the number of the
+    datum ball; if it is None, the first ball that is accessible from all directions is used. `with_map` is True if a
+    pretravel map is fitted. `spread_mm` is the standard deviation of the radii of the artefact's balls.
+    """
 
     directions: Array
     ball: int | None
@@ -32,9 +35,12 @@ class QualificationRules:
 
 @dataclass(frozen=True, eq=False)
 class Qualification:
-    """Result of a qualification. `trace_free_um2`, `trace_fixed_um2`: trace of a ball centre's covariance with the
-    touch pattern of the run, for a sphere fitted with free and with fixed radius; the fit with the smaller trace is
-    used."""
+    """Result of a stylus qualification.
+
+    `trace_free_um2` and `trace_fixed_um2` are traces of the covariance of a ball centre in the touch pattern of the
+    run, if the sphere is fitted with a free and with a fixed radius. The fit with the smaller trace is used for the
+    run.
+    """
 
     stylus: Stylus
     datum_mm: Array
@@ -66,8 +72,8 @@ def qualify_stylus(
 ) -> Plan[Qualification]:
     """Touch the ball at `centre` in the dense pattern and qualify the stylus.
 
-    Raises MeasurementFault if the datum ball cannot be measured within its limits, because no later measurement could
-    be trusted.
+    Raises MeasurementFault if the datum ball cannot be measured within its limits. In this case, later measurements
+    would not be trustworthy either.
     """
     dense = replace(probing, directions=rules.directions, limits=rules.limits, stylus=None, stop_on_failure=True)
     found = yield from measure_ball(key, centre, dense, dense.narrow_search)
@@ -78,8 +84,8 @@ def qualify_stylus(
 
 
 def qualification_of(found: FittedBall, probing: ProbingParameters, rules: QualificationRules) -> Qualification:
-    """Return the qualification from the densely touched ball. Later fits use the fixed radius if this reduces the
-    uncertainty of the centres."""
+    """Return the stylus qualification that results from the densely touched ball `found`. Later spheres are fitted with
+    the fixed radius if this reduces the uncertainty of their centres."""
     sigma_mm = probing.touch_sigma_mm
     # Uncertainty of the radius for any ball: that of the dense fit, and the spread of the balls' radii.
     dense = fit_sphere(-rules.directions, sigma_mm)

@@ -1,4 +1,4 @@
-"""First motion after a fault or an abort. The tip moves back along the last approach direction, then along the
+"""First motion after a fault or an abort. The tip moves back against the last approach direction, then along the
 stylus."""
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ WITHDRAW_FEED_MM_PER_S = 20.0
 def withdraw(
     retreat: Retreat, stylus_axis: NDArray[np.float64], distance_mm: float, last_motion: LastMotion | None = None
 ) -> Plan[None]:
-    """Move slowly back along the last approach direction, then slowly along the stylus by `distance_mm`, then to the
-    retreat plane.
+    """Move the tip slowly back the way it came, then slowly along the stylus by `distance_mm`, then to the retreat
+    plane.
 
-    `last_motion`: motion by which the tip arrived. All moves are guarded; a guarded move may start with a deflected
-    probe in order to leave the contact. For this reason the first two moves are slow. The plan does not clear a fault
-    of the machine: a person must check the machine first.
+    `last_motion` is the motion by which the tip arrived; if it is None, the first move is left out. The first two moves
+    are slow, because the probe may still be in contact: a guarded move may start with a deflected probe. The plan does
+    not clear a fault of the machine, because a person must check the machine first.
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))

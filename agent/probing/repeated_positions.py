@@ -1,9 +1,10 @@
-"""Repeated positions. If the temperature of the machine has changed, the positions measured first are measured again at
-the end.
+"""Repetition of positions after a change of temperature. If the temperature of the machine has changed during the run,
+the positions that were measured first are measured again at the end.
 
-Stations are measured one after the other, so a change with time looks like a change along the travel: a scale that
-grows with time and a nonlinear scale give the same readings. Only positions measured twice, early and late, distinguish
-them. A rigid motion of the bar in between is absorbed by the pose estimated for the repeated position.
+Stations are measured one after the other. A change with time therefore looks like a change along the travel: a scale
+that grows with time and a nonlinear scale give the same readings. Only positions that are measured both early and late
+distinguish these two causes. The bar may have moved as a rigid body between the two measurements. Such a motion is
+absorbed by the mount pose that is estimated for the repeated position.
 """
 
 from __future__ import annotations
@@ -24,9 +25,12 @@ REPEAT_PREFIX = "close"
 
 @dataclass(frozen=True)
 class RepeatRules:
-    """Rules of repeated positions. If the machine's temperature changes by `threshold_k` or more, the first `count`
-    measured positions among `candidates` are repeated. `declared_k` is the change of temperature that is assumed if the
-    machine has no thermometer."""
+    """Rules for the repetition of positions.
+
+    If the machine's temperature changes by `threshold_k` or more, the first `count` measured positions that are among
+    `candidates` are repeated. All of them stand at one station. `declared_k` is the change of temperature that is
+    assumed if the machine has no thermometer.
+    """
 
     threshold_k: float
     declared_k: float
@@ -37,8 +41,8 @@ class RepeatRules:
 def measure_with_repeats(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, repeats: RepeatRules
 ) -> Plan[MeasuredPositions]:
-    """Measure the positions of `order`, and the first of them again if the machine's temperature has changed
-    meanwhile."""
+    """Measure the positions of `order`. If the machine's temperature has changed during the measurement, measure the
+    first positions again, as `repeats` demands."""
     measured = yield from measure_positions(order, layout, rules)
     change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
     first = _first(measured, repeats)
@@ -51,7 +55,7 @@ def measure_with_repeats(
 
 
 def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:
-    """Return the range in K of the machine's temperature readings; `declared_k` if there are none."""
+    """Return the range in K of the machine's temperature readings. If there are no readings, return `declared_k`."""
     readings_c = [one.machine_c for one in conditions if one.machine_c is not None]
     return max(readings_c) - min(readings_c) if readings_c else declared_k
 
@@ -61,7 +65,8 @@ def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:
 
 
 def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredPositions:
-    """Join two measurements into one; the position numbers of `other` are shifted to follow those of `one`."""
+    """Join two measurements into one. The position numbers of `other` are increased; they continue the numbers of
+    `one`."""
     start = max((ball.position for ball in measured_balls(one)), default=-1) + 1
     return MeasuredPositions(
         positions=(*one.positions, *(_renumbered(position, start) for position in other.positions)),
@@ -73,7 +78,8 @@ def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredP
 
 
 def drifts_um(measured: MeasuredPositions) -> Mapping[int, float]:
-    """Return position number → displacement in µm of the position's first ball when it was measured again."""
+    """Return a mapping from position number to drift: the displacement in µm of the position's first ball when it was
+    measured again. Positions whose first ball was lost are left out."""
     found = ((position.balls[0].position, position.drift_mm) for position in measured.positions)
     lengths = {number: 1e3 * math.hypot(*drift.tolist()) for number, drift in found}
     return {number: length for number, length in lengths.items() if math.isfinite(length)}

@@ -1,9 +1,9 @@
-"""Lost motion of the linear axes at reversal. It is measured by oblique touches of the datum ball, before which the
-tested axis moves to the start of the touch from one side or from the other.
+"""Lost motion of the linear axes at reversal. It is measured by oblique touches of the datum ball. Before each touch,
+the tested axis moves to the start of the touch from one side or from the other.
 
-Ball centres do not show lost motion: the approach directions are the same on every ball, so it shifts all centres
-equally, and a freely placed artefact cannot reveal a common shift. It is therefore measured separately; the report
-states the limits of this measurement.
+Ball centres do not show lost motion. Because the approach directions are equal on every ball, lost motion shifts all
+centres equally, and a freely placed artefact cannot reveal a common shift. For this reason, lost motion is measured
+separately. The report states the limits of this measurement.
 """
 
 from __future__ import annotations
@@ -34,9 +34,12 @@ LIMITATION = (
 
 @dataclass(frozen=True)
 class ReversalCheck:
-    """Rules of the reversal check. `touches`: number of touches from each side at each of two points per axis;
-    `limit_mm`: largest lost motion without a warning; `stop`: True if a lost motion reliably above the limit stops the
-    run before the first position is measured."""
+    """Rules of the reversal check.
+
+    `touches` is the number of touches from each side at each of two points per axis. `limit_mm` is the largest lost
+    motion that gives no warning. `stop` is True if the run stops before the first position when the lost motion of an
+    axis is reliably above the limit.
+    """
 
     touches: int
     limit_mm: float
@@ -45,8 +48,8 @@ class ReversalCheck:
 
 @dataclass(frozen=True)
 class AxisReversal:
-    """Lost motion of one axis in µm, positive if the axis lags behind its display, and its standard uncertainty. Both
-    are None if a touch missed."""
+    """Lost motion of one axis at reversal. `lost_um` is positive if the axis lags behind its display; `sigma_um` is its
+    standard uncertainty. Both are None if a touch missed."""
 
     axis: str
     lost_um: float | None
@@ -90,7 +93,8 @@ class Reversal:
 
 
 def measure_reversal(key: str, centre: Vector, probing: ProbingParameters, check: ReversalCheck) -> Plan[Reversal]:
-    """Measure the lost motion of X, Y and Z; start and end in the plane in front of the ball at `centre`.
+    """Measure the lost motion of X, Y and Z on the ball at `centre`. The plan starts and ends in the plane in front of
+    the ball.
 
     Raises MeasurementFault if `check.stop` is set and the lost motion of an axis is reliably above the limit.
     """

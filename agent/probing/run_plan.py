@@ -1,4 +1,4 @@
-"""Measurement of all positions of a run, station by station. For each position, the ball locations are predicted, the
+"""Measurement of all positions of a run, station by station. For each position, the ball centres are predicted, the
 balls are measured, and the estimated mount pose is updated."""
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from twin.design.procedure import MIN_BALLS
 
 @dataclass(frozen=True)
 class MeasuringOrder:
-    """Positions to measure, in order; those of one station are contiguous. Every step key begins with `prefix`.
+    """Positions in the order in which they are measured. The positions of one station follow one another. Every step
+    key begins with `prefix`.
 
     `standing_at` is the artefact's station at the start of the plan. It is None if the station is not known, or if
     every station has an artefact of its own and all mounts are parked.
@@ -40,9 +41,12 @@ class MeasuringOrder:
 
 @dataclass(frozen=True)
 class MeasuredPositions:
-    """Measured positions of a plan. `left_out` has the keys of the positions with too few balls within reach.
+    """Measured positions of a plan.
+
+    `left_out` holds the keys of the positions that were not measured because too few balls are within reach.
     `standing_at` is the station of the artefact at the end. `mount_poses` maps each station to its estimated mount
-    pose."""
+    pose.
+    """
 
     positions: tuple[MeasuredPosition, ...]
     left_out: tuple[str, ...]
@@ -65,8 +69,8 @@ def measure_positions(
     rules: PositionRules,
     known: Mapping[int, MountPoseEstimate] | None = None,
 ) -> Plan[MeasuredPositions]:
-    """Measure every position of `order` that has enough balls within reach. `known`: mount poses by station, estimated
-    earlier in this run."""
+    """Measure every position of `order` that has enough balls within reach. `known` maps stations to the mount poses
+    that were estimated earlier in the run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
     yield ReadTemperatures(f"{order.prefix}/temperatures")
@@ -126,5 +130,6 @@ def position_key(position: Position) -> str:
 
 
 def by_station(positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
-    """Return the positions in the order of `stations`; the positions of one station keep their given order."""
+    """Return the positions sorted by station, in the order of `stations`. Positions at one station keep their given
+    order."""
     return tuple(p for station in stations for p in positions if p.station == station)

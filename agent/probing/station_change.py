@@ -1,4 +1,5 @@
-"""Change from one station to the next: the operator carries mount or artefact, unless every station has its own."""
+"""Change from one station to the next. The operator carries the mount or the artefact, unless every station has a mount
+and an artefact of its own."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ class CarriedItem(Enum):
 
 
 class RetreatLocations(Protocol):
-    """Provider of axis positions at which the probe is clear of everything that turns."""
+    """Interface of an object that gives axis positions at which the probe is clear of all turning bodies."""
 
     def at_retreat_plane(self, position: Array) -> Array: ...
 
@@ -30,8 +31,11 @@ class RetreatLocations(Protocol):
 
 @dataclass(frozen=True)
 class StationChange:
-    """Rules for a station change. `own_mounts`: stations with a mount of their own, empty for a single mount that is
-    carried. `parked_deg`: azimuth and elevation of a station's own mount while another station is measured."""
+    """Rules for a change of station.
+
+    `own_mounts` lists the stations that have a mount of their own; it is empty if a single mount is carried.
+    `parked_deg` holds the azimuth and elevation of a station's own mount while another station is measured.
+    """
 
     carried: CarriedItem = CarriedItem.MOUNT
     own_mounts: tuple[int, ...] = ()
@@ -53,9 +57,10 @@ def change_station(
     to: int,
     index: int,
 ) -> Plan[Array]:
-    """Park the mount of the station being left, ask the operator to carry the item, and check that motion is permitted.
+    """Park the mount of the station `leaving`, ask the operator to carry the mount or the artefact, and check that
+    motion is permitted. The operator is not asked if nothing has to be carried.
 
-    The plan starts with the probe anywhere clear of all bodies and returns the axis positions (3,) at its end.
+    The probe may start at any place clear of all bodies. The plan returns the axis positions (3,) at its end.
     """
     if leaving is not None and change.own_mounts:
         here = yield from park_mounts(prefix, f"change-{index}", change, locations, here, (leaving,))
@@ -70,8 +75,8 @@ def change_station(
 def park_mounts(
     prefix: str, when: str, change: StationChange, locations: RetreatLocations, here: Array, stations: Sequence[int]
 ) -> Plan[Array]:
-    """Turn the mounts at `stations` to their parked angles, with the probe at each one's park location; return the axis
-    positions (3,) at the end."""
+    """Turn the mounts at `stations` to their parked angles; return the axis positions (3,) at the end. While a mount
+    turns, the probe waits at the park location of its station."""
     for station in stations:
         key = f"{prefix}/station-{station}/{when}"
         yield MoveTo(f"{key}/retreat", _point(locations.at_retreat_plane(here)))

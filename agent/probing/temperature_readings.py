@@ -1,4 +1,5 @@
-"""Temperature readings. They are taken with every ball, so that each ball centre has its own temperature and time."""
+"""Temperature readings. They are taken with every ball, and therefore each ball centre has its own temperature and
+time."""
 
 from __future__ import annotations
 
@@ -15,9 +16,10 @@ ARTEFACT, MACHINE = "artefact", "machine"
 
 @dataclass(frozen=True)
 class Thermometers:
-    """Names of the thermometers on artefact and machine; the readings of several on one body are averaged.
+    """Names of the thermometers on the artefact and on the machine. The readings of several thermometers on one body
+    are averaged.
 
-    `declared_artefact_c`: temperature in °C assumed for an artefact without a thermometer.
+    `declared_artefact_c` is the temperature in °C that is assumed for an artefact without a thermometer.
     """
 
     artefact: tuple[str, ...] = (ARTEFACT,)
@@ -25,8 +27,8 @@ class Thermometers:
     declared_artefact_c: float | None = None
 
     def artefact_c(self, readings_c: Mapping[str, float]) -> float:
-        """Return the declared temperature, or the mean of the artefact's thermometers, in °C. Raises MeasurementFault
-        if one of them gives no reading."""
+        """Return the artefact's temperature in °C: the declared temperature if there is one, else the mean of its
+        thermometers. Raises MeasurementFault if a thermometer of the artefact is needed and gives no reading."""
         if self.declared_artefact_c is not None:
             return self.declared_artefact_c
         missing = [name for name in self.artefact if name not in readings_c]
@@ -40,14 +42,16 @@ class Thermometers:
         return math.fsum(readings_c[name] for name in self.artefact) / len(self.artefact)
 
     def machine_c(self, readings_c: Mapping[str, float]) -> float | None:
-        """Return the mean in °C of the machine's thermometers that give a reading; None if none does."""
+        """Return the mean in °C over those thermometers of the machine that give a reading; None if there is no
+        reading."""
         known = [readings_c[name] for name in self.machine if name in readings_c]
         return math.fsum(known) / len(known) if known else None
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Temperatures of artefact and machine at `instant_s` of the run's clock. `machine_c`: None without a reading."""
+    """Temperatures of artefact and machine at the time `instant_s` of the run's clock. `machine_c` is None if no
+    thermometer of the machine gave a reading."""
 
     instant_s: float
     artefact_c: float
@@ -55,19 +59,20 @@ class Conditions:
 
     @property
     def departure_k(self) -> float:
-        """Difference of the artefact's temperature from the reference temperature."""
+        """Difference in K of the artefact's temperature from the reference temperature of 20 °C."""
         return self.artefact_c - REFERENCE_TEMPERATURE_C
 
 
 def read_conditions(key: str, thermometers: Thermometers) -> Plan[Conditions]:
-    """Read temperatures and clock, without motion."""
+    """Read the temperatures and the clock. The machine does not move."""
     readings_c = yield ReadTemperatures(f"{key}/temperatures")
     instant_s = yield ReadClock(f"{key}/instant")
     return Conditions(instant_s, thermometers.artefact_c(readings_c), thermometers.machine_c(readings_c))
 
 
 def rate_k_per_h(trace: Sequence[Conditions]) -> float | None:
-    """Return the least-squares slope in K/h of the artefact's temperature; None if the readings span no time."""
+    """Return the rate of change of the artefact's temperature in K/h: the least-squares slope of the readings in
+    `trace`. The rate is None if the readings span no time."""
     if len(trace) < 2:
         return None
     middle_s = math.fsum(one.instant_s for one in trace) / len(trace)

@@ -1,4 +1,5 @@
-"""Wait until the artefact has settled, that is, until it is near enough to 20 °C and changes slowly enough."""
+"""Waiting until the artefact has settled, that is, until its temperature is near enough to 20 °C and changes slowly
+enough."""
 
 from __future__ import annotations
 
@@ -19,8 +20,12 @@ TREND_WINDOW_S = 600.0
 
 @dataclass(frozen=True)
 class SettlingRules:
-    """Rules of the wait for a settled artefact: limits of its rate of temperature change and of its departure from 20
-    °C, interval of the readings during the wait, and longest wait."""
+    """Rules of the wait for a settled artefact.
+
+    `max_rate_k_per_h` limits the rate at which the artefact's temperature changes, and `max_departure_k` limits its
+    difference from 20 °C. During the wait, the temperature is read every `poll_interval_s`. The wait lasts `deadline_s`
+    at most.
+    """
 
     thermometers: Thermometers = field(default_factory=Thermometers)
     max_rate_k_per_h: float = math.inf
@@ -29,8 +34,8 @@ class SettlingRules:
     deadline_s: float = 3600.0
 
     def complaint(self, trace: Sequence[Conditions]) -> str:
-        """Return the reason why the artefact has not settled at the last reading of `trace`; empty if it has
-        settled."""
+        """Return the reason why the artefact has not settled at the last reading of `trace`, as text. The text is empty
+        if the artefact has settled."""
         now = trace[-1]
         if abs(now.departure_k) > self.max_departure_k:
             return (
@@ -47,9 +52,11 @@ class SettlingRules:
 
 
 def wait_until_settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Plan[Conditions]:
-    """Wait without motion, if necessary, until the artefact has settled; return the conditions then.
+    """Wait, if necessary, until the artefact has settled; return the temperature readings at the end of the wait. The
+    machine does not move.
 
-    `history`: readings taken with the previous balls, oldest first. Raises MeasurementFault at the deadline.
+    `history` holds the readings taken with the previous balls, oldest first. Raises MeasurementFault if the artefact
+    has not settled at the deadline.
     """
     trace = [*history, (yield from read_conditions(key, rules.thermometers))]
     attempts = math.ceil(rules.deadline_s / rules.poll_interval_s)

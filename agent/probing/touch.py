@@ -1,4 +1,4 @@
-"""One touch on a ball. The tip approaches the ball, touches its surface and retracts. Only the position latched at the
+"""One touch of a ball. The tip approaches the ball, touches its surface and retracts. Only the position latched at the
 trip is used."""
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from drivers.roles import Touch, Vector
 
 @dataclass(frozen=True)
 class TouchResult:
-    """Result of a touch. `latched_mm`: axis positions at the trip, None for a miss. `touches`: number of touches,
-    including the fast one."""
+    """Result of a touch. `latched_mm` holds the axis positions at the trip; it is None for a miss. `touches` is the
+    number of touches made, including the fast touch."""
 
     latched_mm: Point | None
     touches: int
@@ -25,7 +25,8 @@ class TouchResult:
 
 @dataclass(frozen=True, eq=False)
 class PlannedTouch:
-    """Touch to be made along the unit vector `direction` on a ball expected at the axis positions `centre` (3,)."""
+    """Touch that is to be made along the unit vector `direction`, on a ball expected at the axis positions `centre`
+    (3,)."""
 
     centre: Vector
     direction: Vector
@@ -42,12 +43,12 @@ class PlannedTouch:
 
     @property
     def surface(self) -> Vector:
-        """Axis positions (3,) at the expected trip."""
+        """Axis positions (3,) at which the probe is expected to trip."""
         return np.asarray(self.centre - self.direction * self.contact_mm)
 
 
 class TouchPath(Protocol):
-    """Path of the tip to the start of a touch, and away from the surface after it."""
+    """Interface of a path that leads the tip to the start of a touch, and away from the surface after the touch."""
 
     def approach(self, key: str, touch: PlannedTouch) -> Plan[None]: ...
 
@@ -56,8 +57,8 @@ class TouchPath(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlainTouchPath:
-    """Path along the stylus from the plane in front of the ball, and back to that plane. It is free of collisions if
-    the ball is accessible."""
+    """Path along the stylus from the plane in front of the ball to the start of a touch, and back to that plane. The
+    path is free of collisions if the ball is accessible."""
 
     probing: ProbingParameters
 
@@ -73,8 +74,8 @@ class PlainTouchPath:
 
 
 def before_ball(touch: PlannedTouch, probing: ProbingParameters) -> Vector:
-    """Return the axis positions (3,) in the plane in front of the ball from which the tip reaches the start of the
-    touch along the stylus."""
+    """Return axis positions (3,) in the plane in front of the ball. From there, the tip reaches the start of `touch` by
+    a straight move along the stylus."""
     along = touch.out_mm + float((touch.start - touch.centre) @ probing.stylus_axis)
     return np.asarray(touch.start - probing.stylus_axis * along)
 
@@ -87,8 +88,8 @@ def touch_ball(
     search: Search,
     path: TouchPath | None = None,
 ) -> Plan[TouchResult]:
-    """Touch the ball at `centre` along `direction`. `path` gives the path to the start of the touch and back. By
-    default, it is the path by way of the plane in front of the ball."""
+    """Touch the ball at `centre` along `direction`. `path` leads the tip to the start of the touch and away from the
+    surface. If `path` is None, the tip moves by way of the plane in front of the ball."""
     touch = PlannedTouch(centre, direction, search, probing.contact_mm)
     chosen = path or PlainTouchPath(probing)
     yield from chosen.approach(key, touch)
@@ -115,6 +116,6 @@ def _trip(key: str, target: Vector, direction: Vector, probing: ProbingParameter
 
 
 def point(vector: Vector) -> Point:
-    """Return `vector` (3,) as a tuple for a step."""
+    """Return `vector` (3,) as a tuple, the form in which steps hold a point."""
     x, y, z = vector.tolist()
     return x, y, z

@@ -1,4 +1,5 @@
-"""Tip locations at a ball, and the first corners of paths that lift off its surface or go round it."""
+"""Locations of the stylus tip at a ball, and the first corners of paths that lift off the ball's surface or go round
+the ball."""
 
 from __future__ import annotations
 
@@ -36,9 +37,10 @@ at once."""
 
 @dataclass(frozen=True)
 class TipLocation:
-    """Tip location at the distance `out_mm` from the centre of `ball`, opposite to the unit vector `direction`.
+    """Location of the stylus tip relative to a ball, where a touch begins or ends.
 
-    `direction` is the direction of the touch. `touching` is True if the tip is on the surface after a touch.
+    `direction` is the unit vector of the touch, towards the ball. The tip centre is `out_mm` away from the centre of
+    `ball`, in the direction opposite to `direction`. `touching` is True if the tip is on the surface after a touch.
     """
 
     ball: int
@@ -48,7 +50,10 @@ class TipLocation:
 
 
 def detour_corners(centre: Array, start: TipLocation, end: TipLocation, stylus_axis: Array) -> Array:
-    """Return corners (n, 1, 3) of one-corner detours round the ball at `centre` (3,), from `start` to `end`."""
+    """Return the corner of each of n paths that go from `start` to `end` round the ball at `centre` (3,).
+
+    Each path has one corner; the array has the shape (n, 1, 3).
+    """
     # Bisector of both outward directions, tilted back along the stylus by each of the setbacks.
     bisector = -np.array(start.direction) - np.array(end.direction)
     directions = bisector - np.outer(DETOUR_SETBACKS, stylus_axis)
@@ -60,8 +65,11 @@ def detour_corners(centre: Array, start: TipLocation, end: TipLocation, stylus_a
 
 
 def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
-    """Return the corners (1, k, 3) of a path that passes a bar end: it lifts off, moves along Y, then along Z, then to
-    `last`."""
+    """Return the k corners of a path from `first` past the end of the bar to `last`, as an array of shape (1, k, 3).
+
+    The tip first lifts off the surface if it touches the ball. It then moves along Y, then along Z, and then straight
+    to `last`.
+    """
     beside = point(np.array(first) - LIFT_OFF_MM * np.array(start.direction)) if start.touching else first
     low = min(beside[1], last[1])
     out = [(beside[0], low, beside[2]), (beside[0], low, last[2])]
@@ -69,7 +77,8 @@ def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
 
 
 def lifting_off(first: Point, candidates: PathCandidates, start: TipLocation) -> PathCandidates:
-    """Return the candidates from `first` whose first move leaves the touched surface.
+    """Return those candidate paths from the point `first` whose first move leaves the touched surface. If the tip at
+    `start` touches no surface, all candidates are returned.
 
     A candidate whose first move has no length is dropped, because its second move might press against the surface.
     """
@@ -82,7 +91,8 @@ def lifting_off(first: Point, candidates: PathCandidates, start: TipLocation) ->
 
 
 def lifts_off(first: Point, last: Point, start: TipLocation) -> bool:
-    """Return whether the straight path from `first` to `last` leaves the touched surface at once."""
+    """Return whether the straight path from `first` to `last` leaves the touched surface at once. The result is True if
+    the tip at `start` touches no surface."""
     length = math.dist(first, last)
     away = -sum((b - a) * along for a, b, along in zip(first, last, start.direction, strict=True))
     return not start.touching or (away >= MIN_LIFT_OFF_COSINE * length and length > MIN_MOVE_MM)

@@ -1,5 +1,5 @@
-"""Measuring order of the balls of one position. Both end balls are measured first, then the other balls on the fastest
-path back."""
+"""Measuring order of the balls of one position. Both end balls are measured first. The other balls are then measured on
+the fastest path from the second end ball back to the first."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def measuring_sequence(
     first: int,
     last: int,
 ) -> list[int]:
-    """Return `balls` without `first` and `last`, in the fastest order on the path from `last` back to `first`."""
+    """Return the balls other than `first` and `last` in the order that takes the tip from `last` past all of them to
+    `first` in the shortest time."""
     key = (pose, tuple(balls), first, last)
     if key not in finder.sequences:
         finder.sequences[key] = _sequence(finder, pose, probing, balls, first, last)

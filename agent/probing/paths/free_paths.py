@@ -1,8 +1,8 @@
 """Fastest collision-free paths of one run: from touch to touch, from ball to ball, and from one pose to the next.
 
-Paths are searched among the nominal bodies, in coordinates relative to the mount's location, so a path that was found
-once can be used at every station and whenever a position is measured. The uncertainty of the pose is added to the
-clearance. The corners are then shifted to the measured location of the artefact.
+Paths are searched among the nominal bodies, in coordinates relative to the mount's location. For this reason, a path
+that was found once can be used at every station and each time a position is measured. The uncertainty of the pose is
+added to the clearance. When a path is used, its corners are shifted to the measured location of the artefact.
 """
 
 from __future__ import annotations
@@ -55,10 +55,11 @@ _GRID_MM = 80.0
 
 @dataclass(frozen=True)
 class ArtefactPose:
-    """Nominal pose of the artefact: the mount's angles, and the Y and Z of its location in the workpiece frame.
+    """Nominal pose of the artefact. It consists of the mount's two angles and of the Y and Z coordinates `depth_mm` and
+    `height_mm` of the mount's location in the workpiece frame.
 
-    `station` is the station's number if other mounts or artefacts stand in the workspace, and 0 if paths are the same
-    at all stations.
+    `station` is the station's number if other mounts or artefacts stand in the workspace. It is 0 if the paths are the
+    same at all stations.
     """
 
     azimuth_deg: float
@@ -70,10 +71,11 @@ class ArtefactPose:
 
 @dataclass(frozen=True)
 class TurningPath:
-    """Path with two parts: from a ball in the old pose to a waiting point, where the tip stays while the mount turns,
-    and from the waiting point to a ball in the new pose.
+    """Path of the tip from a ball in the old pose to a ball in the new pose, by way of a waiting point where the tip
+    stays while the mount turns.
 
-    Corners and `waiting_point` are relative to the mount's location. `seconds`: time of both parts without the turn.
+    `exit_path` holds the corners before the waiting point, and `entry_path` the corners after it. The corners and
+    `waiting_point` are relative to the mount's location. `seconds` is the time of both parts without the turn.
     """
 
     exit_path: tuple[Point, ...]
@@ -94,12 +96,12 @@ class _PosedBodies:
 
 @dataclass(frozen=True, eq=False)
 class FreePathRules:
-    """Rules for free paths. `stylus_axis` (3,): unit vector along which the stylus points. `lower_mm`, `upper_mm` (3,):
-    limits of the axes' travel.
+    """Rules for free paths.
 
-    `clearance_mm`: minimum distance between moving and stationary bodies on every path. The uncertainty of the
-    artefact's pose is added to it: `unaligned_uncertainty_mm` until the end balls have been measured,
-    `aligned_uncertainty_mm` afterwards.
+    `stylus_axis` (3,) is the unit vector along which the stylus points. `lower_mm` and `upper_mm` (3,) are the limits
+    of the axes' travel. `clearance_mm` is the minimum distance between moving and stationary bodies on every path. The
+    uncertainty of the artefact's pose is added to this clearance. It is `unaligned_uncertainty_mm` until the end balls
+    of the position have been measured, and `aligned_uncertainty_mm` afterwards.
     """
 
     stylus_axis: Array
@@ -112,8 +114,8 @@ class FreePathRules:
     _finders: dict[MeasuringLayout, FreePathFinder] = field(default_factory=dict, init=False, repr=False)
 
     def finder_for(self, layout: MeasuringLayout) -> FreePathFinder:
-        """Return the path finder for the bodies of `layout`; every call returns the same object with its cached
-        paths."""
+        """Return the path finder for the bodies of `layout`. Every call with this layout returns the same object, which
+        holds the paths already found."""
         if layout not in self._finders:
             self._finders[layout] = FreePathFinder(layout, self)
         return self._finders[layout]
@@ -121,7 +123,8 @@ class FreePathRules:
 
 @dataclass(frozen=True, eq=False)
 class FreePathFinder:
-    """Finder of free paths. It caches them, because every station and every verification needs the same paths."""
+    """Finder of free paths. It stores every path it has found, because each station and each verification needs the
+    same paths."""
 
     layout: MeasuringLayout
     rules: FreePathRules
@@ -139,24 +142,27 @@ class FreePathFinder:
         return ArtefactPose(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
 
     def axes_at(self, station: int, corner: Point) -> Array:
-        """Return the axis positions (3,) at which the tip centre is at `corner` from the mount's location at
-        `station`."""
+        """Return the axis positions (3,) that bring the tip centre to the point `corner`. `corner` is relative to the
+        location of the mount at `station`."""
         return np.asarray(self.layout.location(station) - self.layout.tool_offset_mm + corner)
 
     def ball_axes(self, pose: ArtefactPose, station: int) -> Array:
-        """Return the nominal axis positions (N, 3) at which the tip centre and each ball centre coincide."""
+        """Return the nominal axis positions (N, 3) that bring the tip centre to the centre of each of the N balls."""
         return np.asarray(self._posed(pose).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
 
     def tip_at(self, pose: ArtefactPose, location: TipLocation) -> Point:
-        """Return the tip centre at `location`, relative to the mount's location."""
+        """Return the coordinates of the tip centre at `location`, relative to the mount's location."""
         (x, y, z), (along_x, along_y, along_z) = self._posed(pose).centre_points[location.ball], location.direction
         return x - along_x * location.out_mm, y - along_y * location.out_mm, z - along_z * location.out_mm
 
     def path_between(
         self, pose: ArtefactPose, start: TipLocation, end: TipLocation, uncertainty_mm: float, mount_x_mm: float
     ) -> FreePath | None:
-        """Return the fastest free path, relative to the mount's location at `mount_x_mm`; None if no path is proved
-        free. `uncertainty_mm`: largest deviation of the artefact from its pose.
+        """Return the fastest free path from `start` to `end`; None if no path is proved free.
+
+        The corners are relative to the mount's location. `uncertainty_mm` is the largest deviation of the artefact from
+        `pose`. `mount_x_mm` is the X coordinate of the mount's location; it determines how far the axes can travel from
+        there.
         """
         uncertainty_mm = round_up_uncertainty(uncertainty_mm)
         unlimited = self._cached_path(pose, start, end, uncertainty_mm, (-math.inf, math.inf))
@@ -179,8 +185,8 @@ class FreePathFinder:
         return self._paths[key]
 
     def straight_seconds(self, pose: ArtefactPose, starts: Sequence[TipLocation], ends: Sequence[TipLocation]) -> Array:
-        """Return the times (n, m) in s of straight paths from each of n starts to each of m ends. They are lower bounds
-        for the times of free paths."""
+        """Return the times in s of the straight paths from each of n starts to each of m ends, as an array of shape (n,
+        m). Each time is a lower bound for the time of a free path."""
         first, last = (
             np.array([self.tip_at(pose, location) for location in locations]) for locations in (starts, ends)
         )
@@ -195,8 +201,8 @@ class FreePathFinder:
         mount_x_mm: float,
         faster_than_s: float = math.inf,
     ) -> TurningPath | None:
-        """Return a path from `start` in pose `before` to `end` in pose `after`; None if no path faster than
-        `faster_than_s` is proved free."""
+        """Return a path from `start` in the pose `before` to `end` in the pose `after`, by way of a waiting point for
+        the turn. The result is None if no path faster than `faster_than_s` is proved free."""
         (low, high), reach = self._x_range(mount_x_mm), self._reach_mm(after)
         key = (before, start, after, end, (max(low, -reach), min(high, reach)))
         if key not in self._turning_paths:
@@ -210,11 +216,11 @@ class FreePathFinder:
     def min_turning_seconds(
         self, before: ArtefactPose, starts: Sequence[TipLocation], after: ArtefactPose, ends: Sequence[TipLocation]
     ) -> float:
-        """Return a lower bound, in s, for the time of the fastest path from any of `starts` to any of `ends`. The time
-        of the turn is not included.
+        """Return a lower bound in s for the time of the fastest turning path from any of `starts` to any of `ends`,
+        without the time of the turn.
 
-        The bound assumes that every path in front of the turning artefact is free. The path of `turning_path` is rarely
-        much slower.
+        The bound assumes that every path in front of the turning artefact is free. The path returned by `turning_path`
+        is rarely much slower.
         """
         reach = self._reach_mm(after)
         pairs = product([self.tip_at(before, start) for start in starts], [self.tip_at(after, end) for end in ends])
@@ -372,8 +378,11 @@ class FreePathFinder:
         return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))
 
     def path_to_point(self, pose: ArtefactPose, location: TipLocation, waiting_point: Point) -> FreePath | None:
-        """Return a path from `location` to `waiting_point`, relative to the mount's location; None if no path is proved
-        free. Its reverse is the path from the waiting point to the ball."""
+        """Return the fastest free path from `location` to `waiting_point`; None if no path is proved free. Its corners
+        are relative to the mount's location.
+
+        The reversed path leads from the waiting point to the ball.
+        """
         key = (pose, location, waiting_point)
         if key not in self._paths:
             self._paths[key] = self._search_path_to_point(*key)
@@ -484,7 +493,8 @@ class FreePathFinder:
 
 
 def round_up_uncertainty(uncertainty_mm: float) -> float:
-    """Return the uncertainty rounded up to one of `UNCERTAINTY_STEPS_MM`, or unchanged if it exceeds the largest."""
+    """Return `uncertainty_mm` rounded up to the next of `UNCERTAINTY_STEPS_MM`, or unchanged if it exceeds the largest
+    step."""
     return next((value for value in UNCERTAINTY_STEPS_MM if uncertainty_mm <= value), uncertainty_mm)
 
 

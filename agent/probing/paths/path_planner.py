@@ -1,7 +1,7 @@
-"""Interface of path planners, which move the tip to the start of the next touch and away from the ball.
+"""Interface of path planners. A path planner moves the tip to the start of the next touch and away from the ball.
 
-`PlainPathPlanner` withdraws from every ball, and moves to the retreat plane between positions. The planner in
-`agent.probing.paths.shortest_path` takes the fastest path that is proved free.
+`PlainPathPlanner` withdraws the tip from every ball, and moves it to the retreat plane between positions. The planner
+in `agent.probing.paths.shortest_path` takes the fastest path that is proved free.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from twin.artefact.position_set import Position
 
 
 class PlannedPosition(Protocol):
-    """Properties of the next position to measure that a path planner needs."""
+    """Properties that a path planner needs to know about the next position to measure."""
 
     @property
     def key(self) -> str: ...
@@ -34,24 +34,26 @@ class PlannedPosition(Protocol):
 
 
 class PathPlanner(Protocol):
-    """Path planner of one plan. A plan starts and ends at the retreat plane. Between two positions, the tip may stay
-    closer to the artefact."""
+    """Interface of the path planner that one plan uses. A plan starts and ends at the retreat plane or at the park
+    location. Between two positions, the tip may stay closer to the artefact."""
 
     def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
-        """Return the end ball measured first and again last, the balls between the ends in measuring order, and the
-        other end ball."""
+        """Return the measuring order of the balls as three values: the end ball that is measured first and once more at
+        the end, the balls between the ends in measuring order, and the other end ball."""
         ...
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
-        """Move the tip clear of the turning artefact, then turn it. `here` (3,): current axis positions."""
+        """Move the tip clear of the artefact, then turn the artefact to the angles of `task`. `here` (3,) holds the
+        present axis positions."""
         ...
 
     def enter(self, task: PlannedPosition, ball: int) -> Plan[None]:
-        """Move in front of `ball`, the first one, after the artefact has turned."""
+        """Move the tip in front of `ball` after the artefact has been turned. `ball` is the ball that is measured
+        first."""
         ...
 
     def align(self, centres_mm: Array) -> None:
-        """Use these centres (N, 3) of all balls from now on."""
+        """Use `centres_mm` (N, 3) as the expected centres of all N balls from now on."""
         ...
 
     def to_ball(self, key: str, centre: Array) -> Plan[None]: ...
@@ -61,18 +63,19 @@ class PathPlanner(Protocol):
     def from_ball(self, key: str, centre: Array) -> Plan[None]: ...
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Start planning paths from the plane in front of `ball`, where the tip is. The ball was found at `centre`
-        (3,)."""
+        """Start planning from the present place of the tip, which is in the plane in front of `ball`. `centre` (3,) is
+        the place at which the ball was found."""
         ...
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move to the retreat plane or to the park location. `centre` (3,): centre of the ball measured last."""
+        """Move to the retreat plane or to the park location. `centre` (3,) is the centre of the ball that was measured
+        last."""
         ...
 
 
 class PlainPathPlanner:
-    """Planner that withdraws by `retract_mm` from every ball, and moves between positions by way of the retreat plane
-    and the park location."""
+    """Path planner that withdraws the tip by `retract_mm` from every ball. Between positions, it moves the tip to the
+    retreat plane and to the park location."""
 
     def __init__(self, retreat: Retreat, probing: ProbingParameters) -> None:
         self._retreat = retreat
@@ -93,7 +96,7 @@ class PlainPathPlanner:
         yield MoveTo(f"{task.key}/enter", point(self._retreat.at_retreat_plane(above)))
 
     def align(self, centres_mm: Array) -> None:
-        """Do nothing: plain paths do not depend on the pose."""
+        """Do nothing, because plain paths do not depend on the pose."""
 
     def to_ball(self, key: str, centre: Array) -> Plan[None]:
         yield MoveTo(f"{key}/approach", point(self._retreat.withdrawn_from(centre, self._probing)))

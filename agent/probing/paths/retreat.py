@@ -1,4 +1,4 @@
-"""Retreat plane and park locations, which give safe paths between positions without a collision check."""
+"""Retreat plane and park locations. Paths by way of them are safe between positions without a collision check."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from twin.arrays import Array
 
 @dataclass(frozen=True)
 class Retreat:
-    """Safe locations, and the rules for paths between them.
+    """Safe locations between positions, and the rules for the paths between them.
 
-    `retreat_axis`: index of the axis along which the stylus points. `retreat_mm`: position of this axis that no part of
-    artefact or mount reaches. `station_axis`: index of the axis along which the stations stand. `park_mm`: station →
-    position of that axis at which the probe is clear of the turning artefact. `path_rules`: rules for free paths; None
-    for plain paths by way of `withdrawn_from` and `park_location`.
+    `retreat_axis` is the index of the axis along which the stylus points. `retreat_mm` is a position of this axis that
+    no part of the artefact or mount reaches. `station_axis` is the index of the axis along which the stations stand.
+    `park_mm` maps each station to the position of that axis at which the probe is clear of the turning artefact.
+    `path_rules` are the rules for free paths; they are None if plain paths by way of `withdrawn_from` and
+    `park_location` are used.
     """
 
     retreat_axis: int
@@ -34,8 +35,8 @@ class Retreat:
         return out
 
     def withdrawn_from(self, centre: Array, probing: ProbingParameters) -> Array:
-        """Return the axis positions (3,) withdrawn along the stylus from the ball at `centre`, at most to the retreat
-        plane."""
+        """Return the axis positions (3,) of the tip after it has been withdrawn along the stylus from the ball at
+        `centre`. The tip is never withdrawn beyond the retreat plane."""
         out = centre - probing.stylus_axis * (probing.contact_mm + probing.retract_mm)
         towards = np.sign(probing.stylus_axis[self.retreat_axis])
         out[self.retreat_axis] = towards * max(towards * out[self.retreat_axis], towards * self.retreat_mm)

@@ -1,4 +1,4 @@
-"""Path planner that moves the tip on the fastest path proved free, or on a plain path if no path is proved free."""
+"""Path planner that moves the tip on the fastest path that is proved free, or on a plain path if there is none."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ class _TipState:
 
 
 class ShortestPathPlanner:
-    """Planner of the fastest free paths, which tracks the tip. The same results always give the same paths."""
+    """Path planner that takes the fastest free paths and keeps track of the tip's location. Equal measured results
+    always give equal paths."""
 
     def __init__(self, finder: FreePathFinder, retreat: Retreat, probing: ProbingParameters) -> None:
         self._finder = finder
@@ -65,8 +66,8 @@ class ShortestPathPlanner:
         self._here: Array = np.zeros(3)
 
     def assume_measured(self, station: int) -> Array:
-        """Assume that ball 0 has just been measured with the mount at zero; return the axis positions (3,) of the
-        tip."""
+        """Assume that ball 0 at `station` has just been measured with azimuth and elevation of the mount at 0; return
+        the axis positions (3,) of the tip."""
         artefact_pose = self._finder.pose_at(station, 0.0, 0.0)
         nominal = self._finder.ball_axes(artefact_pose, station)
         location = TipLocation(0, point(self._probing.directions[-1]), self._probing.contact_mm, touching=True)
@@ -127,8 +128,11 @@ class ShortestPathPlanner:
         return _BallTouchPath(self, ball)
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move to the park location beside the station, which no bar reaches in any pose. If no path to it is proved
-        free, lift off the surface and withdraw straight along the stylus, through space that it has already passed."""
+        """Move to the park location beside the station, which no bar reaches in any pose.
+
+        If no path to the park location is proved free, lift off the surface and withdraw straight along the stylus. The
+        stylus then moves only through space that it has already passed.
+        """
         if self._tip is not None:
             yield from self._withdraw(key)
         self._tip = self._pose = self._entry_path = None
@@ -159,8 +163,8 @@ class ShortestPathPlanner:
         return np.asarray(free)
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Start planning paths from the plane in front of `ball`, where the tip is. The ball was found at `centre`
-        (3,)."""
+        """Start planning from the present place of the tip, which is in the plane in front of `ball`. `centre` (3,) is
+        the place at which the ball was found."""
         station = position.station
         artefact_pose = self._finder.pose_at(station, position.azimuth_deg, position.elevation_deg)
         nominal = self._finder.ball_axes(artefact_pose, station)
@@ -201,7 +205,7 @@ class ShortestPathPlanner:
     # ------------------------------------------------------------------ at a ball
 
     def approach(self, key: str, ball: int, touch: PlannedTouch) -> Plan[None]:
-        """Move to the start of a touch of `ball`."""
+        """Move the tip to the start of `touch`, the next touch of `ball`."""
         pose, tip = self._known_pose, self._tip
         location = TipLocation(ball, point(touch.direction), touch.out_mm)
         offset = touch.centre - pose.nominal[ball]
@@ -216,8 +220,8 @@ class ShortestPathPlanner:
         self._set_tip(_TipState(location, offset), touch.start)
 
     def retract(self, key: str, ball: int, touch: PlannedTouch, latched_mm: Point | None) -> Plan[None]:
-        """Stay on the surface if the contact was at the expected point (the next path starts there), else return to the
-        start of the touch."""
+        """Stay on the surface if the contact was at the expected point, because the next path can start there.
+        Otherwise, return to the start of the touch."""
         tip = self._tip
         assert tip is not None  # noqa: S101  `approach` came before
         if latched_mm is not None and touch.search == self._probing.narrow_search:
@@ -318,7 +322,7 @@ class _BallTouchPath:
 def create_path_planner(
     retreat: Retreat, probing: ProbingParameters, layout: MeasuringLayout
 ) -> PlainPathPlanner | ShortestPathPlanner:
-    """Return a ShortestPathPlanner, or a PlainPathPlanner if `retreat` has no rules for free paths."""
+    """Return a ShortestPathPlanner if `retreat` has rules for free paths, otherwise a PlainPathPlanner."""
     if retreat.path_rules is None:
         return PlainPathPlanner(retreat, probing)
     return ShortestPathPlanner(retreat.path_rules.finder_for(layout), retreat, probing)
