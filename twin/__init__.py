@@ -1,1 +1,3 @@
-"""The mathematics of the digital twin: pure functions and frozen values, numpy and scipy only."""
+"""Mathematics of the digital twin. The package consists of pure functions and immutable values, and uses only numpy and
+scipy.
+"""

@@ -11,9 +11,10 @@ Array = NDArray[np.float64]
 
 
 def as_points(values: ArrayLike, name: str) -> Array:
-    """Return `values` as a finite float64 array (n, 3); one point (3,) becomes (1, 3).
+    """Return `values` as a float64 array (n, 3) of n points. A single point (3,) becomes an array (1, 3).
 
-    Raises DataError, naming the first bad row, if `values` has another shape or is not finite.
+    Raises DataError if `values` has another shape or contains a number that is not finite. The error names the first
+    bad row.
     """
     points = np.atleast_2d(np.asarray(values, dtype=np.float64))
     if points.ndim != 2 or points.shape[1] != 3:
@@ -25,7 +26,9 @@ def as_points(values: ArrayLike, name: str) -> Array:
 
 
 def as_vector(values: ArrayLike, size: int, name: str) -> Array:
-    """Return `values` as a finite float64 array (size,); raises DataError if this is not possible."""
+    """Return `values` as a float64 vector with `size` elements. Raises DataError if the length differs or a number is
+    not finite.
+    """
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (size,):
         raise DataError(f"{name} has shape {vector.shape}, expected ({size},)")

@@ -1,4 +1,4 @@
-"""Map of the length of a deviation over one XY plane of the workspace."""
+"""Map of the length of the deviation vector over one XY plane of the workspace."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ PLANE_SHAPE = (81, 27)
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Values of a map. They are the lengths of the deviation in µm, as an array (nx, ny) over the nodes `x_mm` (nx,)
-    and `y_mm` (ny,)."""
+    """Values of a map. `length_um` is an array (nx, ny) with the length of the deviation in µm at each node of a grid.
+    The grid has nx nodes along X (`x_mm`) and ny nodes along Y (`y_mm`).
+    """
 
     title: str
     x_mm: Array
@@ -28,15 +29,16 @@ class Plane:
 
 
 def map_nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
-    """Return X (nx,), Y (ny,) and height of the map in mm. The height is the published one, or the middle of the Z
-    range if the machine does not reach the published height."""
+    """Return the X coordinates, the Y coordinates and the height Z of the map's nodes in mm. The height is that of the
+    published map; if the machine does not reach it, the height is the middle of the Z range.
+    """
     x, y, (low, high) = ranges_mm
     height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)
     return np.linspace(*x, PLANE_SHAPE[0]), np.linspace(*y, PLANE_SHAPE[1]), height_mm
 
 
 def draw_plane(axes: Axes, plane: Plane, top_um: float) -> AxesImage:
-    """Draw the map with contour lines; the colour scale extends from zero to `top_um`."""
+    """Draw the map with contour lines. Its colour scale extends from zero to `top_um`."""
     extent = (plane.x_mm[0], plane.x_mm[-1], plane.y_mm[0], plane.y_mm[-1])
     values = plane.length_um.T
     image = axes.imshow(

@@ -1,4 +1,6 @@
-"""Volumetric error after compensation by a procedure, in closed form and simulated on many machines."""
+"""Volumetric error that remains after a measuring procedure and its compensation. The error is computed in closed form,
+and also simulated on many machines.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ MIN_MACHINES = 2
 
 @dataclass(frozen=True, eq=False)
 class ProcedureVariant:
-    """Artefact and its planned observations; `planned` is None if no position has three balls within reach."""
+    """Artefact, and the observations planned with it. `planned` is None if there is no position with at least three
+    balls within reach.
+    """
 
     artefact: Artefact
     planned: Observations | None
@@ -40,11 +44,11 @@ class ProcedureVariant:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result for one procedure and identification variant.
+    """Volumetric error that remains after one measuring procedure with one identification variant.
 
     `expected` is the root of the expected mean square VCE in closed form, or None if the machine is not identified.
-    `simulated` is the rms VCE of `machines` simulated machines, and `standard_error` is its standard error. Both are
-    None if the procedure was not simulated.
+    `simulated` is the rms VCE of `machines` simulated machines, and `standard_error` is the standard error of this rms
+    value. Both are None if the procedure was not simulated.
     """
 
     expected: VolumetricRms | None
@@ -53,8 +57,9 @@ class Verdict:
     machines: int = 0
 
     def with_simulation(self, spread: ErrorSample | None) -> Verdict:
-        """Return the verdict with simulation results. `spread`: VCE of the simulated machines; None if one of them
-        could not be identified, which gives the verdict "not identified"."""
+        """Return the verdict with simulation results added. `spread` contains the VCE of each simulated machine. If
+        `spread` is None, one of the machines could not be identified, and the result is the verdict "not identified".
+        """
         if spread is None:
             return Verdict(None)
         return Verdict(self.expected, spread.expected, spread.standard_error, len(spread.raw_mm))
@@ -62,13 +67,15 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class ProcedureEvaluator:
-    """Evaluator of the procedure variants of a case."""
+    """Evaluator of the measuring procedures of one study case, with several identification variants."""
 
     case: StudyCase
 
     @cached_property
     def field(self) -> FieldForm:
-        """Quadratic form that gives the residual errors over the published grid. It is built once for all variants."""
+        """Quadratic form that gives the volumetric error over the published grid from the residual parameter errors. It
+        is built once and used for all procedures and variants.
+        """
         case = self.case
         grid = evaluation_grid(case.machine.model.ranges_mm)
         return FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
@@ -79,7 +86,9 @@ class ProcedureEvaluator:
         return self.field.uncompensated()
 
     def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:
-        """Return the closed-form error budget; None if the planned observations do not identify the machine."""
+        """Return the closed-form error budget of a procedure. Return None if its planned observations do not identify
+        the machine.
+        """
         family = self.case.machine.family
         if trial.planned is None:
             return None
@@ -92,10 +101,10 @@ class ProcedureEvaluator:
     def evaluate(
         self, trials: Sequence[ProcedureVariant], variants: Sequence[IdentificationVariant], simulated: Sequence[int]
     ) -> list[tuple[Verdict, ...]]:
-        """Return the verdicts on every trial (rows) with every identification variant (columns).
+        """Return a table of verdicts with one row per procedure in `trials` and one column per identification variant.
 
-        The trials with the indices `simulated` are also simulated, all on the same machines. The number of machines is
-        that of the case divided by the number of simulated trials, but at least `MIN_MACHINES`.
+        The procedures whose indices are in `simulated` are also simulated, all on the same machines. The number of
+        these machines is that of the case divided by the number of simulated procedures, but at least `MIN_MACHINES`.
         """
         rows = []
         for number, trial in enumerate(trials):
@@ -138,8 +147,9 @@ class ProcedureEvaluator:
         return ErrorSample.compensated(self.field, machines) if len(machines) == len(found) else None
 
     def procedure(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ProcedureTask:
-        """Return the task that simulates the trial on the machine with a given number. Raises DataError if no position
-        has three balls within reach."""
+        """Return a task that simulates the procedure on the machine whose number it is given. Raises DataError if there
+        is no position with at least three balls within reach.
+        """
         if trial.planned is None:
             raise DataError("none of the positions has three balls within reach")
         case = self.case
@@ -155,9 +165,10 @@ class ProcedureEvaluator:
 
 
 def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedMachine | None:
-    """Return the simulation of the machine with number `machine`; None if it is not identified.
+    """Return the simulation of the machine with number `machine`. Return None if the procedure does not identify this
+    machine.
 
-    A set that just identifies the nominal machine need not identify every other machine.
+    A position set that barely identifies the nominal machine may fail to identify some of the simulated machines.
     """
     try:
         return procedure(machine)

@@ -1,5 +1,6 @@
-"""Choice of position sets. The study compares S1, S2, S3 and all their combinations by volumetric error after
-compensation and machine time."""
+"""Choice of position sets. The study evaluates the sets S1, S2, S3 and all their combinations. It compares the VCE and
+the machine time of each.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +33,9 @@ _NAME_OFFSET = (5, 5)
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """Combination of sets: its planned measurement, machine time, and the verdict of each identification variant."""
+    """Combination of position sets with its planned measurement, its machine time, and one verdict per identification
+    variant.
+    """
 
     name: str
     trial: ProcedureVariant
@@ -41,7 +44,7 @@ class Strategy:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate all combinations of the published sets at the stations of the case."""
+    """Evaluate all combinations of the published position sets at the stations of the case."""
     evaluator, variants = ProcedureEvaluator(case), identification_variants(case.options)
     sets = [case.positions(expression) for expression in EXPRESSIONS]
     trials = [ProcedureVariant.of(case, case.artefact, positions) for positions in sets]
@@ -65,8 +68,10 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def pareto_front(found: Sequence[Strategy], variant: int) -> tuple[str, ...]:
-    """Return the names of the combinations for which no other combination has both less machine time and a smaller or
-    equal VCE, the fastest first. The VCE is computed after the best-fitting rigid motion is removed."""
+    """Return the names of the combinations on the Pareto front of machine time and VCE, in ascending order of machine
+    time. A combination is on the front if its VCE is smaller than the VCE of every faster combination. The VCE is
+    computed after the best-fitting rigid motion is removed.
+    """
     known = [(one.minutes, aligned_um(one.verdicts[variant]), one.name) for one in found]
     best, names = float("inf"), []
     for _, value, name in sorted((minutes, value, name) for minutes, value, name in known if value is not None):

@@ -34,8 +34,8 @@ Progress = Callable[[str, int, int], None]
 class StudyCase:
     """Input of a study.
 
-    `options`: identification options; `machines`: number of machines to draw; `position_set`: value of `--set`, None
-    for the set of the settings.
+    `options` contains the identification options, and `machines` is the number of machines to draw. `position_set` is
+    the value of the option `--set`, or None for the position set of the settings.
     """
 
     job: Job
@@ -65,15 +65,17 @@ class StudyCase:
 
     @property
     def assumptions(self) -> TruthAssumptions:
-        """Truth assumptions of this case, that is, the true conditions of the measurement. The machines belong to the
-        family of the machine file and have the deflection that the file states."""
+        """Assumptions about the true conditions of the measurement. The simulated machines belong to the family in the
+        machine file and have the deflection in the machine file.
+        """
         return TruthAssumptions.of_case(self.machine)
 
     def positions(self, expression: str | None = None) -> tuple[Position, ...]:
-        """Return the positions of named sets such as `S1` or `S1+S3` at the stations of the case, or of a position
-        file.
+        """Return the measuring positions that `expression` describes.
 
-        The default is the set of the case. Raises TwinError for an unknown set, UserError for an invalid file.
+        An expression is either a combination of named sets, such as `S1` or `S1+S3`, or the path of a position file.
+        Named sets are measured at the stations of the case. If `expression` is None, the position set of the case is
+        used. Raises TwinError for an unknown set, and UserError for an invalid file.
         """
         expression = expression or self.position_set
         if expression is None:
@@ -92,15 +94,16 @@ class StudyCase:
         return tuple(self.job.settings.procedure.stations or self.procedure.stations)
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:
-        """Return the results of `task` for all items in their order, computed by the workers. `what`: label of the
-        progress."""
+        """Apply `task` to all items with the workers, and return the results in the order of the items. `what` is the
+        label of the progress display.
+        """
         total = len(items)
         self.progress(what, 0, total)
         return self.workers.map(task, items, lambda done: self.progress(what, done, total))
 
     @property
     def facts(self) -> dict[str, object]:
-        """Conditions of the study, for its summary."""
+        """Conditions of the study, which are added to its summary."""
         return {
             "machine": self.machine.name,
             "artefact": self.artefact.name,
@@ -119,9 +122,9 @@ class StudyCase:
 class StudyResult:
     """Result of a study.
 
-    `columns` (names with units) and `rows` form a table. `summary` has values that `agent.studies.study_files` can
-    write as JSON. `draw` draws the figure on an empty figure of `size_in` inches in the style of
-    `agent.figures.study_style`.
+    `columns` (the names with units) and `rows` form a table. `summary` contains values that `agent.studies.study_files`
+    can write as JSON. `draw` is a function that draws the result on an empty figure of `size_in` inches, in the style
+    of `agent.figures.study_style`.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Files of a study: NAME.png, NAME.svg, NAME.csv and NAME.json, written all or none."""
+"""Files of a study. They are NAME.png, NAME.svg, NAME.csv and NAME.json, and either all four are written or none."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ DIGITS = 8
 
 
 def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
-    """Write the four files, all or none, and return suffix → path. Raises InputError if they cannot be written."""
+    """Write the four files of a study to `folder`, either all or none. Return a mapping from file suffix to path.
+    Raises InputError if the files cannot be written.
+    """
     drawn = picture(result.name, result.draw, result.size_in)
     contents: dict[str, str | bytes] = {
         "png": drawn.png,
@@ -31,7 +33,7 @@ def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
 
 
 def document(result: StudyResult) -> dict[str, object]:
-    """Return name, title and summary of the study with JSON-compatible values."""
+    """Return the name, the title and the summary of the study as a dictionary of JSON-compatible values."""
     plain = {key: as_plain(value) for key, value in result.summary.items()}
     return {"study": result.name, "title": result.title, **plain}
 
@@ -49,7 +51,7 @@ def format_rows(result: StudyResult) -> str:
 
 
 def as_plain(value: object) -> object:
-    """Return numpy numbers, arrays and nested containers as plain Python values."""
+    """Convert numpy numbers, arrays and nested containers to plain Python values."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):

@@ -1,5 +1,6 @@
-"""Compensation along a line in Z. The study computes the deviation of one simulated machine, and the deviations
-predicted by the models identified on it."""
+"""Compensation along a line in Z. The study compares the deviation of one simulated machine with the deviations
+predicted by models that were identified on this machine.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +32,12 @@ LINE_STYLES = (":", "--", "-")
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryResult:
-    """Deviations (n, 3) in µm along the trajectory, after the rigid motion of the workspace is removed.
+    """Deviations at n points of a trajectory, as arrays (n, 3) in µm. The rigid motion of the workspace is removed from
+    them.
 
-    `machine_um` has the deviations of the machine. `models_um` maps a number of balls to the deviations predicted by
-    the identified model. `sigma_um` maps it to the expected rms of machine minus model. Numbers of balls that do not
+    `machine_um` contains the true deviations of the simulated machine. `models_um` and `sigma_um` are mappings from a
+    number of balls. `models_um` gives the deviations predicted by the model that was identified with that number of
+    balls. `sigma_um` gives the expected rms difference between the machine and that model. Numbers of balls that do not
     identify the machine are left out.
     """
 
@@ -44,19 +47,22 @@ class TrajectoryResult:
     sigma_um: dict[int, Array]
 
     def residual_um(self, count: int) -> float | None:
-        """Return the rms length in µm of machine minus model over the trajectory; None if `count` balls give no
-        model."""
+        """Return the rms length in µm of the difference between the machine and the model identified with `count`
+        balls. Return None if `count` balls do not identify the machine.
+        """
         return _rms(self.machine_um - self.models_um[count]) if count in self.models_um else None
 
     def expected_residual_um(self, count: int) -> float | None:
-        """Return the rms length in µm of machine minus model expected over all machines; None if `count` balls give no
-        model."""
+        """Return the expected rms difference in µm between a machine of the family and the model identified with
+        `count` balls. Return None if `count` balls do not identify the machine.
+        """
         return _rms(self.sigma_um[count]) if count in self.sigma_um else None
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compare simulated machine number 0 with three models of it. The models are identified with 3, 5 and 11 balls in
-    the position set of the case."""
+    """Compare simulated machine number 0 with three models of it. The models are identified with bars of 3, 5 and 11
+    balls, all measured in the position set of the case.
+    """
     variant, line = identification_variants(case.options)[0], middle_line(case.machine.model.ranges_mm)
     followed = compare_along(case, variant, line)
     where = f"X = {line[0, 0]:g} mm, Y = {line[0, 1]:g} mm"
@@ -80,7 +86,7 @@ def middle_line(ranges_mm: Ranges) -> Array:
 
 
 def compare_along(case: StudyCase, variant: IdentificationVariant, line: Array) -> TrajectoryResult:
-    """Return the deviations of machine and models at the axis positions `line` (n, 3)."""
+    """Return the deviations of the machine and of its models at the axis positions `line` (n, 3)."""
     evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
     basis, deflection = evaluator.field.columns_at(line, aligned=True)
     truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters

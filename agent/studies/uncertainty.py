@@ -1,9 +1,9 @@
-"""Sources of the residual error after compensation. The contribution of each source is computed in closed form, and
-simulated separately.
+"""Sources of the error that remains after compensation. The contribution of each source is computed in closed form, and
+is also simulated separately.
 
-Conditions are not ideal: the artefact is warm, its thermometer has an error, the machine drifts during each position,
-and the true machines have higher Legendre orders than the model and the deflection of the machine file. The estimator
-allows for the thermometer error, but not for the drift.
+The assumed conditions are not ideal. The artefact is warm, its thermometer has an error, and the machine drifts during
+each position. The simulated machines have the deflection of the machine file, and higher Legendre orders than the
+identified model. The estimator allows for the thermometer error, but not for the drift.
 """
 
 from __future__ import annotations
@@ -65,8 +65,9 @@ COLUMNS = (
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the contributions of all influences for the case's set, and simulate each influence alone and all
-    together on `case.machines` machines."""
+    """Compute the contributions of all influences for the position set of the case. Also simulate each influence alone,
+    and all influences together, on `case.machines` machines.
+    """
     trial = _Trial.of(case)
     assumptions = study_assumptions(case)
     budget = trial.budget(assumptions)
@@ -119,7 +120,7 @@ class _Trial:
 
 
 def study_assumptions(case: StudyCase) -> TruthAssumptions:
-    """Return the truth assumptions of this study, that is, the true conditions of the measurement."""
+    """Return the assumptions of this study about the true conditions of the measurement."""
     return TruthAssumptions(
         family=extended_family(case.machine),
         deflection=case.machine.deflection,
@@ -130,8 +131,9 @@ def study_assumptions(case: StudyCase) -> TruthAssumptions:
 
 
 def extended_family(machine: MachineDescription) -> Family:
-    """Return the family of machines of the machine file, extended to higher Legendre orders. The amplitudes of these
-    orders decrease as the machine file states."""
+    """Return the family of machines in the machine file, extended to higher Legendre orders. The amplitudes of the
+    higher orders decrease as the machine file specifies.
+    """
     model = machine.model
     orders = {error: order + ORDERS_BEYOND for error, order in model.orders.items()}
     richer = ErrorModel(model.chain, model.ranges_mm, orders, model.cross_effect)
@@ -139,9 +141,10 @@ def extended_family(machine: MachineDescription) -> Family:
 
 
 def isolated_influences(assumptions: TruthAssumptions, model: ErrorModel) -> Mapping[str, TruthAssumptions | None]:
-    """Return a mapping from each influence to truth assumptions in which all other influences are switched off.
+    """Return a mapping from the name of each influence to assumptions in which only this influence is present.
 
-    The value for the mount is None: its pose is free in every estimate, so it need not be simulated.
+    The value for the influence of the mount is None. The pose of the mount is free in every estimate, so this influence
+    need not be simulated.
     """
     family = assumptions.family
     own = np.isin(family.model.names, model.names)

@@ -1,5 +1,6 @@
-"""Figure of the study `uncertainty`: contributions, distribution and map of the residual error, and standard
-uncertainties of the 21 geometric errors."""
+"""Figure of the study `uncertainty`. It shows the contributions of the influences, the distribution and a map of the
+residual error, and the standard uncertainties of the 21 geometric errors.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +26,9 @@ ROTATING = "ABC"
 
 @dataclass(frozen=True, eq=False)
 class InfluenceResult:
-    """Contribution of one influence. `closed`: closed form; `simulated`: simulation with this influence alone, None if
-    not simulated."""
+    """Contribution of one influence to the residual error. `closed` is the contribution in closed form. `simulated` is
+    the result of a simulation with this influence alone, or None if the influence was not simulated.
+    """
 
     name: str
     closed: VolumetricRms
@@ -35,8 +37,9 @@ class InfluenceResult:
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyResult:
-    """Results of the study. `parts` has one result for each influence. `budget` is the error budget with all
-    influences, computed in closed form. `together` has the errors of machines simulated with all influences."""
+    """Results of the study. `parts` contains one result for each influence. `budget` is the closed-form error budget
+    with all influences. `together` contains the errors of the machines that were simulated with all influences.
+    """
 
     parts: tuple[InfluenceResult, ...]
     budget: ErrorBudget

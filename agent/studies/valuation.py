@@ -1,5 +1,6 @@
-"""Test of the valuation. For random position sets, the valuation computed in advance is compared with the simulated
-VCE."""
+"""Test of the valuation of position sets. For random sets, the valuation, which is computed before any measurement, is
+compared with the simulated VCE.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class SetTask:
-    """Task that simulates one of `procedures`, given by its index, on `machines` machines."""
+    """Task that simulates one of `procedures` on `machines` machines. The procedure is selected by its index."""
 
     procedures: Sequence[ProcedureTask]
     machines: int
@@ -55,8 +56,9 @@ class SetTask:
 
 @dataclass(frozen=True)
 class SimulatedSet:
-    """Results of one set: valuation in %, expected VCE, and rms of the simulated VCE with its standard error. All
-    errors are computed after the best-fitting rigid motion is removed."""
+    """Results of one position set. They are its valuation in %, its expected VCE, the rms of its simulated VCE, and the
+    standard error of this rms value. All errors are computed after the best-fitting rigid motion is removed.
+    """
 
     name: str
     positions: int
@@ -68,7 +70,7 @@ class SimulatedSet:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compare valuation and simulation for `RANDOM_SETS` random sets and the sets in `NAMED`."""
+    """Compare the valuation with the simulated VCE for `RANDOM_SETS` random sets and the named sets in `NAMED`."""
     machines = max(MIN_MACHINES, case.machines // MACHINES_SHARE)
     sets = [(name, tuple(case.positions(name))) for name in NAMED]
     sets += [(f"random {number + 1}", chosen) for number, chosen in enumerate(random_sets(case, RANDOM_SETS))]
@@ -93,7 +95,9 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def random_sets(case: StudyCase, count: int) -> list[tuple[Position, ...]]:
-    """Return `count` random sets of 2 to 24 reachable positions, each at a random choice of one or more stations."""
+    """Return `count` random sets of 2 to 24 reachable positions. The stations of each set are a random choice of one or
+    more stations.
+    """
     reached = _within_reach(case)
     found = []
     for number in range(count):

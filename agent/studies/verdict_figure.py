@@ -1,4 +1,5 @@
-"""Curves of verdicts, on an axis that is broken if a variant is far worse than no compensation.
+"""Curves of verdicts, drawn on one axis or on an axis in two parts. The axis has two parts if a variant is far worse
+than no compensation.
 
 The lower part is linear from zero and shows the results worth comparing. The upper part is logarithmic and shows the
 variants that make a machine much worse.
@@ -30,8 +31,9 @@ HEADROOM = 1.12
 
 @dataclass(frozen=True, eq=False)
 class BrokenAxes:
-    """Axes in one or two parts. The part `lower` is linear from zero to `limit_um`. The part `upper` is logarithmic and
-    shows larger values; it is None if there are no larger values."""
+    """Axes of a diagram in one or two parts. The part `lower` is linear from zero to `limit_um`. The part `upper` is
+    logarithmic and shows larger values. It is None if there are no larger values.
+    """
 
     lower: Axes
     upper: Axes | None
@@ -41,7 +43,9 @@ class BrokenAxes:
     def add(
         cls, figure: Figure, slot: SubplotSpec, rows: Sequence[Sequence[Verdict]], before: VolumetricRms
     ) -> BrokenAxes:
-        """Add the axes in a slot of the figure, scaled for the closed-form VCE of `rows` and for the VE `before`."""
+        """Add the axes to a cell of the figure's grid. Their scales fit the closed-form VCE of all verdicts in `rows`
+        and the VE without compensation, `before`.
+        """
         values = [value for row in rows for value in map(aligned_um, row) if value is not None]
         beyond = [value for value in values if value > FAR_BEYOND * before.aligned_um]
         near = [value for value in values if value <= FAR_BEYOND * before.aligned_um]
@@ -60,17 +64,18 @@ class BrokenAxes:
         return (self.lower,) if self.upper is None else (self.lower, self.upper)
 
     def axes_for(self, value_um: float) -> Axes:
-        """Return the part in which a value is drawn."""
+        """Return the part of the axes in which a value has to be drawn."""
         return self.lower if self.upper is None or value_um <= self.limit_um else self.upper
 
     @property
     def top(self) -> Axes:
-        """Part at the top, which has the title."""
+        """Uppermost part of the axes, which carries the title."""
         return self.lower if self.upper is None else self.upper
 
     def draw_curve(self, coordinates: Sequence[float], verdicts: Sequence[Verdict], series: int) -> None:
-        """Draw the closed form as a line, with gaps where the machine is not identified, and the simulation as open
-        squares."""
+        """Draw the closed-form VCE as a line and the simulated VCE as open squares. The line has a gap at each verdict
+        in which the machine is not identified.
+        """
         expected = [np.nan if value is None else value for value in map(aligned_um, verdicts)]
         for axes in self.parts:
             axes.plot(coordinates, expected, color=SERIES[series], marker=MARKERS[series])
@@ -85,7 +90,7 @@ class BrokenAxes:
         self.lower.set_ylabel("VCE, rigidly aligned / µm")
 
     def set_abscissa(self, low: float, high: float, ticks: Sequence[float] | None = None) -> None:
-        """Set the same abscissa for both parts."""
+        """Set the same abscissa limits and ticks for both parts."""
         for axes in self.parts:
             axes.set_xlim(low, high)
             if ticks is not None:
@@ -104,7 +109,9 @@ def draw_simulated(axes: Axes, coordinates: Sequence[float], verdicts: Sequence[
 
 
 def draw_legend(figure: Figure, titles: Sequence[str], before: VolumetricRms) -> None:
-    """Draw a legend below the panels: variants in the order of their series, the VE `before`, and the open squares."""
+    """Draw a legend below the diagrams. It explains the variants in the order of their series, the line of the VE
+    without compensation (`before`), and the open squares.
+    """
     entries = [
         Line2D([], [], color=SERIES[series], marker=MARKERS[series], label=title) for series, title in enumerate(titles)
     ]
@@ -115,7 +122,7 @@ def draw_legend(figure: Figure, titles: Sequence[str], before: VolumetricRms) ->
 
 
 def plain_numbers(axes: Axes) -> None:
-    """Label a logarithmic ordinate with 10, 30, 100 instead of powers."""
+    """Label a logarithmic ordinate with plain numbers such as 10, 30, 100 instead of powers of ten."""
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())

@@ -1,4 +1,4 @@
-"""Verdicts on procedures as cells of a table."""
+"""Cells of a table for the verdicts on measuring procedures."""
 
 from __future__ import annotations
 
@@ -27,23 +27,27 @@ MIN_MACHINES = 30
 
 
 def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, ...]:
-    """Return the cells of a row in the order of `COLUMNS`. `label`: name of the identification variant."""
+    """Return the cells of one table row in the order of `COLUMNS`. `label` is the name of the identification
+    variant.
+    """
     measured = 0 if trial.planned is None else trial.planned.size
     simulated, error = _both(verdict.simulated), _both(verdict.standard_error)
     return (label, measured, *_both(verdict.expected), simulated[0], error[0], simulated[1], error[1])
 
 
 def aligned_um(verdict: Verdict) -> float | None:
-    """Return the closed-form VCE in µm, after the best-fitting rigid motion is removed. It is None if the machine is
-    not identified."""
+    """Return the closed-form VCE in µm, computed after the best-fitting rigid motion is removed. Return None if the
+    machine is not identified.
+    """
     return None if verdict.expected is None else verdict.expected.aligned_um
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
-    """Return the largest absolute difference of VCE between simulation and closed form, in standard errors.
+    """Return the largest absolute difference between simulated and closed-form VCE over all verdicts, in standard
+    errors.
 
-    The VCE is computed after the best-fitting rigid motion is removed. Return None if no verdict has `MIN_MACHINES`
-    simulated machines.
+    The VCE is computed after the best-fitting rigid motion is removed. Return None if no verdict has at least
+    `MIN_MACHINES` simulated machines.
     """
     distances = [
         abs(verdict.simulated.aligned_mm - verdict.expected.aligned_mm) / verdict.standard_error.aligned_mm

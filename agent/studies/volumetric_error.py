@@ -1,6 +1,7 @@
 """Volumetric error of a family of machines, and a map of the deviation of a typical machine.
 
-The volumetric error is a quadratic form of the parameters, so no grid is evaluated for each machine.
+The square of the volumetric error is a quadratic form of the parameters. It is therefore not necessary to evaluate the
+grid for each machine.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ PERCENTS = (0.0, 1.0, 2.5, *np.arange(5.0, 100.0, 5.0).tolist(), 97.5, 99.0, 100
 
 @dataclass(frozen=True, eq=False)
 class FamilyErrors:
-    """Parameters (m, p) of machines drawn from a family and their volumetric errors (m,) in µm."""
+    """Parameters and volumetric errors of m machines drawn from a family. `parameters` (m, p) contains p parameters per
+    machine. `raw_um` and `aligned_um` contain one volumetric error per machine in µm, before and after the best-fitting
+    rigid motion is removed.
+    """
 
     parameters: Array
     raw_um: Array
@@ -36,13 +40,14 @@ class FamilyErrors:
 
     @property
     def typical(self) -> int:
-        """Index of the machine whose raw volumetric error is nearest to the median."""
+        """Index of the machine whose raw volumetric error is nearest to the median of all machines."""
         return int(np.abs(self.raw_um - np.median(self.raw_um)).argmin())
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the distribution of the volumetric error over `case.machines` machines, and a map of the deviation of the
-    machine nearest to the median."""
+    """Compute the distribution of the volumetric error over `case.machines` machines. Also compute a map of the
+    deviation for the machine whose error is nearest to the median.
+    """
     what, family = "volumetric error", case.assumptions.family
     case.progress(what, 0, 2)
     grid = evaluation_grid(family.model.ranges_mm)
@@ -64,16 +69,18 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.random.Generator) -> FamilyErrors:
-    """Draw machines of a family and return their volumetric errors. `form` is the quadratic form of the error; it
-    includes the deflection, which is the same for all machines."""
+    """Draw random machines of a family and return their parameters and volumetric errors. `form` is the quadratic form
+    of the error. It includes the deflection, which is the same for all machines.
+    """
     parameters = family.draw(rng, machines)
     raw_mm, aligned_mm = form.values(parameters)
     return FamilyErrors(parameters, 1e3 * raw_mm, 1e3 * aligned_mm)
 
 
 def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
-    """Return two maps of the length of the deviation at one height. The first map is raw. In the second, the
-    best-fitting rigid motion of the workspace is removed."""
+    """Return two maps of the length of the deviation in one horizontal plane. The first map shows the raw deviation.
+    The second shows the deviation after the best-fitting rigid motion of the workspace is removed.
+    """
     x_mm, y_mm, height_mm = map_nodes(field.model.ranges_mm)
     points = np.stack(np.meshgrid(x_mm, y_mm, [height_mm], indexing="ij"), axis=-1).reshape(-1, 3)
     maps = []

@@ -1,7 +1,7 @@
-"""Workers of a study: one task applied to many items, on the cores of this computer or on a cluster.
+"""Workers of a study. They apply one task to many items, on the cores of this computer or on a cluster.
 
 Every item is computed independently of the others, in one thread, with its own random generator. The results therefore
-do not depend on the number of workers or on the assignment of items to them.
+do not depend on the number of workers, or on the worker that computes an item.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ END_S = 5.0
 
 
 class Workers(Protocol):
-    """Workers that map a task over items.
+    """Interface of workers that apply a task to many items.
 
-    `map` returns the results in the order of the items. Task, items and results must be picklable: a task is a
-    module-level function, a `functools.partial` of one, or an instance of a dataclass with `__call__`. A failed item
-    ends the work with an error that names it.
+    The method `map` returns the results in the order of the items. The task, the items and the results must be
+    picklable. A picklable task is a module-level function, a `functools.partial` of such a function, or an instance of
+    a dataclass with `__call__`. If an item fails, the work ends with an error that names the item.
     """
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]: ...
 
 
 def generator(seed: int, *item: int) -> np.random.Generator:
-    """Return the random generator of one item of a study, independent of those of all other items."""
+    """Return the random generator of one item of a study. It is independent of the generators of all other items."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=item))
 
 
@@ -56,10 +56,10 @@ def local_cores() -> int:
 
 
 class LocalWorkers:
-    """Worker processes on this computer. They are started at first use and ended at the end of the `with` block. If
-    there is only one worker, it is the calling process.
+    """Worker processes on this computer. They are started at first use and stopped at the end of the `with` block. If
+    there is only one worker or only one item, no process is started, and the task runs in the calling process.
 
-    Raises VolcalError with the name of a failed item, and RunError if a process died.
+    Raises VolcalError with the name of the item if an item fails, and RunError if a process dies.
     """
 
     def __init__(self, processes: int | None = None) -> None:

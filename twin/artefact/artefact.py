@@ -1,8 +1,8 @@
-"""Ball artefact: calibrated ball centres, and the effect of temperature and gravity on them.
+"""Ball artefact with its calibrated ball centres, and the effect of temperature and gravity on the centres.
 
-Artefact frame: the origin is the middle of the bar on its axis, +X is along the bar, the holders (posts) of the balls
-point along -Y, and Z points upwards at elevation 0. Any other ball artefact (plate, tetrahedron, cross) differs only in
-its list of ball centres.
+The origin of the artefact frame is on the axis of the bar, at its middle. The X axis points along the bar. The holders
+(posts) of the balls point along -Y. The Z axis points upwards if the elevation is 0. Any other ball artefact (plate,
+tetrahedron, cross) differs only in its list of ball centres.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ STEEL_CTE_PER_K = 11.5e-6
 class Artefact:
     """Calibrated ball artefact with N balls.
 
-    `balls` (N, 3) mm: ball centres at the reference temperature, without gravity sag. `covariance` (3N, 3N) mm²:
-    covariance of the centres, ordered ball by ball as x, y, z. `sag_mm`: distance by which the ends hang below the
-    middle if the bar is horizontal. `members` (N,): if several artefacts are combined in one estimate, the number of
-    the artefact that each ball belongs to; empty for a single artefact.
+    - `balls` (N, 3) contains the ball centres in mm at the reference temperature, without gravity sag.
+    - `covariance` (3N, 3N) is the covariance of the centres in mm², ordered ball by ball as x, y, z.
+    - `sag_mm` is the distance by which the ends of a horizontal bar hang below its middle.
+    - `members` gives for each ball the number of its artefact if several artefacts are combined in one estimate. It is
+      empty for a single artefact.
     """
 
     name: str
@@ -64,11 +65,13 @@ class Artefact:
 
     @property
     def half_length_mm(self) -> float:
-        """Largest distance in mm, along the bar, of a ball from the middle of the bar."""
+        """Largest distance of a ball from the middle of the bar, measured along the bar in mm."""
         return float(np.abs(self.balls[:, 0]).max())
 
     def at(self, temperature_c: float, elevation_rad: float) -> Array:
-        """Return ball centres (N, 3) mm in the artefact frame, including thermal expansion and gravity sag."""
+        """Return the ball centres (N, 3) in mm in the artefact frame at a given temperature and elevation. Thermal
+        expansion and gravity sag are included.
+        """
         # thermal expansion p (1 + α ΔT); gravity acts across the bar with cos(elevation)
         stretched = self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c))
         if self.sag_mm:
@@ -92,7 +95,9 @@ def ball_bar(
     cte_standard_uncertainty_per_k: float = 0.0,
     sag_mm: float = 0.0,
 ) -> Artefact:
-    """Return a bar of equally spaced balls; the distance between the end balls does not depend on their number."""
+    """Return a bar of equally spaced balls. `length_mm` is the distance between the end balls along the bar, whatever
+    the number of balls.
+    """
     return Artefact(
         name=name,
         certificate=certificate,
@@ -108,11 +113,11 @@ def ball_bar(
 
 
 def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: float) -> Array:
-    """Return ball centres (balls, 3) mm, equally spaced along X.
+    """Return the ball centres of a bar as an array (balls, 3) in mm, equally spaced along X.
 
-    A holder without tilt places its ball one holder length from the bar axis, along -Y. Holders tilted by θ displace
-    successive balls from this location by the holder length times sin θ, in turn up (+Z), out (-Y), down (-Z) and in
-    (+Y).
+    If the holders are not tilted, each ball is one holder length from the bar axis, in the direction -Y. If the holders
+    are tilted by an angle θ, each ball is displaced from this location by the holder length times sin θ. The directions
+    of the displacements alternate from ball to ball: up (+Z), out (-Y), down (-Z) and in (+Y).
     """
     if balls < 2:
         raise DataError(f"a ball bar needs at least two balls, got {balls}")

@@ -1,11 +1,12 @@
-"""Combination of several artefacts of one kind, each with its own certificate, in one estimate.
+"""Combination of several artefacts of one kind in one estimate, each with its own certificate.
 
-A position contains balls of one artefact only and has its own pose, so the artefacts are independent. Their balls are
-listed one artefact after the other, each in its own frame, and their certificates are uncorrelated.
+Each position contains the balls of only one artefact and has its own pose, so the artefacts are independent. The
+combined list contains the balls of one artefact after the other, each in the frame of its artefact. The certificates
+are assumed to be uncorrelated.
 
-The artefacts are made of one material. The error of its expansion coefficient is assumed common to all, as for bars
-from one melt. If the errors differ, this assumption is still cautious for the scales of the machine, because a common
-strain changes the scales, whereas strains of opposite sign cancel.
+The artefacts are made of one material. The error of the expansion coefficient is assumed to be the same for all of
+them, as for bars from one melt. A common error changes the scales of the machine, whereas errors of opposite sign
+cancel. If the errors actually differ, the assumption therefore does not understate the uncertainty of the scales.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ KIND_FIELDS = (
 
 
 def combine_artefacts(artefacts: Sequence[Artefact]) -> Artefact:
-    """Combine the balls of all artefacts in the given order.
+    """Combine several artefacts into one that contains all their balls, in the given order of the artefacts.
 
-    Raises DataError if there are no artefacts or if their kinds differ.
+    Raises DataError if there are no artefacts or if the artefacts are not of the same kind.
     """
     if not artefacts:
         raise DataError("no artefact given")

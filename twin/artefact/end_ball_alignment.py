@@ -1,4 +1,6 @@
-"""Alignment of the predicted ball centres to the first two balls measured."""
+"""Alignment of predicted ball centres to the first two balls that were measured, which are the end balls of the
+artefact.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,12 @@ from twin.errors import DataError
 
 
 def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Array, found_last: Array) -> Array:
-    """Move `predicted` (N, 3) mm rigidly so that balls `first` and `last` agree with their measured centres.
+    """Return the `predicted` ball centres (N, 3) in mm, moved as a rigid body to fit the measured centres of two balls.
 
-    The midpoint of the two balls is matched, and the line through them is made parallel to the measured line by the
-    smallest rotation (Rodrigues). Two balls do not determine the rotation about that line, so the predicted rotation
-    about it is kept. Raises DataError if the two predicted or the two measured centres coincide.
+    The two balls are given by their indices `first` and `last`. The midpoint between them is moved to the midpoint of
+    the measured centres. The line through them is then made parallel to the measured line by the smallest possible
+    rotation (Rodrigues). Two balls do not determine a rotation about this line, so that rotation remains as predicted.
+    Raises DataError if the two predicted centres or the two measured centres coincide.
     """
     line, found_line = predicted[last] - predicted[first], found_last - found_first
     length, found_length = np.linalg.norm(line), np.linalg.norm(found_line)

@@ -1,9 +1,9 @@
 """Comparison of held-out positions with the prediction of an estimate.
 
-Held-out positions are measured but not used in the estimate. The comparison does not depend on the pose: at each
-position the calibrated artefact is fitted rigidly to the measured ball centres. The residual is a deviation of the
-machine (plus noise). Its covariance is the sum of the covariances of the estimate, the stated model misfit, the
-certificate and the touches.
+Held-out positions are measured but not used in the estimate. At each position, the calibrated artefact is fitted
+rigidly to the measured ball centres, so the comparison does not depend on the pose of the artefact. The residual of
+this fit is a deviation of the machine plus noise. The covariance of the residuals is the sum of the covariances of the
+estimate, the stated model misfit, the certificate and the touches.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class HeldOutResiduals:
-    """Residuals of held-out positions with n measured balls.
+    """Residuals of held-out positions with n measured balls in total.
 
-    `placed_mm` (n, 3): calibrated balls after the best rigid fit; `residuals_mm` (n, 3): measured minus placed.
-    `rms_mm`: root mean square residual of a ball, corrected for the degrees of freedom used by the poses.
+    `placed_mm` (n, 3) contains the calibrated ball centres after the best rigid fit. `residuals_mm` (n, 3) contains the
+    measured centres minus these fitted centres. `rms_mm` is the root mean square residual of a ball, corrected for the
+    degrees of freedom that the poses use.
     """
 
     placed_mm: Array
@@ -37,7 +38,9 @@ class HeldOutResiduals:
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """Result of the χ² test: the rms expected from the covariance (`predicted_mm`) and χ² per degree of freedom."""
+    """Result of the χ² test of held-out residuals. `predicted_mm` is the rms residual expected from the covariance.
+    `chi2_normalised` is χ² per degree of freedom.
+    """
 
     predicted_mm: float
     chi2_normalised: float
@@ -45,10 +48,10 @@ class HeldOutTest:
 
 
 def held_out_residuals(observations: Observations, tool_points: Array, artefact: Artefact) -> HeldOutResiduals:
-    """Fit the calibrated artefact to `tool_points` (n, 3) position by position and return the residuals.
+    """Fit the calibrated artefact rigidly to the measured points of each position, and return the residuals.
 
-    `tool_points` mm, workpiece frame: stylus centre according to the controller, one for each row of `observations`.
-    Raises DataError for a position with fewer than three balls.
+    `tool_points` (n, 3) contains one row for each row of `observations`. It is the position of the stylus centre in mm,
+    in the workpiece frame, according to the controller. Raises DataError if a position has fewer than three balls.
     """
     placed = np.zeros((observations.size, 3))
     freedom = 0
@@ -66,11 +69,11 @@ def held_out_residuals(observations: Observations, tool_points: Array, artefact:
 def held_out_test(
     observations: Observations, result: HeldOutResiduals, artefact: Artefact, field_covariance: Array
 ) -> HeldOutTest:
-    """Compare `result` with the residuals expected from the covariance.
+    """Compare the residuals in `result` with the residuals expected from their covariance.
 
-    `field_covariance` (3n, 3n) mm², ordered point by point as x, y, z: covariance of the residual deviation at the
-    observed points, as far as it comes from the estimate and the model misfit. The function adds the covariances of the
-    touch noise and of the certificate.
+    `field_covariance` (3n, 3n) is the covariance in mm² of the residual deviation at the n observed points, ordered
+    point by point as x, y, z. It must contain only the contributions of the estimate and of the model misfit. This
+    function adds the contributions of the touch noise and of the certificate.
     """
     n = observations.size
     total = field_covariance.copy()

@@ -1,6 +1,6 @@
 """Geometry of the mount.
 
-This is a module of its own, because the settings import it without loading numpy.
+It has a separate module, because the settings import it and must not load numpy.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from twin.errors import DataError
 
 @dataclass(frozen=True)
 class MountGeometry:
-    """Dimensions in mm of the mount and of the bar on it, for placing the bar and for collision checks.
+    """Dimensions in mm of the mount and of the bar on it. They are used to place the bar and to check for collisions.
 
-    `shaft_mm`: distance, in the direction of the holders, from the vertical azimuth axis to the bar axis, at the middle
-    of the bar. The pedestal is under the azimuth axis, from the table (`table_z_mm`, workpiece frame) to `head_mm`
-    above the mount location.
+    `shaft_mm` is the distance between the vertical azimuth axis and the middle of the bar axis, measured in the
+    direction of the holders. The pedestal stands below the mount on the azimuth axis. It extends from the surface of
+    the machine table, at the height `table_z_mm` in the workpiece frame, to `head_mm` above the mount location.
     """
 
     shaft_mm: float = 120.0

@@ -1,4 +1,4 @@
-"""Estimate of a mount's actual pose: a small rigid motion fitted to the balls measured so far."""
+"""Estimate of the actual pose of a mount. It is a small rigid motion fitted to the balls measured so far."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _OBSERVABLE = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class MountPoseEstimate:
-    """Pose estimate of a mount from the balls measured so far.
+    """Estimate of the pose of a mount from n balls measured so far.
 
-    `expected` (n, 3) mm: centres of these balls for the nominal mount location; `found` (n, 3) mm: measured centres. If
-    no ball has been measured, the mount is assumed to be at its nominal location.
+    `expected` (n, 3) contains the centres of these balls in mm for the nominal mount location. `found` (n, 3) contains
+    their measured centres in mm. If no ball has been measured, the mount is assumed to be at its nominal location.
     """
 
     expected: Array
@@ -30,17 +30,17 @@ class MountPoseEstimate:
         return cls(np.zeros((0, 3)), np.zeros((0, 3)))
 
     def with_found_balls(self, expected: Array, found: Array) -> MountPoseEstimate:
-        """Return the estimate from all earlier balls and from these, with equal weight for every ball.
+        """Return a new estimate that also uses the given balls. All balls, earlier and new, have equal weight.
 
-        `expected`, `found`: arrays (n, 3) in mm.
+        `expected` and `found` are arrays (n, 3) in mm with the expected and the measured centres of the new balls.
         """
         return MountPoseEstimate(np.concatenate((self.expected, expected)), np.concatenate((self.found, found)))
 
     def transform(self, points: Array) -> Array:
-        """Return nominal points (m, 3) mm, moved by the estimated small rigid motion of the mount.
+        """Return the nominal points (m, 3) in mm after the estimated small rigid motion of the mount.
 
-        The motion is fitted to the measured balls by least squares; if they do not determine it fully, the smallest
-        motion is used.
+        The motion is fitted to the measured balls by least squares. If the balls do not determine the motion fully, the
+        smallest of the best-fitting motions is used.
         """
         if len(self.expected) == 0:
             return points

@@ -1,4 +1,6 @@
-"""Measurements of a run, as the axis positions at which the stylus centre coincides with each ball centre."""
+"""Measurements of a run. A measurement gives the axis positions at which the stylus centre coincides with a ball
+centre.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +16,19 @@ from twin.errors import DataError
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Measured ball centres in n rows, with one ball centre per row.
+    """Measured ball centres, with one ball centre in each of n rows.
 
-    `position` (n,): number from 0 of the artefact's position (its pose); `ball` (n,): index into the artefact's list of
-    balls; `tool` (n,): index into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm: machine coordinates without
-    tool offset; `covariance` (n, 3, 3) mm²: covariance of each fitted centre; `temperature_c` (n,): temperature of the
-    artefact; `elevation_rad` (n,): elevation of the mount; `thermal_regressors` (n, w) K: temperature change of the
-    machine from the start of the run to the measurement of each row, one column per regressor (w = 0 if the machine is
-    assumed not to drift).
+    - `position` (n,) is the number of the artefact's position (and so of its pose), counted from 0.
+    - `ball` (n,) is an index into the artefact's list of balls.
+    - `tool` (n,) is an index into `tool_offsets` (T, 3), the offsets of T tools in mm.
+    - `axis_positions` (n, 3) contains machine coordinates in mm, without tool offset.
+    - `covariance` (n, 3, 3) is the covariance of each fitted centre in mm².
+    - `temperature_c` (n,) is the temperature of the artefact.
+    - `elevation_rad` (n,) is the elevation of the mount.
+    - `thermal_regressors` (n, w) contains w measures of the temperature change of the machine in K, from the start of
+      the run to the measurement of each row. If the machine is assumed not to drift, w is 0.
 
-    Raises DataError naming the row (from 0) if a value cannot be used.
+    Raises DataError if a value cannot be used. The error names the row, counted from 0.
     """
 
     position: np.ndarray[Any, np.dtype[np.int64]]
@@ -56,11 +61,13 @@ class Observations:
 
     @property
     def used_tool_offsets(self) -> Array:
-        """Offsets (U, 3) mm of the U tools with which at least one ball was measured."""
+        """Offsets in mm of the tools with which at least one ball was measured, with one row (3,) per tool."""
         return np.asarray(self.tool_offsets[np.unique(self.tool)])
 
     def select(self, mask: np.ndarray[Any, Any]) -> Observations:
-        """Return the rows selected by `mask`, a boolean array (n,) or an array of row indices."""
+        """Return the observations in the rows that `mask` selects. `mask` is a boolean array (n,) or an array of row
+        indices.
+        """
         rows = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "tool_offsets"}
         return Observations(**rows, tool_offsets=self.tool_offsets)
 

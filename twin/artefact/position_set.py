@@ -1,7 +1,7 @@
 """Position sets of the artefact, poses of the bar on its mount, and the check that balls are within the travel.
 
-Azimuth and elevation are the angles of the mount: azimuth about Z from +X, elevation from the XY plane. At (0, 0) the
-bar is parallel to X and its holders point along -Y, towards the approaching probe.
+The azimuth of the mount is an angle about Z, measured from +X. Its elevation is the angle above the XY plane. If both
+are 0, the bar is parallel to X, and its holders point along -Y towards the approaching probe.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ crossing face diagonals of each of the planes XY, ZX and YZ.
 
 @dataclass(frozen=True)
 class Position:
-    """Orientation of the artefact at one station (counted from 1), measured with the named tool.
+    """Orientation of the artefact at one station, and the name of the tool with which it is measured. Stations are
+    counted from 1.
 
     If the tool is None, the tool of the run is used.
     """
@@ -53,9 +54,9 @@ class Position:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Transform from the artefact frame to the workpiece frame.
+    """Rigid transform from the artefact frame to the workpiece frame.
 
-    A point b of the artefact frame is at p = `centre` + `rotation` · b in the workpiece frame, in mm.
+    The transform maps a point b of the artefact frame to `centre` + `rotation` · b in the workpiece frame, in mm.
     """
 
     centre: Array
@@ -67,9 +68,10 @@ class Pose:
 
 
 def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
-    """Parse an expression such as `S1` or `S1+S3` into positions at stations 1 to `stations`, station 1 first.
+    """Parse an expression such as `S1` or `S1+S3` and return its positions at the stations 1 to `stations`.
 
-    Raises TwinError for an unknown set name.
+    All positions at station 1 come first, then those at station 2, and so on. An orientation that occurs in several
+    sets is included only once per station. Raises TwinError if a set name is unknown.
     """
     if stations < 1:
         raise DataError(f"at least one station is needed, got {stations}")
@@ -81,8 +83,9 @@ def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
 def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, elevation_rad: float) -> Pose:
     """Return the pose of the bar on a mount at `location_mm`.
 
-    The bar points along (cos az cos el, sin az cos el, sin el), its holders along Rz(az)·(0, -1, 0). `location_mm`
-    (3,): point on the azimuth axis at the height of the bar's middle.
+    For the azimuth az and the elevation el, the bar points along (cos az cos el, sin az cos el, sin el). Its holders
+    point along (0, -1, 0) rotated by az about Z. `location_mm` (3,) is the point of the azimuth axis at the height of
+    the middle of the bar.
     """
     ca, sa = math.cos(azimuth_rad), math.sin(azimuth_rad)
     ce, se = math.cos(elevation_rad), math.sin(elevation_rad)
@@ -92,9 +95,9 @@ def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, 
 
 
 def station_locations(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:
-    """Return `count` station locations (count, 3) mm evenly spaced along X.
+    """Return an array (count, 3) in mm of station locations that are evenly spaced along X.
 
-    The outer ones are `half_span_mm` inside the ends of `x_range`.
+    The first and the last location are `half_span_mm` inside the ends of `x_range`.
     """
     low, high = x_range[0] + half_span_mm, x_range[1] - half_span_mm
     if count < 1 or high < low:
@@ -106,7 +109,8 @@ def station_locations(count: int, x_range: tuple[float, float], half_span_mm: fl
 
 
 def is_reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_mm: Array) -> NDArray[np.bool_]:
-    """Return (n,) bool: True for axis positions (n, 3) that are at least `margin_mm` (3,) inside the travel.
+    """Return a boolean array with one element for each of n axis positions (n, 3). An element is True if the axis
+    position is at least `margin_mm` (3,) inside the travel limits of every axis.
 
     The margin is needed for approach and retract.
     """

@@ -1,10 +1,10 @@
-"""Direction-dependent pretravel of a touch-trigger probe, as harmonics about the stylus axis.
+"""Direction-dependent pretravel of a touch-trigger probe, represented by harmonics about the stylus axis.
 
-The harmonics are fitted to one densely touched ball. A probe whose stylus rests on three seats triggers later in some
-directions than in others (lobing). The mean over all directions is equivalent to a smaller stylus radius, and the first
-harmonic to a displaced stylus centre. Touches of a ball cannot distinguish these two effects from the true radius and
-centre, and both are common to all balls. The map contains only the higher harmonics: it corrects every touch to the
-sphere fitted to all touches of the qualification.
+The harmonics are fitted to one ball with many touches. A probe whose stylus rests on three seats triggers later in some
+directions than in others (lobing). The mean pretravel over all directions is equivalent to a smaller stylus radius, and
+the first harmonic is equivalent to a displaced stylus centre. Touches of a ball cannot distinguish these two effects
+from an error of the radius and of the centre, and both effects are the same on all balls. The map therefore contains
+only the higher harmonics. It moves every touch onto the sphere that is fitted to all touches of the qualification.
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ HIGHEST_ORDER = 3
 
 @dataclass(frozen=True, eq=False)
 class PretravelMap:
-    """Pretravel as a function of the approach direction.
+    """Pretravel of a probe as a function of the approach direction.
 
-    `coefficients_mm` (18,): coefficients of centre (3), radius (1) and harmonics (14); `stylus_axis` (3,): unit vector
-    from the ram towards the tip. `noise_mm`: root mean square of the residuals of the fit, per degree of freedom; this
-    is the touch noise if the harmonics suffice. `largest_mm`: largest absolute value of the map at the fitted touches.
+    - `coefficients_mm` (18,) contains the coefficients of the centre (3), of the radius (1) and of the harmonics (14).
+    - `stylus_axis` (3,) is the unit vector from the ram towards the tip.
+    - `noise_mm` is the rms residual of the fit, corrected for the degrees of freedom. If the harmonics describe the
+      lobing completely, `noise_mm` is the touch noise.
+    - `largest_mm` is the largest absolute value of the map at the fitted touches.
     """
 
     stylus_axis: Array
@@ -37,21 +39,26 @@ class PretravelMap:
     largest_mm: float
 
     def offsets_mm(self, directions: Array) -> Array:
-        """Return the distances (k,) mm outside the sphere at which touches along directions (k, 3) trigger."""
+        """Return for each of k approach directions (k, 3) the distance in mm from the fitted sphere at which the probe
+        triggers. The distance is positive if the latched point is outside the sphere.
+        """
         return np.asarray(_terms(directions, self.stylus_axis) @ self.coefficients_mm)
 
     def correct(self, points: Array, directions: Array) -> Array:
-        """Return latched points (k, 3) mm, corrected to the points that a probe without lobing would latch."""
+        """Correct the latched points (k, 3) in mm of touches along `directions` (k, 3) for lobing. The result is the
+        points that a probe without lobing would latch.
+        """
         return np.asarray(points + self.offsets_mm(directions)[:, None] * directions)
 
 
 def fit_pretravel(directions: Array, residuals_mm: Array, stylus_axis: Array) -> PretravelMap:
-    """Fit a pretravel map to the residuals (k,) of touches along `directions` (k, 3).
+    """Fit a pretravel map to the residuals of k touches along `directions` (k, 3).
 
-    The residuals are those of a sphere that was fitted to these touches with free radius.
+    `residuals_mm` (k,) contains the residuals of a sphere that was fitted to the same touches with free centre and
+    radius.
 
-    The harmonics are made orthogonal to centre and radius over these touches, so that the fitted sphere does not
-    change. Raises DataError if there are too few touches or too few rings.
+    The harmonics are made orthogonal to centre and radius over these touches, so the map does not change the fitted
+    sphere. Raises DataError if there are too few touches or too few rings of touches.
     """
     terms = _terms(directions, stylus_axis)
     touches, unknowns = terms.shape
@@ -95,9 +102,10 @@ def _terms(directions: Array, stylus_axis: Array) -> Array:
 
 
 def direction_at(stylus_axis: Array, latitude_rad: float, angle_rad: float) -> Array:
-    """Return the approach direction (3,) of a touch at this latitude and angle about the stylus axis.
+    """Return the unit vector (3,) of the approach direction for a touch at a given latitude and angle about the stylus
+    axis.
 
-    The latitude is measured from the equator of the ball, positive towards the ram.
+    The latitude is measured from the equator of the ball and is positive towards the ram.
     """
     first, second = perpendiculars(stylus_axis)
     sideways = math.cos(angle_rad) * first + math.sin(angle_rad) * second

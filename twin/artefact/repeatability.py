@@ -1,4 +1,4 @@
-"""Repeatability of readings, with the confidence interval of their standard deviation."""
+"""Repeatability of readings: their standard deviation and its confidence interval."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from twin.errors import DataError
 
 @dataclass(frozen=True)
 class RepeatabilityEstimate:
-    """Sample standard deviation `sigma` of `count` readings, in the unit of the readings.
+    """Sample standard deviation `sigma` of `count` readings, in the unit of the readings, with its confidence interval.
 
-    The true standard deviation is between `lower` and `upper` with probability `confidence`, if the readings are normal
-    and independent.
+    If the readings are normally distributed and independent, the true standard deviation is between `lower` and `upper`
+    with the probability `confidence`.
     """
 
     sigma: float
@@ -26,15 +26,17 @@ class RepeatabilityEstimate:
     upper: float
 
     def exceeds(self, limit: float, confidence: float) -> bool:
-        """Return True if the true standard deviation exceeds `limit` with one-sided `confidence`."""
+        """Return True if the true standard deviation exceeds `limit` with the one-sided confidence level
+        `confidence`.
+        """
         return self.sigma * _factor(confidence, self.count - 1) > limit
 
 
 def estimate_repeatability(readings: Sequence[float], confidence: float = 0.95) -> RepeatabilityEstimate:
-    """Estimate the repeatability of at least two readings, with the two-sided interval s·√(ν / χ²).
+    """Estimate the repeatability of at least two readings, with a two-sided confidence interval.
 
-    s is the sample standard deviation, ν its number of degrees of freedom, and χ² stands for the quantiles of the
-    chi-square distribution. Raises DataError if there are fewer than two readings.
+    The limits of the interval are s·√(ν / χ²). Here s is the sample standard deviation, ν is its number of degrees of
+    freedom, and χ² is a quantile of the chi-square distribution. Raises DataError if there are fewer than two readings.
     """
     count = len(readings)
     if count < 2:

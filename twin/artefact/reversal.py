@@ -1,9 +1,10 @@
-"""Reversal value of a linear axis from touches of oblique points of a ball, with the axis preloaded from either side.
+"""Reversal value of a linear axis from touches of oblique points of a ball. Each point is touched after the tested axis
+has been preloaded from one side, and again after it has been preloaded from the other side.
 
-Another axis alone moves the tip against a point whose normal leans towards the tested axis. If the preload of the
-tested axis is changed from one side to the other, this axis is displaced by its lost motion. The tip then meets the
+During a touch, only another axis moves. It moves the tip against a point of the ball whose normal leans towards the
+tested axis. A change of the preload direction displaces the tested axis by its lost motion. The tip therefore meets the
 ball earlier or later by the lost motion times the tangent of the slope. Errors of the touch itself (pretravel, play of
-the moving axis) are equal in both cases and cancel.
+the moving axis) are the same for both preload directions and cancel.
 """
 
 from __future__ import annotations
@@ -27,10 +28,12 @@ At 45° the reading of the moving axis changes by the full lost motion (tangent 
 
 @dataclass(frozen=True)
 class ObliqueTouch:
-    """Point on the ball and its touch; axes are numbered 0, 1, 2 for X, Y, Z.
+    """Oblique point on the ball and the touch at this point. The axes X, Y, Z are numbered 0, 1, 2.
 
-    `axis`: tested axis, which is preloaded; `along`: axis that moves during the touch; `normal` (3,): unit vector from
-    the ball's centre to the point; `direction` (3,): unit vector of the touch.
+    - `axis` is the tested axis, which is preloaded before the touch.
+    - `along` is the axis that moves during the touch.
+    - `normal` (3,) is the unit vector from the centre of the ball to the point.
+    - `direction` (3,) is the unit vector of the motion during the touch.
     """
 
     axis: int
@@ -40,19 +43,21 @@ class ObliqueTouch:
 
     @property
     def ratio(self) -> float:
-        """Change of the latched position of `along` per mm of lost motion.
+        """Change of the latched position of the axis `along` per mm of lost motion of the axis `axis`.
 
-        The change is from a touch with `axis` preloaded downwards to a touch with it preloaded upwards.
+        The change is the latched position with `axis` preloaded upwards minus the latched position with it preloaded
+        downwards.
         """
         return float(self.normal[self.axis] / self.normal[self.along])
 
 
 @dataclass(frozen=True)
 class LostMotion:
-    """Lost motion in mm, positive if the axis lags behind its drive, with its standard uncertainty `sigma_mm`.
+    """Lost motion of an axis in mm with its standard uncertainty `sigma_mm`. It is positive if the axis lags behind its
+    drive.
 
-    `value_mm` is the deviation after moving downwards minus the deviation after moving upwards, which is the reversal
-    value of ISO 230-2 with the opposite sign.
+    `value_mm` is the deviation after downward motion minus the deviation after upward motion. It is the reversal value
+    of ISO 230-2 with the opposite sign.
     """
 
     value_mm: float
@@ -61,10 +66,11 @@ class LostMotion:
 
 
 def plan_oblique_touches(axis: int, stylus_axis: Array) -> tuple[ObliqueTouch, ObliqueTouch]:
-    """Return two mirrored points sensitive to `axis`, both on the side of the ball that a straight stylus reaches.
+    """Return two mirrored oblique points that are sensitive to the lost motion of `axis`. A straight stylus can reach
+    both.
 
-    `stylus_axis` (3,): unit vector along a machine axis, from the ram towards the tip. Raises DataError if it is not
-    along a machine axis.
+    `stylus_axis` (3,) is the unit vector from the ram towards the tip. Raises DataError if it is not parallel to a
+    machine axis.
     """
     ahead = int(np.argmax(np.abs(stylus_axis)))
     front = np.zeros(AXIS_COUNT)
@@ -84,12 +90,17 @@ def fit_lost_motion(
     latched_mm: Sequence[float],
     floor_mm: float,
 ) -> LostMotion:
-    """Fit the lost motion to all touches of an axis by least squares, with a separate level for each touched point.
+    """Fit the lost motion of an axis to all its touches by least squares. Each touched point has its own level as a
+    further unknown.
 
-    Each touch has one entry in every list. `ratios`: `ObliqueTouch.ratio`; `upwards`: True if the preloaded axis moved
-    upwards last; `points`: number of the touched point; `latched_mm`: position of the moving axis. The standard
-    uncertainty uses the larger of the observed repeatability and `floor_mm`, the known repeatability of the probe.
-    Raises DataError if every point was touched with one preload direction only.
+    - `ratios` contains `ObliqueTouch.ratio` of each touch.
+    - `upwards` is True for each touch before which the preloaded axis moved upwards last.
+    - `points` contains the number of the touched point for each touch.
+    - `latched_mm` contains the latched position of the moving axis for each touch.
+    - `floor_mm` is the known repeatability of the probe. The standard uncertainty is computed from `floor_mm` or from
+      the observed repeatability, whichever is larger.
+
+    Raises DataError if every point was touched with only one preload direction.
     """
     point = np.asarray(points)
     # reading_i = level(point) ± ½ ratio_i · lost motion; the levels are removed by centring per point

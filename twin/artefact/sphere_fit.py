@@ -1,9 +1,10 @@
-"""Ball centre from touched points by least squares with a known or a free radius, with its covariance.
+"""Least-squares fit of a ball centre to touched points, with a known or a free radius and with the covariance of the
+result.
 
-Gauss-Newton iteration on the geometric distances. It starts from the algebraic sphere, so two steps are enough. A ball
-has five to twenty-five points, and the fit runs once per ball, also in a preflight. Sums over so few points are faster
-in plain floats than in arrays (a quarter of the time was measured for 5 points). Only the 3×3 or 4×4 systems are solved
-by LAPACK.
+The fit is a Gauss-Newton iteration on the geometric distances. It starts from the algebraic sphere, so two steps are
+enough. The fit runs once per ball, also during a preflight. Each ball has only five to twenty-five points, and for so
+few points sums of plain floats are faster than sums of arrays (a quarter of the time for 5 points). LAPACK is used only
+for the 3×3 or 4×4 system of equations.
 """
 
 from __future__ import annotations
@@ -28,10 +29,11 @@ Points = list[list[float]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SphereFit:
-    """Fitted sphere: `centre` (3,) mm, `radius` mm, `residuals` (n,) mm, `form` mm.
+    """Sphere fitted to n points, with its centre (3,), radius, form error and residuals (n,), all in mm.
 
-    `covariance` mm²: (3, 3) of the centre, or (4, 4) with the radius last if the radius was free. A residual is the
-    distance of a point from the centre minus the radius; `form` is the peak-to-valley value of the residuals.
+    `covariance` is in mm². It is the covariance (3, 3) of the centre if the radius was known. If the radius was free,
+    it is the covariance (4, 4) of centre and radius, with the radius last. A residual is the distance of a point from
+    the centre minus the radius. `form` is the peak-to-valley value of the residuals.
     """
 
     centre: Array
@@ -47,11 +49,12 @@ class SphereFit:
 
 
 def fit_sphere(points: Array, sigma_mm: float, radius: float | None = None, near: Array | None = None) -> SphereFit:
-    """Fit a sphere to `points` (n, 3) mm, each with the standard uncertainty `sigma_mm` along the surface normal.
+    """Fit a sphere to `points` (n, 3) in mm. Each point has the standard uncertainty `sigma_mm` along the surface
+    normal.
 
-    `radius`: known radius in mm; if it is None, the radius is estimated. If the radius is known and the points are
-    coplanar, there are two mirror solutions; `near` (3,) mm, a guess of the centre, selects one of them. Raises
-    DataError for points that do not determine a sphere.
+    `radius` is the known radius in mm. If it is None, the radius is also estimated. If the radius is known and the
+    points lie in one plane, there are two mirrored solutions. The solution closer to `near` (3,), a guess of the centre
+    in mm, is then selected. Raises DataError if the points do not determine a sphere.
     """
     points = np.asarray(points, dtype=np.float64)
     _check(points, sigma_mm, radius)

@@ -1,4 +1,6 @@
-"""Thermal regressors of a run: time series in kelvin to which the thermal drift of a machine is proportional."""
+"""Thermal regressors of a run. They are time series in kelvin, and the thermal drift of the machine is modelled as
+proportional to them.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,12 @@ SMOOTHING_HALF_WINDOW_S = 150.0
 
 
 def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: float) -> Array:
-    """Return the thermal regressors (n, w) K at instants (n,) in s; both are zero at the first instant.
+    """Return two thermal regressors in K as an array (n, 2) for n instants in s. Both are zero at the first instant.
 
-    The first regressor is the change of the smoothed reading `machine_c` (n,) of the machine's thermometer or, if there
-    is none, `change_k` times the relative time t (0 to 1). The second is for parts with a thermal lag of their own. It
-    is proportional to t or, if there is no thermometer, to t².
+    Let t be the relative time of an instant, from 0 to 1. The first regressor is the change of the smoothed readings
+    `machine_c` (n,) of the machine's thermometer. If there is no thermometer, the first regressor is `change_k` · t.
+    The second regressor describes machine parts that warm up or cool down with a time lag. It is proportional to t, or
+    to t² if there is no thermometer.
     """
     first = int(np.argmin(instants_s))
     time = (instants_s - instants_s[first]) / max(float(np.ptp(instants_s)), 1.0)
@@ -29,8 +32,8 @@ def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: flo
 
 
 def smooth_readings(instants_s: Array, values: Array, half_window_s: float = SMOOTHING_HALF_WINDOW_S) -> Array:
-    """Return the readings (n,) smoothed by a local straight-line fit at each instant, which removes most of their
-    noise.
+    """Return the readings (n,) after smoothing, which removes most of their noise. A straight line is fitted around
+    each instant by weighted least squares.
     """
     away = (instants_s[None, :] - instants_s[:, None]) / half_window_s
     # Epanechnikov weights 1 - t²; the value at t = 0 of the weighted line through the neighbours

@@ -43,11 +43,12 @@ _NEGLIGIBLE = 1e-6
 
 
 def approach_directions(count: int, stylus_axis: Array) -> Array:
-    """Return the approach directions (count, 3) of the pattern with `count` touches, as unit vectors.
+    """Return the approach directions of the pattern with `count` touches as unit vectors, in an array (count, 3).
 
-    The touch at the pole is the first.
+    The first touch is at the pole.
 
-    `stylus_axis` (3,): unit vector from the ram towards the tip. Raises DataError if `count` is not 5, 9, 13 or 25.
+    `stylus_axis` (3,) is the unit vector from the ram towards the tip. Raises DataError if `count` is not 5, 9, 13 or
+    25.
     """
     if count not in RINGS:
         raise DataError(f"no pattern of {count} touches", hint=f"available patterns: {sorted(RINGS)}")
@@ -55,7 +56,10 @@ def approach_directions(count: int, stylus_axis: Array) -> Array:
 
 
 def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
-    """Return approach directions (1 + touches of all rings, 3), unit vectors: the pole, then ring by ring."""
+    """Return the approach directions of one touch at the pole and of all touches on `rings`, as unit vectors.
+
+    The array has one row (3,) per touch. The touch at the pole is first, followed by the rings in the given order.
+    """
     pole = stylus_axis / np.linalg.norm(stylus_axis)
     first, second = perpendiculars(pole)
     rows = [pole]
@@ -69,14 +73,17 @@ def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
 
 
 def centre_covariance(directions: Array, touch_sigma_mm: float) -> Array:
-    """Return the covariance (3, 3) mm² of a centre touched along `directions` (k, 3) if the radius is estimated too."""
+    """Return the covariance (3, 3) of a fitted ball centre in mm². The ball is touched k times along `directions` (k,
+    3), and the radius is estimated together with the centre.
+    """
     return fit_sphere(-directions, touch_sigma_mm).centre_covariance
 
 
 def known_radius_covariance(directions: Array, touch_sigma_mm: float, radius_sigma_mm: float) -> Array:
-    """Return the covariance (3, 3) mm² of the centre if the radius is known with the uncertainty `radius_sigma_mm`.
+    """Return the covariance (3, 3) of a fitted ball centre in mm² if the radius is not estimated.
 
-    An error of the radius shifts the centre.
+    The radius is known with the standard uncertainty `radius_sigma_mm`. An error of the radius shifts the centre and
+    therefore contributes to the covariance.
     """
     given = fit_sphere(-directions, touch_sigma_mm, 1.0, near=np.zeros(3)).centre_covariance
     moved = centre_shift_per_radius(directions)
@@ -84,20 +91,22 @@ def known_radius_covariance(directions: Array, touch_sigma_mm: float, radius_sig
 
 
 def centre_shift_per_radius(directions: Array) -> Array:
-    """Return the shift (3,) of the centre, in mm per mm by which the known radius is too large.
+    """Return the derivative (3,) of a fitted ball centre with respect to the assumed radius, in mm per mm.
 
-    It is the least-squares solution δc of u·δc = -δr over the outward normals u = -direction.
+    If a sphere is fitted with a fixed radius that is too large by ε, the fitted centre is shifted by this derivative
+    times ε. The ball is touched k times along the unit vectors `directions` (k, 3), which point towards the ball. The
+    shift δ is the least-squares solution of the k equations d·δ = ε, with one equation for each direction d.
     """
     return np.asarray(np.linalg.lstsq(directions, np.ones(len(directions)), rcond=None)[0])
 
 
 def redundancies(directions: Array) -> Array:
-    """Return for each touch the share (k,), from 0 to 1, of its own error that appears in its residual.
+    """Return the redundancy number of each of k touches. It is the share, from 0 to 1, of an error of the touch that
+    appears in the residual of the same touch.
 
-    The radius is free in this fit.
-
-    It is 1 - hᵢ, with hᵢ the diagonal of the hat matrix (Baarda's redundancy numbers). 0 means that no other touch
-    checks this one, as for the pole of the five-point pattern.
+    The redundancy number is that of Baarda for a sphere fit with free radius. It is 1 minus the touch's diagonal
+    element of the hat matrix. If it is 0, an error of the touch cannot be detected, because no other touch checks it.
+    An example is the touch at the pole in the five-touch pattern.
     """
     jacobian = np.column_stack([-directions, np.ones(len(directions))])
     basis = np.linalg.qr(jacobian)[0]
@@ -106,8 +115,8 @@ def redundancies(directions: Array) -> Array:
 
 
 def perpendiculars(pole: Array) -> tuple[Array, Array]:
-    """Return two unit vectors perpendicular to `pole`; if `pole` is along a machine axis, both vectors are along
-    machine axes.
+    """Return two unit vectors that are perpendicular to `pole` and to each other. If `pole` is parallel to a machine
+    axis, both vectors are also parallel to machine axes.
     """
     axis = np.eye(3)[np.argmin(np.abs(pole))]
     first = axis - pole * (axis @ pole)

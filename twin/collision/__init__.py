@@ -1,1 +1,1 @@
-"""Collision bodies, swept volumes and collision-free paths of the probe."""
+"""Collision bodies, volumes swept by moving bodies, and collision-free paths of the probe."""

@@ -1,6 +1,6 @@
 """Accessibility of balls for a straight probe.
 
-A ball is accessible if there is no collision during the approach, at the touch points and between them.
+A ball is accessible if no collision occurs on the approach, during the touches and between them.
 """
 
 from __future__ import annotations
@@ -44,9 +44,10 @@ def measuring_scene(
     elevation_rad: float,
     other_bodies: Sequence[Body] = (),
 ) -> tuple[Array, Scene]:
-    """Return nominal ball centres (N, 3) mm in the workpiece frame and the collision scene for one position.
+    """Return the nominal ball centres (N, 3) of one position, in mm in the workpiece frame, and the collision scene of
+    the position.
 
-    The scene contains all bodies, including `other_bodies` in the workspace.
+    The scene contains the probe, the artefact, the mount, and `other_bodies` in the workspace.
     """
     pose = mount_pose(location_mm, geometry, azimuth_rad, elevation_rad)
     around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, location_mm, pose), *other_bodies)
@@ -63,15 +64,19 @@ def accessible_balls(
     clearance_mm: float = 1.0,
     overtravel_mm: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Return (N,) bool: True for each ball that can be touched along all `directions` (k, 3).
+    """Return a boolean array with one element per ball. It is True if the ball can be touched along all `directions`
+    (k, 3) without a collision.
 
-    The first direction is that of the touch at the pole.
+    The first direction is that of the touch at the pole. `contact_mm` is the ball radius plus the tip radius. A touch
+    begins at the distance `approach_mm` outside contact and stops at the distance `overtravel_mm` beyond contact.
 
-    `contact_mm` is ball radius plus tip radius; a touch begins `approach_mm` outside contact and stops `overtravel_mm`
-    beyond it. The whole path is checked: along the stylus from a plane in front of the ball to the start of each touch,
-    from there to the stop, and within that plane from one touch to the next. Probe and ram extend straight back along
-    -Y from every tip position, so during the approach along Y only the tip sweeps new volume. A tip that is elongated
-    backwards (along -Y) represents this volume.
+    All moves at a ball are checked. The probe moves along the stylus axis from a plane in front of the ball to the
+    start of each touch, and from there to the end of the touch. Between two touches it moves in the plane in front of
+    the ball.
+
+    The probe and the ram extend straight back along -Y from the tip. During the approach along Y, they therefore follow
+    the tip through the same volume, and only the tip has to be checked. The volume that it sweeps is represented by a
+    tip that is elongated backwards (along -Y).
     """
     # Tip centres relative to the ball centre: start of each touch, and its projection into the plane before the ball.
     out = contact_mm + approach_mm

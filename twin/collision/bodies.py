@@ -1,7 +1,9 @@
-"""Collision bodies: the moving bodies are probe and ram, the stationary ones artefact, mount and table.
+"""Bodies for the collision check. The moving bodies are the probe and the ram. The stationary bodies are the artefact,
+the mount and the table.
 
-Moving bodies are given relative to the stylus tip centre; probe and ram point along +Y. The machine axes only
-translate, so these bodies never rotate. Stationary bodies are given in the workpiece frame.
+The coordinates of the moving bodies are relative to the centre of the stylus tip. The probe and the ram point along +Y.
+The machine has only linear axes, so these bodies never rotate. The coordinates of the stationary bodies are in the
+workpiece frame.
 """
 
 from __future__ import annotations
@@ -28,20 +30,22 @@ class Body:
 
 
 def ball_name(index: int) -> str:
-    """Return the name of a ball; balls are counted from 0, as in the artefact file."""
+    """Return the name of the collision body of a ball. The balls are counted from 0, as in the artefact file."""
     return f"ball {index}"
 
 
 def post_name(index: int) -> str:
-    """Return the name of the holder of a ball."""
+    """Return the name of the collision body of a ball's holder. The balls are counted from 0."""
     return f"post {index}"
 
 
 def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> tuple[Body, ...]:
-    """Return balls, posts and bar of the artefact at `pose`, in the workpiece frame.
+    """Return the balls, the holders (posts) and the bar of the artefact at `pose` as collision bodies in the workpiece
+    frame.
 
-    The bar is divided into pieces from post to post. Boxes around short pieces of an oblique bar are tighter, which
-    makes the box test more selective.
+    The bar is divided into pieces, each from one post to the next. The bounding boxes of the short pieces of an oblique
+    bar enclose less empty space than one box around the whole bar. The first test, which compares boxes, therefore
+    excludes more pairs of bodies.
     """
     centres = pose.apply(artefact.balls)
     feet_frame = artefact.balls.copy()
@@ -56,7 +60,7 @@ def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> 
 
 
 def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tuple[Body, ...]:
-    """Return shaft, pedestal and table for a mount at `location_mm` (3,)."""
+    """Return the shaft, the pedestal and the table as collision bodies, for a mount at `location_mm` (3,)."""
     location = point(location_mm)
     x, y, z = location
     return (

@@ -1,6 +1,7 @@
-"""Collisions of probe and ram with other bodies on a straight move.
+"""Collisions of the probe and the ram with other bodies during a straight move.
 
-Boxes are tested first; exact distances are computed only for bodies whose boxes come within the clearance.
+Bounding boxes are tested first. Exact distances are computed only for pairs of bodies whose boxes come closer than the
+clearance.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ _NOTHING: Mapping[tuple[str, str], float] = {}
 
 @dataclass(frozen=True)
 class Hit:
-    """First contact on a move: fraction of the move (0..1) and the names of the two bodies."""
+    """First contact during a move. `fraction` is the fraction of the move (0 to 1) at which the contact occurs.
+    `moving` and `obstacle` are the names of the two bodies.
+    """
 
     fraction: float
     moving: str
@@ -28,11 +31,12 @@ class Hit:
 
 
 class Scene:
-    """Moving bodies, given relative to the tip centre, among stationary bodies.
+    """Collision scene with moving bodies, given relative to the tip centre, among stationary bodies.
 
-    If a stationary body is moved, a new scene is needed.
+    A scene cannot be changed. If a stationary body moves, a new scene is needed.
 
-    The boxes around the moving bodies and the sorted extents of the boxes around the stationary ones are precomputed.
+    The constructor computes the boxes around the moving bodies and the sorted extents of the boxes around the
+    stationary bodies in advance.
     """
 
     def __init__(self, moving: Sequence[Body], obstacles: Sequence[Body]) -> None:
@@ -50,10 +54,12 @@ class Scene:
         clearance_mm: float = 0.0,
         ignored: Collection[tuple[str, str]] = (),
     ) -> Hit | None:
-        """Return the first contact (within `clearance_mm`) of a straight move of the tip centre from `start` to `end`.
+        """Return the first contact during a straight move of the tip centre from `start` to `end`. Return None if there
+        is none.
 
-        `ignored`: pairs of names (moving, obstacle) that are allowed to touch. Coordinates are in mm. The result is
-        exact, because the bodies only translate. Returns None if there is no contact.
+        Two bodies are in contact if their distance is at most `clearance_mm`. Coordinates are in mm. `ignored` contains
+        the pairs of names (moving, obstacle) of bodies that are allowed to touch. The result is exact, because the
+        bodies only translate.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         first: Hit | None = None
@@ -69,10 +75,11 @@ class Scene:
     def is_free(
         self, start: Point, end: Point, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float] = _NOTHING
     ) -> bool:
-        """Return True if all moving bodies keep `clearance_mm` from all obstacles on the move from `start` to `end`.
+        """Return True if all moving bodies keep their clearance from all obstacles on the straight move from `start` to
+        `end`.
 
-        `reduced_mm`: map from a pair of names (moving, obstacle) to its smaller clearance. Bodies that are closer than
-        the clearance at the start may move apart, as in `first_hit`.
+        The clearance of a pair of bodies is `clearance_mm`, or a smaller value if `reduced_mm` contains the pair of
+        names (moving, obstacle). Bodies that are closer than their clearance at the start are permitted to move apart.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         for i, j in self.near_pairs(start, end, clearance_mm):
@@ -83,14 +90,15 @@ class Scene:
         return True
 
     def translated(self, by: Point) -> Scene:
-        """Return the same scene with all stationary bodies translated by `by`."""
+        """Return a new scene in which all stationary bodies are translated by the vector `by` in mm."""
         return Scene(self.moving, [Body(body.name, body.shape.translated(by)) for body in self.obstacles])
 
     def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = (), at_most: float = math.inf) -> float:
-        """Return the smallest distance in mm between a moving body and an obstacle with the tip centre at `tip`.
+        """Return the smallest distance in mm between a moving body and an obstacle if the tip centre is at `tip`.
 
-        The distance is negative if they overlap. To save time, distances larger than `at_most` are not computed; if all
-        are larger, the result is `at_most`. `ignored`: pairs of names (moving, obstacle) that are left out.
+        The distance is negative if the two bodies overlap. `ignored` contains the pairs of names (moving, obstacle)
+        that are left out. To save time, distances larger than `at_most` are not computed. If all distances are larger,
+        the result is `at_most`.
         """
         smallest = at_most
         for i, j in self.near_pairs(tip, tip, at_most):
@@ -100,9 +108,10 @@ class Scene:
         return smallest
 
     def near_pairs(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
-        """Return the indices (moving, obstacle) of all pairs of bodies whose boxes come within the clearance.
+        """Return the indices (moving, obstacle) of all pairs of bodies whose bounding boxes come closer than the
+        clearance during a straight move.
 
-        The box of the moving body is swept along the move.
+        The box of each moving body is extended to enclose the body during the complete move.
         """
         (x0, y0, z0), (x1, y1, z1) = start, end
         x0, x1 = (x0 - clearance_mm, x1 + clearance_mm) if x0 < x1 else (x1 - clearance_mm, x0 + clearance_mm)

@@ -1,9 +1,10 @@
 """Fastest collision-free path of the tip between two points among stationary bodies.
 
-A path is a sequence of straight moves, each from rest to rest. Candidate paths are tested in order of duration. The
-first that keeps the clearance along all moves, according to the exact swept distance of every pair of bodies, is the
-fastest free candidate. The candidates need not include the shortest path among the obstacles. A free path is always
-found if the caller adds one to the candidates.
+A path is a sequence of straight moves, and the tip stops after each move. The caller provides a list of candidate
+paths. They are tested in ascending order of duration, with the exact swept distance between every pair of bodies. The
+first candidate that keeps the clearance on all its moves is therefore the fastest free candidate. It is not necessarily
+the shortest path among the obstacles, because this path need not be a candidate. The search succeeds if the caller
+includes a candidate that is known to be free.
 """
 
 from __future__ import annotations
@@ -34,28 +35,34 @@ RETRACT_SLANT = 0.2
 
 @dataclass(frozen=True)
 class AxisDynamics:
-    """Rapid speed and acceleration of the axes X, Y, Z; `command_s` is the additional time in s for each move."""
+    """Rapid speed and acceleration of the axes X, Y, Z, and the additional time `command_s` in s that each move
+    takes.
+    """
 
     rapid_mm_per_s: Point
     acceleration_mm_per_s2: Point
     command_s: float = 0.0
 
     def seconds(self, corners: Array) -> Array:
-        """Return the duration (n,) in s of n paths through `corners` (n, k, 3) mm, which include start and end."""
+        """Return the duration in s of each of n paths through the points `corners` (n, k, 3) in mm. The points include
+        start and end.
+        """
         return np.asarray(self.moving_seconds(corners) + self.command_s * (corners.shape[1] - 1))
 
     def moving_seconds(self, corners: Array) -> Array:
-        """Return the duration (n,) in s of the same paths without the additional time for each move."""
+        """Return the duration in s of each path through `corners` (n, k, 3), without the additional time `command_s`
+        for each move.
+        """
         moves = travel_times(corners[:, :-1], corners[:, 1:], self.rapid_mm_per_s, self.acceleration_mm_per_s2)
         return np.asarray(moves.sum(axis=1))
 
 
 @dataclass(frozen=True)
 class Clearances:
-    """Required clearances in mm.
+    """Required clearances between moving bodies and obstacles, in mm.
 
-    `reduced_mm`: map from a pair of names (moving, obstacle) to the clearance of this pair; `clearance_mm`: clearance
-    of all other pairs.
+    `reduced_mm` is a mapping from a pair of names (moving, obstacle) to the clearance of this pair. `clearance_mm` is
+    the clearance of all other pairs.
     """
 
     clearance_mm: float
@@ -64,7 +71,7 @@ class Clearances:
 
 @dataclass(frozen=True)
 class FreePath:
-    """Corners of a path between start and end, and its total duration in s."""
+    """Collision-free path: its corners between start and end, and its total duration in s."""
 
     corners: tuple[Point, ...]
     seconds: float
@@ -72,9 +79,10 @@ class FreePath:
 
 @dataclass(frozen=True, eq=False)
 class PathCandidates:
-    """Candidate paths: `corners` (n, k, 3) mm and `counts` (n,), the number of corners of each path, at least one.
+    """Candidate paths. `corners` (n, k, 3) contains up to k corners in mm for each of n paths. `counts` (n,) contains
+    the number of corners of each path, which is at least one.
 
-    A path with fewer than k corners repeats its last one.
+    If a path has fewer than k corners, its last corner is repeated.
     """
 
     corners: Array
@@ -82,7 +90,7 @@ class PathCandidates:
 
     @classmethod
     def of(cls, groups: Sequence[Array]) -> PathCandidates:
-        """Combine groups of candidates; each group is an array (n, k, 3) of n paths with k corners."""
+        """Combine several groups of candidates into one. Each group is an array (n, k, 3) of n paths with k corners."""
         total, most = sum(map(len, groups)), max(group.shape[1] for group in groups)
         corners, counts, begin = np.empty((total, most, 3)), np.empty(total, dtype=np.int_), 0
         for group in groups:
@@ -92,18 +100,20 @@ class PathCandidates:
         return cls(corners, counts)
 
     def select(self, mask: NDArray[np.bool_]) -> PathCandidates:
-        """Return the candidates selected by `mask` (n,) bool."""
+        """Return the candidates that the boolean array `mask` selects."""
         return PathCandidates(self.corners[mask], self.counts[mask])
 
     def inside(self, lower: Array, upper: Array) -> PathCandidates:
-        """Return the candidates with all corners between `lower` and `upper`, (3,) each, in mm."""
+        """Return the candidates whose corners are all between `lower` (3,) and `upper` (3,), in mm."""
         within = (self.corners >= lower) & (self.corners <= upper)
         return self.select(np.asarray(within.reshape(len(within), -1).all(axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
 class PrefilteredScene:
-    """Scene together with the spheres in it, for a fast first collision test."""
+    """Collision scene together with a list of the spheres in it. The spheres are used for a fast first collision
+    test.
+    """
 
     scene: Scene
     spheres: SceneSpheres
@@ -116,7 +126,9 @@ class PrefilteredScene:
 def direct_path(
     scene: Scene, dynamics: AxisDynamics, start: Point, end: Point, clearances: Clearances
 ) -> FreePath | None:
-    """Return the straight path if it is free, otherwise None; no other path is faster."""
+    """Return the straight path from `start` to `end` if it is free, otherwise None. No other path is faster than the
+    straight path.
+    """
     if not scene.is_free(start, end, clearances.clearance_mm, clearances.reduced_mm):
         return None
     return FreePath((), float(dynamics.seconds(np.array([[start, end]]))[0]))
@@ -132,7 +144,7 @@ def fastest_path(
 ) -> FreePath | None:
     """Return the fastest free candidate, or None if no candidate is free.
 
-    If several are equally fast, the first of them is returned.
+    If several free candidates are equally fast, the first of them is returned.
     """
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
@@ -173,12 +185,16 @@ def _stops(start: Point, corners: Array, end: Point) -> Array:
 def retract_candidates(
     start: Point, end: Point, back: Array, limit: float, lateral: Array | None = None
 ) -> list[Array]:
-    """Return candidates (n, k, 3) for `fastest_path`, for each distance of `RETRACTS_MM`.
+    """Return candidate paths for `fastest_path` as a list of arrays (n, k, 3) with n paths of k corners.
 
-    A candidate has one corner, or it retracts, crosses and advances. `back` (3,): unit vector along a machine axis in
-    which the probe retracts; `limit`: smallest coordinate along -`back` that the probe may reach. `lateral` (3,):
-    direction away from the touched surface at the start; the lateral displacement grows by `RETRACT_SLANT` per unit of
-    retract distance.
+    For each retract distance in `RETRACTS_MM` there are paths with two corners and with one corner. A path with two
+    corners retracts from the start, crosses over in a plane, and advances to the end. A path with one corner leads over
+    a point of this plane.
+
+    `back` (3,) is the unit vector along a machine axis in which the probe retracts. `limit` is the smallest permissible
+    coordinate in the direction -`back`. `lateral` (3,) is a vector in mm that points away from the surface touched at
+    the start. If it is given, the probe also moves sideways while it retracts. The lateral displacement grows by
+    `RETRACT_SLANT` per unit of retract distance.
     """
     first, last = np.array(start), np.array(end)
     # Coordinates against `back`; each retract gives a plane in which the probe crosses over.

@@ -1,9 +1,9 @@
-"""Capsules and boxes: their distances, and the first contact of one that moves in a straight line.
+"""Capsules and boxes: the distance between two bodies, and the first contact if one of them moves in a straight line.
 
-Points are (x, y, z) in mm. The distance between two convex bodies is a convex function of the translation of one of
-them, so a tangent to this function is never above the function. Repeated steps to the zero of the tangent therefore
-never go beyond the first contact and converge to it quadratically. For this reason `swept_contact` is exact and needs
-few evaluations.
+Points are (x, y, z) in mm. The distance between two convex bodies is a convex function of the translation of one body.
+A tangent to this function is therefore never above the function. A step to the zero of the tangent never goes beyond
+the first contact, and repeated steps converge to the contact quadratically. For this reason `swept_contact` is exact
+and needs few evaluations.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ORIGIN: Point = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Capsule:
-    """All points within `radius` of the segment a-b; a sphere if a = b."""
+    """Set of all points within `radius` of the line segment from `a` to `b`. It is a sphere if `a` equals `b`."""
 
     a: Point
     b: Point
@@ -60,7 +60,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Box:
-    """Axis-parallel box from `lower` to `upper`."""
+    """Box with faces perpendicular to the axes, from the corner `lower` to the corner `upper`."""
 
     lower: Point
     upper: Point
@@ -81,7 +81,7 @@ def sphere(centre: Point, radius: float) -> Capsule:
 
 
 def point(values: Iterable[float]) -> Point:
-    """Return three plain floats from an array, a list or a generator."""
+    """Convert an array, a list or a generator with three numbers to a tuple of three plain floats."""
     x, y, z = values.tolist() if isinstance(values, np.ndarray) else values
     return float(x), float(y), float(z)
 
@@ -91,8 +91,8 @@ def translate_point(p: Point, q: Point) -> Point:
 
 
 def separation(first: Shape, second: Shape) -> Separation:
-    """Return the distance of the surfaces in mm (negative inside) and the unit vector from the second body to the
-    first.
+    """Return the distance between the surfaces of two bodies in mm, and the unit vector from the second body to the
+    first. The distance is negative if the bodies overlap.
     """
     return _separation_at(first, _ORIGIN, second)
 
@@ -100,10 +100,11 @@ def separation(first: Shape, second: Shape) -> Separation:
 def swept_contact(
     moving: Shape, obstacle: Shape, displacement: Point, clearance_mm: float = 0.0, start: Point = _ORIGIN
 ) -> float | None:
-    """Return the fraction of `displacement` (0..1) at which the bodies come within `clearance_mm`, or None.
+    """Return the fraction (0 to 1) of `displacement` at which two bodies come within `clearance_mm`. Return None if
+    they do not.
 
-    `moving` is first translated by `start`. Bodies that are already within the clearance at this start are in contact
-    only if the motion brings them closer.
+    The body `moving` is first translated by `start`. If the bodies are already within the clearance there, this counts
+    as a contact only if the motion brings them closer.
     """
     if isinstance(moving, Capsule) and isinstance(obstacle, Capsule):
         return _swept_capsules(moving, obstacle, displacement, clearance_mm, start)

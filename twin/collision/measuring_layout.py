@@ -1,4 +1,4 @@
-"""Locations of an artefact on a machine, and the balls that are inside the travel and accessible to the probe."""
+"""Locations of an artefact on a machine, and the balls that are within the travel and accessible to the probe."""
 
 from __future__ import annotations
 
@@ -24,16 +24,19 @@ _AccessKey = tuple[float, float, float, float, int]
 
 @dataclass(frozen=True, eq=False)
 class MeasuringLayout:
-    """Locations of an artefact on a machine, for one tool.
+    """Locations of an artefact on a machine, and the dimensions that determine which balls one tool can measure there.
 
-    `locations_mm`: map from station number to mount location (3,) in the workpiece frame. `lower_mm`, `upper_mm` (3,):
-    travel limits minus the travel needed for touching. `contact_mm`: ball radius plus tip radius; `approach_mm`:
-    distance outside contact at which a touch begins; `overtravel_mm`: distance beyond contact at which it stops;
-    `directions` (k, 3): touch directions for every ball.
-
-    `artefact` defines the ball numbers of observations. If each station has its own artefact, `own_artefacts` contains
-    them and `artefact` is their combination in the order of the stations. `neighbours`: map from station number to the
-    bodies of the other mounts and their artefacts that are in the workspace while that station is measured.
+    - `locations_mm` maps a station number to the location (3,) of the mount in the workpiece frame.
+    - `lower_mm` and `upper_mm` (3,) are the travel limits, reduced by the travel needed for touching.
+    - `contact_mm` is the ball radius plus the tip radius.
+    - `approach_mm` is the distance outside contact at which a touch begins.
+    - `overtravel_mm` is the distance beyond contact at which a touch stops.
+    - `directions` (k, 3) contains the touch directions, which are the same for every ball.
+    - `artefact` defines the ball numbers in observations.
+    - `own_artefacts` maps a station number to an artefact if each station has its own artefact. `artefact` is then
+      their combination in the order of the stations.
+    - `neighbours` maps a station number to the bodies of all other mounts and of the artefacts on them. These bodies
+      are in the workspace while the station is measured.
     """
 
     artefact: Artefact
@@ -54,21 +57,25 @@ class MeasuringLayout:
     _accessible: dict[_AccessKey, Mask] = field(default_factory=dict, init=False, repr=False)
 
     def nominal(self, position: Position) -> Array:
-        """Return the axis positions (N, 3) mm of all balls at `position` if the mount is at its nominal location."""
+        """Return the axis positions (N, 3) in mm at which the stylus centre coincides with each of N balls at
+        `position`. The mount is assumed to be at its nominal location.
+        """
         azimuth, elevation = math.radians(position.azimuth_deg), math.radians(position.elevation_deg)
         pose = mount_pose(self.location(position.station), self.mount, azimuth, elevation)
         return pose.apply(self.artefact_at(position.station).balls) - self.tool_offset_mm
 
     def reachable(self, position: Position, predicted: Array) -> Mask:
-        """Return (N,) bool: True for each ball of `position` that is accessible and whose predicted location,
-        `predicted` (N, 3) in mm, is within the travel.
+        """Return a boolean array with one element per ball of `position`. It is True if the ball is accessible and its
+        axis position is within the travel.
+
+        `predicted` (N, 3) contains the predicted axis positions of the N balls in mm.
         """
         inside = is_reachable(predicted, self.lower_mm, self.upper_mm, np.zeros(3))
         return np.logical_and(inside, self.accessible(position))
 
     def accessible(self, position: Position) -> Mask:
-        """Return (N,) bool: True for each ball of `position` at which no body (artefact, mount, neighbours) obstructs
-        the probe.
+        """Return a boolean array with one element per ball of `position`. It is True if no body obstructs the probe at
+        this ball. The bodies are the artefact, the mount and the neighbours of the station.
         """
         location = self.location(position.station)
         other_bodies = self.neighbours.get(position.station, ())
@@ -95,15 +102,15 @@ class MeasuringLayout:
         return self._accessible[key]
 
     def artefact_at(self, station: int) -> Artefact:
-        """Return the artefact measured at the station."""
+        """Return the artefact that is measured at the given station."""
         return self.own_artefacts.get(station, self.artefact)
 
     def first_ball(self, station: int) -> int:
-        """Return the number that observations use for the first ball of the artefact at a station."""
+        """Return the ball number that the first ball of the station's artefact has in observations."""
         return sum(own.count for number, own in self.own_artefacts.items() if number < station)
 
     def location(self, station: int) -> Array:
-        """Return the location (3,) mm of a station; raises DataError if the station has no location."""
+        """Return the mount location (3,) of a station in mm. Raises DataError if the station has no location."""
         if station not in self.locations_mm:
             known = ", ".join(str(number) for number in sorted(self.locations_mm))
             raise DataError(f"station {station} has no location", hint=f"stations with a location: {known}")

@@ -1,7 +1,8 @@
-"""Motion laws: distance along a path as a function of time, in closed form.
+"""Motion laws, which give the distance along a path as a function of time in closed form.
 
-A law is a sequence of phases of constant acceleration. Instants can therefore be evaluated in any order, and the end of
-the motion is known when it begins. Units are mm (or degrees) and s.
+A law is a sequence of phases of constant acceleration. The distance can therefore be computed for any instant without a
+simulation in time steps, and the end of the motion is known when the motion begins. The units are mm (or degrees) and
+s.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ _NO_TIME_S = 1e-300
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of constant acceleration that begins at `start_s`, at `distance` and with `speed`."""
+    """Phase of constant acceleration. It begins at the instant `start_s`, at `distance` along the path and with
+    `speed`.
+    """
 
     start_s: float
     duration_s: float
@@ -42,10 +45,10 @@ class Phase:
         return self.speed + self.acceleration * t
 
     def time_at(self, distance: float) -> float:
-        """Return the first instant at `distance`, which must be within this phase.
+        """Return the first instant at which the motion reaches `distance`. The distance must be within this phase.
 
-        The root is computed as 2s / (v + √(v² + 2as)), which avoids cancellation. Here s is the distance from the start
-        of the phase, v the speed there and a the acceleration.
+        The instant is computed from 2s / (v + √(v² + 2as)), which avoids cancellation. Here s is the distance from the
+        start of the phase, v is the speed at the start, and a is the acceleration.
         """
         left = max(distance - self.distance, 0.0)
         root = math.sqrt(max(self.speed**2 + 2.0 * self.acceleration * left, 0.0))
@@ -55,7 +58,9 @@ class Phase:
 
 @dataclass(frozen=True)
 class MotionLaw:
-    """Distance along a path as a function of time; the motion is at rest before the first phase and after the last."""
+    """Distance along a path as a function of time. The motion is at rest before the first phase and after the last
+    phase.
+    """
 
     phases: tuple[Phase, ...]
 
@@ -79,19 +84,23 @@ class MotionLaw:
         return self._phase_at(instant_s).speed_at(instant_s)
 
     def time_at(self, distance: float) -> float:
-        """Return the first instant at which `distance` is reached, or the end if it is never reached."""
+        """Return the first instant at which the motion reaches `distance`. If the motion never reaches it, return the
+        instant at which the motion ends.
+        """
         for phase in self.phases:
             if distance <= phase.distance_at(phase.end_s):
                 return phase.time_at(distance)
         return self.end_s
 
     def truncated_at(self, instant_s: float) -> MotionLaw:
-        """Return the law in which the motion stops instantly at `instant_s`, as in a collision."""
+        """Return a law that equals this law until `instant_s`, at which the motion stops abruptly, as in a
+        collision.
+        """
         kept = self._until(instant_s)
         return MotionLaw(kept or (Phase(instant_s, 0.0, self.distance_at(instant_s), 0.0, 0.0),))
 
     def braked_from(self, instant_s: float, deceleration: float) -> MotionLaw:
-        """Return the law that is unchanged until `instant_s` and then decelerates to rest."""
+        """Return a law that equals this law until `instant_s` and then decelerates to rest."""
         speed = self.speed_at(instant_s)
         brake = Phase(instant_s, speed / deceleration, self.distance_at(instant_s), speed, -deceleration)
         return MotionLaw((*self._until(instant_s), brake))
@@ -117,9 +126,9 @@ class MotionLaw:
 
 
 def trapezoid(start_s: float, length: float, speed: float, acceleration: float) -> MotionLaw:
-    """Return the law of a motion from rest to rest over `length`, with trapezoidal speed.
+    """Return the law of a motion from rest to rest over the distance `length`, with a trapezoidal speed profile.
 
-    The speed profile is triangular if `speed` is not reached.
+    The speed profile is triangular if the distance is too short to reach `speed`.
     """
     top, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
     # distance of one ramp: v² / 2a
@@ -134,7 +143,7 @@ def trapezoid(start_s: float, length: float, speed: float, acceleration: float) 
 
 
 def travel_time_s(length: float, speed: float, acceleration: float) -> float:
-    """Return the duration in s of the motion that `trapezoid` describes."""
+    """Return the duration in s of a motion from rest to rest, as described by `trapezoid`."""
     _, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
     return ramp_s + cruise_s + ramp_s
 
@@ -142,11 +151,10 @@ def travel_time_s(length: float, speed: float, acceleration: float) -> float:
 def travel_times(
     starts: Array, ends: Array, speed_per_axis: Sequence[float], acceleration_per_axis: Sequence[float]
 ) -> Array:
-    """Return the durations (...) in s of straight moves from rest to rest, from `starts` (..., 3) to `ends` (..., 3) in
-    mm.
+    """Return the durations in s of straight moves from rest to rest, from `starts` (..., 3) to `ends` (..., 3) in mm.
 
-    Every axis keeps its own speed and acceleration limit. The durations equal those of `travel_time_s` on
-    `straight_path`.
+    The result has the shape of the inputs without the last dimension. Every axis stays within its own limits of speed
+    and acceleration. The durations equal those of `travel_time_s` for each `straight_path`.
     """
     lengths = np.abs(np.asarray(ends, dtype=np.float64) - starts)
     # L / a (in s²) and L / v (in s) of the limiting axis: with a = L / accelerating and v = L / cruising along the path
@@ -175,7 +183,7 @@ def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[
 
 @dataclass(frozen=True)
 class StraightPath:
-    """Straight line of axis positions; `direction` is a unit vector."""
+    """Straight line from one set of axis positions to another. `direction` is a unit vector."""
 
     start: Point
     direction: Point
@@ -190,7 +198,7 @@ class StraightPath:
         )
 
     def limit_along(self, per_axis: Sequence[float]) -> float:
-        """Return the largest speed (or acceleration) along the path at which no axis exceeds its own limit."""
+        """Return the largest speed (or acceleration) along the path for which no axis exceeds its own limit."""
         largest = math.inf
         for limit, part in zip(per_axis, self.direction, strict=True):
             if part != 0.0 and limit < largest * abs(part):
@@ -199,7 +207,7 @@ class StraightPath:
 
 
 def straight_path(start: Point, target: Point) -> StraightPath:
-    """Return the path from `start` to `target`; zero length and direction if they coincide."""
+    """Return the straight path from `start` to `target`. If the two coincide, the length and the direction are zero."""
     x, y, z = target[0] - start[0], target[1] - start[1], target[2] - start[2]
     length = math.sqrt(x * x + y * y + z * z)
     if length == 0.0:
@@ -208,9 +216,10 @@ def straight_path(start: Point, target: Point) -> StraightPath:
 
 
 def entry_distance(tip: Point, path: StraightPath, centre: Point, reach: float) -> float | None:
-    """Return the distance along `path` at which a tip that starts at `tip` comes within `reach` of `centre`.
+    """Return the distance along `path` at which a tip that starts at `tip` first comes within `reach` of the point
+    `centre`.
 
-    Returns None if it starts within `reach` or never comes within it.
+    Return None if the tip is already within `reach` at the start, or never comes within `reach`.
     """
     # |m + s d|² = reach²: s² + 2 (m·d) s + (m² - reach²) = 0; the first root, in the form without cancellation
     mx, my, mz = tip[0] - centre[0], tip[1] - centre[1], tip[2] - centre[2]

@@ -1,6 +1,6 @@
-"""Bodies in the workspace while one station is measured.
+"""Bodies that are in the workspace while one station is measured.
 
-These are the mounts of the other stations and the artefacts parked on them.
+They are the mounts of the other stations and the artefacts on these mounts.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ def neighbour_bodies(
     own_artefacts: Mapping[int, Artefact],
     parked_deg: tuple[float, float],
 ) -> dict[int, tuple[Body, ...]]:
-    """Map each station to the bodies of the mounts of all other stations and of the artefacts on them.
+    """Return a mapping from each station to the bodies at all other stations.
 
-    These mounts are parked at the azimuth and elevation `parked_deg`, in degrees.
+    The bodies are the mounts of the other stations and the artefacts on these mounts, turned to the azimuth and the
+    elevation `parked_deg` in degrees. The name of each body contains the number of its station.
 
-    The name of a body contains the number of its station. The mount of a station without an artefact of its own is
-    empty, because the artefact that is moved from station to station is then at the station being measured.
+    If a station has no artefact of its own, its mount is empty. One artefact is then moved from station to station, and
+    it is on the mount of the station that is being measured.
     """
     parked = {
         station: _named(station, _parked_bodies(geometry, location, own_artefacts.get(station), parked_deg))

@@ -1,6 +1,7 @@
 """Geometry of the probe.
 
-This is a module of its own, because the settings import it without loading numpy, which the collision bodies need.
+It has a separate module, because the settings import it and must not load numpy. The module of the collision bodies
+loads numpy.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ProbeGeometry:
-    """Lengths in mm along the tool, from the tip centre back to the ram face.
+    """Dimensions of the probe and the ram in mm. Lengths are measured along the tool axis from the tip centre back to
+    the ram face.
 
-    `reach_mm` is the total length (the tool offset along Y). Everything between stem and ram face is probe body; the
-    ram is square.
+    `reach_mm` is the total length, which equals the tool offset along Y. The probe body fills the whole length between
+    the stem and the ram face. The ram is square.
     """
 
     tip_radius_mm: float = 3.0
@@ -42,7 +44,7 @@ class ProbeGeometry:
             )
 
     def bodies(self) -> tuple[Body, ...]:
-        """Return tip, stem, probe body and ram relative to the tip centre."""
+        """Return the tip, the stem, the probe body and the ram as collision bodies, relative to the tip centre."""
         from twin.collision.bodies import TIP, Body  # noqa: PLC0415
         from twin.collision.geometry import Box, Capsule, sphere  # noqa: PLC0415
 

@@ -1,7 +1,7 @@
-"""Fast closed-form test that finds straight moves on which two spheres certainly come too close.
+"""Fast closed-form test for straight moves on which two spheres come too close to each other.
 
-On nearly every path that is not free the stylus tip comes too close to a ball, usually the same ball as on the path
-tested before. This test takes a microsecond and is done before the exact search.
+On nearly every path with a collision, the stylus tip comes too close to a ball. It is usually the same ball as on the
+path tested before. This test takes a microsecond and is done before the exact test of all bodies.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CLOSING_MM2 = 1e-6
 
 @dataclass(frozen=True)
 class SphereBody:
-    """Collision body that is a sphere."""
+    """Collision body with the shape of a sphere."""
 
     name: str
     centre: Point
@@ -32,7 +32,7 @@ class SphereBody:
 
 @dataclass(frozen=True)
 class SceneSpheres:
-    """Moving bodies and stationary bodies of a scene that are spheres."""
+    """Moving bodies and stationary bodies of a collision scene, reduced to those that are spheres."""
 
     moving: tuple[SphereBody, ...]
     stationary: tuple[SphereBody, ...]
@@ -45,8 +45,9 @@ class SceneSpheres:
 class SpherePrefilter:
     """Fast test for pairs of spheres that come closer than their clearance.
 
-    It finds a part of the collisions that `Scene.is_free` finds. The clearance of a pair is `clearance_mm`, or a
-    smaller value if `reduced_mm` contains the pair. The pair that collided last is tested first.
+    The test finds only some of the collisions that `Scene.is_free` finds, because it ignores all bodies that are not
+    spheres. The clearance of a pair is `clearance_mm`, or a smaller value if `reduced_mm` contains the pair. The pair
+    that collided last is tested first.
     """
 
     def __init__(self, spheres: SceneSpheres, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float]) -> None:
@@ -63,9 +64,9 @@ class SpherePrefilter:
         ]
 
     def certainly_hits(self, start: Point, end: Point) -> bool:
-        """Return True if two spheres certainly come too close on the move from `start` to `end`.
+        """Return True if two spheres certainly come too close to each other on the straight move from `start` to `end`.
 
-        If the result is False, the exact search may still find a collision.
+        If the result is False, the exact test may still find a collision.
         """
         x, y, z = start
         dx, dy, dz = end[0] - x, end[1] - y, end[2] - z

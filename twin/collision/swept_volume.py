@@ -1,10 +1,12 @@
-"""Swept volume of a rotating artefact, and the largest depth at which the probe may remain in front of it during the
+"""Swept volume of a rotating artefact, and the largest depth to which the probe may stay in the workspace during the
 rotation.
 
-Both axes of a mount rotate at the same time, either may be ahead of the other, and a mount may also stop halfway. The
-swept volume is therefore the union over every pair of azimuth and elevation between the old and the new angles. Bodies
-are covered by spheres, angles are sampled, and each sphere is enlarged by the largest motion of its points between two
-samples, so the computed volume is never too small.
+The two axes of a mount rotate at the same time. Either axis may be ahead of the other, and the mount may stop halfway.
+The swept volume is therefore the union over all pairs of an azimuth and an elevation between the old and the new
+angles.
+
+The bodies are covered by spheres, and the angles are sampled. Each sphere is enlarged by the largest motion of its
+points between two samples. The computed volume is therefore never too small.
 """
 
 from __future__ import annotations
@@ -30,9 +32,10 @@ MountAngles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class SphereCover:
-    """Spheres that enclose all rotating bodies.
+    """Spheres that together enclose all rotating bodies.
 
-    `centres` (n, 3) mm: along the axes of the artefact frame, relative to the mount location; `radii` (n,) mm.
+    `centres` (n, 3) contains the centres of the n spheres in mm. They are relative to the mount location, in the
+    directions of the axes of the artefact frame. `radii` (n,) contains the radii in mm.
     """
 
     centres: Array
@@ -40,15 +43,15 @@ class SphereCover:
 
     @property
     def reach_mm(self) -> float:
-        """Largest distance in mm of any rotating point from the mount location."""
+        """Largest distance in mm of any point of the rotating bodies from the mount location."""
         return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
 
 
 def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCover:
-    """Return spheres that enclose the rotating bodies, with centres relative to the mount location.
+    """Return spheres that enclose all rotating bodies. Their centres are relative to the mount location.
 
-    The bar is cut into slabs along its axis, and one sphere covers all of the balls, posts and bar in a slab. The shaft
-    is covered by spheres along its own axis.
+    The bar is cut into slabs across its axis. One sphere encloses all parts of the balls, the posts and the bar that
+    are in the same slab. Further spheres along the axis of the shaft enclose the shaft.
     """
     points, radii = _covered(artefact, mount)
     slab = np.floor(points[:, 0] / SLAB_MM).astype(int)
@@ -69,16 +72,20 @@ def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCove
 
 @dataclass(frozen=True, eq=False)
 class TurnSweep:
-    """Largest permissible y of the tip centre during a turn, on a grid of x and z relative to the mount location.
+    """Largest permissible Y coordinate of the tip centre while the mount turns, on a grid of X and Z relative to the
+    mount location.
 
-    `deepest` (k, k) mm: y of the tip centre; infinite if no body passes at this x and z. The probe approaches along +Y.
+    The probe approaches along +Y. `deepest` (k, k) contains the largest permissible Y coordinate in mm for each grid
+    point. It is infinite at a grid point if no body limits the Y coordinate there.
     """
 
     reach_mm: float
     deepest: Array
 
     def at(self, x: Array, z: Array) -> Array:
-        """Return the largest permissible y of the tip centre in mm at (x, z), arrays of the same shape."""
+        """Return the largest permissible Y coordinate of the tip centre in mm. The arrays `x` and `z` have the same
+        shape, which is also the shape of the result.
+        """
         middle = len(self.deepest) // 2
         column = np.rint(np.asarray(x) / CELL_MM).astype(int) + middle
         row = np.rint(np.asarray(z) / CELL_MM).astype(int) + middle
@@ -95,11 +102,12 @@ def turn_sweep(
     *,
     clearance_mm: float,
 ) -> TurnSweep:
-    """Compute the largest permissible y of the tip during a turn between two pairs of azimuth and elevation in degrees.
+    """Compute the largest permissible Y coordinate of the tip while the mount turns from `start_deg` to `end_deg`. Each
+    of the two is a pair of azimuth and elevation in degrees.
 
     The result is valid for any order and any speeds of the two rotations.
 
-    `stationary`: shapes that do not rotate, relative to the mount location.
+    `stationary` contains the shapes that do not rotate, relative to the mount location.
     """
     half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
     front = _front(*_turned(cover, start_deg, end_deg), half)

@@ -1,10 +1,12 @@
-"""Order of least cost in which to visit points.
+"""Search for the cheapest order in which to visit a number of points.
 
-For few points the order is exact; for more points it is improved by exchanges.
+For few points, the order found is the best possible. For more points, a first order is improved step by step by
+exchanges.
 
-The cost of a leg may depend on its direction and may be expensive to compute. Costs are therefore requested one by one
-from the caller's function, and an exchange is not evaluated if the lower bound of its new legs exceeds the cost of the
-old ones.
+The cost of a leg between two points may depend on its direction and may take long to compute. Costs are therefore
+requested one by one from a function of the caller. The caller also provides a lower bound of the cost that is quick to
+compute. If the lower bounds of the new legs already exceed the cost of the old legs, the exchange is rejected and the
+exact costs of its new legs are not computed.
 """
 
 from __future__ import annotations
@@ -26,11 +28,16 @@ def shortest_tour(
     cost: Callable[[Node, Node], float],
     lower_bound: Callable[[Node, Node], float],
 ) -> list[Node]:
-    """Return `nodes` in the order of least cost from `start` to `end`; if `end` is None, the tour may end anywhere.
+    """Return `nodes` in the order that minimises the total cost of a tour from `start` to `end`. If `end` is None, the
+    tour may end at any node.
 
-    `lower_bound(a, b)`: lower bound of `cost(a, b)` that is cheap to compute. Up to `MAX_EXACT_NODES` nodes the result
-    is optimal (Held and Karp 1962); for more nodes, no exchange of two legs and no move of up to three nodes improves
-    it. If several orders cost the same, the one that is earlier in `nodes` is returned.
+    `cost(a, b)` is the cost of the leg from a to b. `lower_bound(a, b)` is a lower bound of this cost that is quick to
+    compute.
+
+    If there are at most `MAX_EXACT_NODES` nodes, the result is a best order (method of Held and Karp, 1962). If there
+    are more, the result is a local optimum. The cost can then not be reduced by reversing one part of the tour (2-opt),
+    or by moving up to three successive nodes to another place (Or-opt). If several orders have the same cost, the order
+    of `nodes` decides, so the result is reproducible.
     """
     if len(nodes) <= MAX_EXACT_NODES:
         return _exact(nodes, start, end, cost)
