@@ -1,1 +1,1 @@
-"""Long trials of the whole agent on simulated machines; each ends with one line of JSON."""
+"""Long trials of the whole agent on simulated machines. Each trial prints its result as one line of JSON at the end."""

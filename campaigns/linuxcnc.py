@@ -1,9 +1,9 @@
-"""`make linuxcnc`: `volcal calibrate` on a real, running stock LinuxCNC, reached over the bridge and CAN.
+"""Trial `make linuxcnc`: `volcal calibrate` on a real, running stock LinuxCNC, reached over the bridge and CAN.
 
-Everything runs accelerated, in its own namespaces. The simulated plant reports the truth: the true volumetric error
-without table and with the table that is active at the end, and the difference between the correction that LinuxCNC
-applies and that table. The output ends with one line of JSON. The exit code is 0 only if the table was accepted and the
-true error decreased.
+Everything runs faster than real time, in its own Linux namespaces. The simulated machine behind LinuxCNC knows its true
+errors. The trial reports the true volumetric error without a table and with the table that is active at the end. It
+also reports the difference between that table and the correction that LinuxCNC applies. The output ends with one line
+of JSON. The exit code is 0 only if the table was accepted and the true error decreased.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ EXIT_NOT_RUN = 77
 class LinuxCncTrial:
     """One trial of `volcal calibrate` on a running LinuxCNC.
 
-    `changes` replace texts in the example's settings, `scenario_changes` in its scenario; `arguments` are passed to
-    `volcal calibrate`.
+    The items of `changes` replace texts in the settings of the shipped example, and the items of `scenario_changes`
+    replace texts in its scenario. `arguments` are passed on to `volcal calibrate`.
     """
 
     work: Path
@@ -60,7 +60,9 @@ class LinuxCncTrial:
 
 
 def run_calibration(trial: LinuxCncTrial) -> dict[str, Any]:
-    """Run the trial; return the outcome of `volcal calibrate` together with the plant's truth."""
+    """Run the trial, and return the outcome of `volcal calibrate` together with the true errors known to
+    the simulator.
+    """
     began_s = wall_seconds()
     trial.work.mkdir(parents=True, exist_ok=True)
     scenario = _write_changed_copy(SCENARIO, trial.work / "scenario.toml", trial.scenario_changes)
@@ -99,10 +101,10 @@ def run_calibration(trial: LinuxCncTrial) -> dict[str, Any]:
 
 
 def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) -> dict[str, Any]:
-    """Return the true volumetric errors in µm without table and with the active table.
+    """Return the true volumetric errors in µm without a table and with the active table.
 
-    The best-fitting rigid motion is removed from both. Also returns the largest difference between the correction that
-    LinuxCNC applies and the active table.
+    The best-fitting rigid motion is removed from both errors. The result also contains the largest difference between
+    the active table and the correction that LinuxCNC applies.
     """
     world = World(read_scenario(scenario))
     options = LinuxCncSettings.model_validate(
@@ -135,9 +137,11 @@ def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) 
 
 
 def largest_applied_difference_um(device: LinuxCnc, machine: LinuxCncProcess, image: TableImage | None) -> float:
-    """Return the largest difference in µm between the correction applied to the motors and the table.
+    """Return the largest difference in µm between the correction that LinuxCNC applies to the motors and the table
+    `image`.
 
-    The difference is measured at random points at the end of Y, where no artefact stands.
+    If `image` is None, the applied correction is compared with zero. The difference is measured at random points at the
+    lower end of the Y travel, where no artefact stands.
     """
     table = None if image is None else TableField(image)
     limits = device.limits()
@@ -193,7 +197,7 @@ machine has also had a collision, which added squareness errors (in µrad).
 
 
 def short_trial(work: Path, speed: float) -> LinuxCncTrial:
-    """Return a trial at one station with few positions."""
+    """Return a trial with few positions at one station."""
     positions = str(CONFIGURATION / "few-positions.csv")
     arguments = ("--stations", "1", "--position-set", positions)
     return LinuxCncTrial(work, speed, arguments, SHORT_CHANGES, SHORT_SCENARIO)

@@ -1,4 +1,4 @@
-"""One whole run, interrupted in every way at each of its steps.
+"""Trial in which one whole run is interrupted in every way at each of its steps.
 
-After every interruption the machine must be as it was before the run.
+After every interruption the machine must be in the state in which it was before the run.
 """

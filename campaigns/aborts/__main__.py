@@ -1,14 +1,19 @@
-"""One whole run, interrupted in every way at each of its steps. The output ends with one line of JSON.
+"""Trial in which one whole run is interrupted in every way at each of its steps. The output ends with one line of JSON.
 
     python -m campaigns.aborts [--every 1] [--workers 2]
 
-The run (probe check, qualification, measuring, identification, staging, activation, verification) starts with a former
-table active and is carried out once in each worker. At each step the process is forked once for every kind of
-interruption, and the forked copy runs to its end. The kinds are: abort by request, link lost permanently or once, fault
+The run consists of probe check, qualification, measuring, identification, staging, activation and verification. It
+starts with a former table active and is carried out once in each worker. At each step the process is forked once for
+every kind of interruption, and the forked copy runs to its end.
+
+The kinds of interruption are: an abort by request, a permanent loss of the link, a single failure of the link, a fault
 of the machine, a refused command, a guarded move that trips, a full disk, an operator who declines, and a software
-defect. They happen before the step, in the middle of its motion, or after its effect but before the effect is
-journaled. `--every K` selects each K-th step; steps near those that read, write or activate tables are always selected.
-The exit code is 0 only if the former table is active after every interruption.
+defect. An interruption happens before the step, in the middle of its motion, or after its effect but before the effect
+is journaled.
+
+`--every K` selects each K-th step. Steps near those that read, write or activate tables are always selected. The exit
+code is 0 only if the former table is active after every interruption. A run whose link is permanently lost passes also
+if it reports that the former table could not be activated again.
 """
 
 from __future__ import annotations
@@ -48,10 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summarise(left: Sequence[dict[str, Any]], keys: Sequence[str]) -> dict[str, Any]:
-    """Return the totals of all results, and the failures.
+    """Return the totals of the results `left` of all interrupted runs, and the failures.
 
-    A run that completes before its interruption is noticed also counts as failed if a step with an effect on the
-    machine was still to come.
+    A run that completed although it was interrupted also counts as failed if, at the interruption, a step with an
+    effect on the machine was still to come.
     """
     last_acting = max(place for place, key in enumerate(keys, start=1) if key.endswith("!"))
     failed = [one for one in left if one["failures"] or (one.get("completed") and one["ordinal"] <= last_acting)]

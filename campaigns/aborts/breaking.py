@@ -1,4 +1,4 @@
-"""Kinds of interruption of a step.
+"""Kinds of interruption of a step, and the objects that interrupt a run.
 
 A step is interrupted before it begins, in its middle, or after its effect but before the effect is journaled.
 """
@@ -28,7 +28,11 @@ IMMEDIATE = (s.AskOperator, s.StageTable, s.ActivateBank)
 
 @dataclass(frozen=True)
 class Interruption:
-    """Interruption of kind `how`. `when` is ``before`` the step, in its ``middle``, or ``after`` its effect."""
+    """Interruption of one step.
+
+    `how` is its kind, for example ``abort`` or ``disk full``. `when` is its instant: ``before`` the step, in the
+    ``middle`` of the step, or ``after`` the effect of the step.
+    """
 
     how: str
     when: str
@@ -39,7 +43,7 @@ class Interruption:
 
 
 def interruptions_of(step: s.Step) -> list[Interruption]:
-    """Return every interruption possible for this step."""
+    """Return all interruptions that are possible for `step`."""
     ways = [
         Interruption(how, "before") for how in ("abort", "link", "link once", "fault", "refused", "disk full", "defect")
     ]
@@ -55,7 +59,7 @@ def interruptions_of(step: s.Step) -> list[Interruption]:
 
 
 class BreakableLink:
-    """Device proxy whose calls all fail, except close, once its link is lost."""
+    """Proxy of a device. Once `lost` is True, every method of the device except `close` raises LinkLost."""
 
     def __init__(self, device: Any) -> None:
         self._device = device
@@ -77,10 +81,10 @@ def link_lost_error() -> LinkLost:
 
 @dataclass
 class Interrupter:
-    """Interrupts one run at its steps, in forked child processes.
+    """Object that interrupts one run at its steps, each time in a forked child process.
 
-    `results` holds the results of the child processes, in order. `selects(ordinal, step)` returns True if children
-    are to be forked at that step.
+    The function `selects(ordinal, step)` returns True if the step is to be interrupted. `results` contains the results
+    of the child processes in the order of the forks.
     """
 
     world: World
@@ -96,7 +100,10 @@ class Interrupter:
     key: str = ""
 
     def rig(self, whole: Rig) -> Rig:
-        """Return the same rig with its device behind a breakable link and all its actions going through `perform`."""
+        """Return a rig that is equal to `whole` except for two things.
+
+        Its device is behind a breakable link, and all its actions are carried out by `perform`.
+        """
         [(name, device)] = whole.devices.items()
         self.link = BreakableLink(device)
         roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), self.link)
@@ -105,7 +112,11 @@ class Interrupter:
         return InterruptibleRig(self, given)
 
     def perform(self, action: Action, step: s.Step) -> Any:
-        """If the step is selected, fork one child per interruption; then perform the step in the parent."""
+        """Perform `step` with `action` and return the result.
+
+        If the step is selected, the process first forks one child for each possible interruption of the step. In a
+        child the step is interrupted.
+        """
         if self.forks.is_child:
             return action(step)
         self.ordinal += 1
@@ -161,7 +172,7 @@ class Interrupter:
 
 
 class InterruptibleRig(Rig):
-    """Rig whose actions go through `Interrupter.perform`."""
+    """Rig whose actions are all carried out by `Interrupter.perform`."""
 
     def __init__(self, interrupter: Interrupter, given: dict[str, Any]) -> None:
         super().__init__(**given)

@@ -1,5 +1,6 @@
-"""The run to be interrupted: a small position set on the case study, with a former table active and all data in
-memory.
+"""Case of the run that is interrupted: a small position set on the case study, with a former table active.
+
+All data are kept in memory.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
 
 
 def build_case_world() -> World:
-    """Return the shipped machine with larger errors, and with the former table stored and active."""
+    """Return a world with the machine of the case study and larger errors; the former table is stored and active."""
     shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
     truth = shipped.settings.truth.model_copy(update={"scale": SCALE})
     world = World(replace(shipped, settings=shipped.settings.model_copy(update={"truth": truth})))
@@ -72,14 +73,16 @@ def build_case_world() -> World:
 
 @dataclass
 class InMemoryDatabase:
-    """One in-memory database for all SQLite connections of this process; a forked process has its own copy."""
+    """Single in-memory database for all SQLite connections of this process. A forked process has its own copy of the
+    data.
+    """
 
     connection: sqlite3.Connection
     connect: Callable[..., sqlite3.Connection]
 
     @classmethod
     def replace_files(cls) -> InMemoryDatabase:
-        """Make `sqlite3.connect` open the one database in memory, whatever file is requested."""
+        """Make `sqlite3.connect` always open the one database in memory, regardless of the requested file."""
         real, address = sqlite3.connect, "file:volcal-aborts?mode=memory&cache=shared"
 
         def connect(_: object, **options: Any) -> sqlite3.Connection:
@@ -90,7 +93,9 @@ class InMemoryDatabase:
         return cls(real(address, uri=True, isolation_level=None), real)
 
     def fill(self) -> None:
-        """Simulate a full disk: SQLite refuses every statement that needs another page."""
+        """Simulate a full disk: from now on SQLite refuses every statement for which the database would
+        have to grow.
+        """
         [pages] = self.connection.execute("PRAGMA page_count").fetchone()
         self.connection.execute(f"PRAGMA max_page_count = {pages}")
 
@@ -99,6 +104,6 @@ class InMemoryDatabase:
         return JournalReader(self.connection)
 
     def restore_files(self) -> None:
-        """Make `sqlite3.connect` open files again."""
+        """Make `sqlite3.connect` open the requested files again, and close the database in memory."""
         sqlite3.connect = self.connect  # type: ignore[assignment]
         self.connection.close()

@@ -1,4 +1,7 @@
-"""Forked copies of the process. The original waits until a copy has run to its end, and then continues unaffected."""
+"""Forked copies of the process.
+
+The original process waits until a copy has run to its end, and then continues unaffected.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ CHILD_TIMEOUT_S = 60.0
 
 
 class Forks:
-    """Child processes, one at a time; each returns one JSON object."""
+    """Child processes of this process, which run one at a time. Each child returns one JSON object to the parent."""
 
     def __init__(self) -> None:
         self._pipe: int | None = None
@@ -22,7 +25,11 @@ class Forks:
         return self._pipe is not None
 
     def fork(self) -> dict[str, Any] | None:
-        """Fork; return None in the child, and in the parent the child's result or the reason why the child has none."""
+        """Fork the process. Return None in the child.
+
+        In the parent, wait for the child to end and return the child's result. If the child has sent no result or has
+        not ended in time, the parent receives an object that gives this reason under ``failures``.
+        """
         reading, writing = os.pipe()
         child = os.fork()
         if child == 0:
@@ -37,7 +44,9 @@ class Forks:
             os.waitpid(child, 0)
 
     def send_and_exit(self, result: dict[str, Any]) -> None:
-        """Send the child's result and exit, without closing or flushing anything that the parent has opened."""
+        """Send the child's result to the parent and exit, without closing or flushing any file that the parent has
+        opened.
+        """
         assert self._pipe is not None
         os.write(self._pipe, json.dumps(result, default=str).encode())
         os._exit(0)

@@ -1,4 +1,4 @@
-"""Conditions that must hold after any interruption."""
+"""Conditions that must hold after every interruption of a run."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ WITHDRAWING = ("abort", "refused", "guard", "disk full", "no", "defect")
 def check_interruption(
     interrupter: Interrupter, ended: RunResult | None, defect: BaseException | None
 ) -> dict[str, Any]:
-    """Return an object with the violated conditions as `failures`.
+    """Check the conditions that must hold after the interruption, and return an object with three keys.
 
-    Its `completed` is True if the run completed before the interruption was noticed. If the run did not complete,
-    `active` is the active bank.
+    ``failures`` lists the violated conditions. ``completed`` is True if the run completed before the interruption was
+    noticed. ``active`` is the number of the active bank; the key is present only if the run did not complete.
     """
     interruption, world = interrupter.interruption, interrupter.world
     assert interruption is not None

@@ -1,4 +1,4 @@
-"""Uninterrupted run, and the same run interrupted at its steps."""
+"""Execution of the uninterrupted run, and of the same run with interruptions at its steps."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class StepSelection:
     """Selection of the steps that one worker interrupts.
 
     The workers together interrupt each step whose ordinal is a multiple of `every`, and all steps near those that read
-    or write tables. These steps are distributed over `shares` workers: worker number `share` takes those whose ordinal
-    modulo `shares` equals `share`. `keys` are the keys of all steps of an earlier, uninterrupted run; they show which
-    steps are still to come.
+    or write tables. The selected steps are distributed over `shares` workers: the worker with the number `share` takes
+    the steps whose ordinal modulo `shares` equals `share`. `keys` are the keys of all steps of an uninterrupted run, in
+    order; they show which steps near a given step read or write tables.
     """
 
     share: int
@@ -51,7 +51,10 @@ class StepSelection:
 
 
 def uninterrupted_keys() -> list[str]:
-    """Return the keys of all steps of the uninterrupted run; those with an effect on the machine end with ``!``."""
+    """Return the keys of all steps of the uninterrupted run in order.
+
+    The key of a step with an effect on the machine is marked with ``!`` at its end.
+    """
     keys: list[str] = []
 
     def noted(_: int, step: s.Step) -> bool:
@@ -64,7 +67,7 @@ def uninterrupted_keys() -> list[str]:
 
 
 def run_interrupted(selection: StepSelection) -> list[dict[str, Any]]:
-    """Return the results of all interrupted copies of one run."""
+    """Carry out one run and interrupt it at the selected steps; return the results of all interrupted copies."""
     with _case(selection.selects) as (interrupter, directory):
         gc.freeze()
         _complete(interrupter, directory)
@@ -124,9 +127,10 @@ ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
 
 
 def check_refused_and_restored() -> dict[str, Any]:
-    """Check the two regular outcomes that leave no new table active.
+    """Check the two regular ends of a run that leave the former table active, and return the failures.
 
-    Either a gate refuses the table, or the former table is restored.
+    In one of these runs a gate refuses the new table. In the other run the verification fails, and the former table is
+    restored.
     """
     failed = []
     for name, (sections, state) in ENDS.items():

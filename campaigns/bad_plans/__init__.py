@@ -1,1 +1,4 @@
-"""Plans that must be refused. Each is a mutation of a good plan, stored with the text that its refusal must contain."""
+"""Plans that the agent must refuse.
+
+Each plan is a mutation of a good plan and is stored with the text that the refusal must contain.
+"""

@@ -1,4 +1,4 @@
-"""Trial of every bad plan. The output ends with one line of JSON listing the plans not refused for the right reason.
+"""Trial of every bad plan. The last output line is JSON and lists the plans that were not refused for the right reason.
 
 python -m campaigns.bad_plans
 """

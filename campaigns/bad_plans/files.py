@@ -1,4 +1,4 @@
-"""Bad plans with well-formed but wrong settings, or with invalid machine, artefact or position files."""
+"""Bad plans whose files are wrong: well-formed but wrong settings, or invalid machine, artefact or position files."""
 
 from __future__ import annotations
 

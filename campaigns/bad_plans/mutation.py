@@ -1,4 +1,4 @@
-"""One bad plan: its mutation, how it is checked, and the text that its refusal must contain."""
+"""Definition of one bad plan: its mutation of a good plan, its check, and the text that its refusal must contain."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ GOOD_POSITION = "station,azimuth_deg,elevation_deg\n1,45,0\n"
 
 @dataclass
 class CaseFiles:
-    """Files of a good case that a mutation may change: settings, machine, artefact, and the text of the position
-    file.
+    """Contents of the files of a good case that a mutation may change.
+
+    These are the settings, the machine, the artefact, and the text of the position file.
     """
 
     settings: Document
@@ -38,8 +39,9 @@ Change = Callable[[CaseFiles], None]
 class BadPlan:
     """One bad plan and the refusal that it must cause.
 
-    `error` is the type of the refusal, `words` are texts that its message must contain, and `where` are locations that
-    it must name. `preflight` runs after the files have been accepted; by default it checks the unchanged procedure.
+    `change` modifies the files of a good case. `error` is the type of the refusal, `words` are texts that its message
+    must contain, and `where` gives the locations that the refusal must name, such as a step. `preflight` is called
+    after the files have been accepted; by default it checks the procedure without changes.
     """
 
     name: str
@@ -50,8 +52,9 @@ class BadPlan:
     preflight: Callable[[Job], object] = run_preflight
 
     def complaint(self, directory: Path) -> str:
-        """Return an empty string if the plan is refused for the right reason; otherwise a description of what
-        happened.
+        """Check the plan and return an empty string if it is refused for the right reason.
+
+        Otherwise the returned text describes what happened instead.
         """
         try:
             check_case(self.change, directory, self.preflight)
@@ -71,9 +74,10 @@ class BadPlan:
 
 
 def good_case(directory: Path) -> CaseFiles:
-    """Return a case with one measured and one held-out position at the first station of the case study.
+    """Return the files of a good case, which the agent accepts.
 
-    It has no probe check.
+    The case has one measured and one held-out position at the first station of the case study. It has no probe check,
+    no qualification and no reversal test.
     """
     settings = tomllib.loads(CASE_STUDY.read_text())
     machine = CASE_STUDY.parent / settings["machine"]
@@ -91,7 +95,7 @@ def good_case(directory: Path) -> CaseFiles:
 
 
 def check_case(change: Change, directory: Path, preflight: Callable[[Job], object]) -> None:
-    """Apply `change` to the good case, then check it like `volcal config check` and run the preflight.
+    """Apply `change` to a good case, check the case in the same way as `volcal config check`, and run `preflight`.
 
     Raises the error with which the check or the preflight refuses the case.
     """
@@ -106,11 +110,11 @@ def check_case(change: Change, directory: Path, preflight: Callable[[Job], objec
 
 
 def unchanged(_: CaseFiles) -> None:
-    """Leave the files unchanged; used for bad plans in which only the steps are wrong."""
+    """Leave the files unchanged. The function is used for bad plans in which only the steps are wrong."""
 
 
 def setting(path: str, value: object) -> Change:
-    """Return a change of one settings key, given by its path."""
+    """Return a change that sets the settings key at `path` to `value`."""
     return lambda files: set_key(files.settings, path, value)
 
 
@@ -123,7 +127,7 @@ def artefact(path: str, value: object) -> Change:
 
 
 def positions(*rows: str) -> Change:
-    """Return a change that sets the rows of the position file below its header."""
+    """Return a change that replaces all rows below the header of the position file."""
 
     def change(files: CaseFiles) -> None:
         files.positions = "\n".join(["station,azimuth_deg,elevation_deg", *rows]) + "\n"
@@ -132,7 +136,7 @@ def positions(*rows: str) -> Change:
 
 
 def set_key(document: Document, path: str, value: object) -> None:
-    """Set the key at a path such as ``stations.places_mm.0.1``, creating missing sections."""
+    """Set the key of `document` at a path such as ``stations.places_mm.0.1``. Missing sections are created."""
     *parents, last = path.split(".")
     place: Any = document
     for name in parents:

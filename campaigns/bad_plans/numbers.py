@@ -1,4 +1,6 @@
-"""Bad plans with NaN, infinity or an out-of-range number in one numeric key; every numeric settings key is covered."""
+"""Bad plans in which one numeric settings key is NaN, infinite or out of range. Every numeric settings key
+is covered.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ EVERYWHERE = {"nan": math.nan, "inf": math.inf}
 
 
 def number_plans() -> list[BadPlan]:
-    """Return the plans derived from the settings schema, so that no key is missed."""
+    """Return the bad plans for every numeric key of the settings schema."""
     schema = Settings.model_json_schema()
     return [bad for path, kind in _numbers(schema, schema, "") for bad in _wrong_at(path, kind)]
 

@@ -1,4 +1,7 @@
-"""Bad plans with good files and bad steps: the agent's procedure with one step replaced, omitted or inserted."""
+"""Bad plans with good files and bad steps.
+
+In each plan one step of the agent's procedure is replaced or omitted, or another step is inserted before it.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,11 @@ def rewrite_plan(plan: s.Plan[Both], rewrite: Rewrite) -> s.Plan[Both]:
 def replace_first(
     matches: Callable[[s.Step], bool], instead: Callable[[s.Step], Iterable[s.Step]]
 ) -> Callable[[Job], object]:
-    """Return a preflight of the whole procedure in which the first step that matches is replaced by `instead`."""
+    """Return a function that runs the preflight of a job with one step replaced.
+
+    The first step for which `matches` returns True is replaced by the steps that `instead` returns. The returned
+    function raises LookupError if no step matches.
+    """
 
     def preflight(job: Job) -> object:
         done: list[str] = []

@@ -1,1 +1,1 @@
-"""Simulated fortnight of the real service, with a timer, a machine that ages, and all kinds of incidents."""
+"""Simulated fortnight of the real service, with a timer, a machine that ages, and many kinds of incidents."""

@@ -1,4 +1,4 @@
-"""Simulated fortnight with all kinds of incidents, and the run history that it produces.
+"""Simulated fortnight with many kinds of incidents. It produces a run history.
 
     python -m campaigns.fortnight [--figure trend.png] [--csv fortnight.csv]
 
@@ -70,7 +70,10 @@ def cpu_seconds() -> float:
 
 
 def write_csv(played: FortnightResult, path: Path) -> None:
-    """Write one CSV row per evening: the history row of its last run, and the true errors known to the simulator."""
+    """Write a CSV file with one row for each evening.
+
+    A row contains the history row of the last run of that evening, and the true errors known to the simulator.
+    """
     names = ("kind", "state", "night", "accepted", "machine_minutes", "ve_now_um", "acting_um", "table_crc32")
     rows = iter(played.rows)
     with path.open("w", newline="", encoding="utf-8") as file:

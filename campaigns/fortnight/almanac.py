@@ -1,6 +1,7 @@
-"""Simulated calendar for a fortnight that is played in minutes.
+"""Simulated calendar for a fortnight that is simulated within minutes.
 
-A file gives the date and time, and machine time advances from there."""
+A file gives the date and time of the calendar, which then advances with machine time.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +18,19 @@ UP_MINUTES = 600.0
 
 
 def set_calendar(path: Path, instant: datetime) -> None:
-    """Write `instant` to `path` as the present date and time for all processes that read this file."""
+    """Write `instant` to the file `path`. All processes that read this file then use it as the present date
+    and time.
+    """
     new = path.with_suffix(".new")
     new.write_text(instant.isoformat(), encoding="utf-8")
     new.replace(path)
 
 
 class SimulatedCalendar:
-    """Civil time of one process: the instant in the file plus the machine time that has passed in this process
-    since.
+    """Civil time of one process.
+
+    Civil time is the instant in the calendar file plus the machine time that has passed in this process since the file
+    last changed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -34,20 +39,21 @@ class SimulatedCalendar:
         self._machine_s = self._turned_s = 0.0
 
     def seconds(self) -> float:
-        """Return the time in s since 1970, UTC."""
+        """Return the present civil time in s since the beginning of 1970 (UTC)."""
         said = self._path.read_text(encoding="utf-8")
         if said != self._said:
             self._said, self._turned_s = said, self._machine_s
         return datetime.fromisoformat(said).timestamp() + self._machine_s - self._turned_s
 
     def circumstances(self) -> Circumstances:
-        """Return local time and uptime, assuming that the plant uses UTC and the controller PC is never switched
-        off.
+        """Return the local time and the uptime of the controller PC.
+
+        The plant uses UTC, and the controller PC is assumed never to be switched off.
         """
         return Circumstances(datetime.fromtimestamp(self.seconds(), UTC), UP_MINUTES)
 
     def install(self) -> None:
-        """Use this calendar for all timestamps of this process, and advance it with machine time."""
+        """Use this calendar for all timestamps of this process, and advance the calendar with machine time."""
         vars(drivers.clock)["time"] = _CivilTime(self)
         sleep = LockstepClock.sleep
 

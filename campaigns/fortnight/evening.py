@@ -1,4 +1,4 @@
-"""Record of an evening: expected runs, claims, and the true errors known only to the simulator."""
+"""Record of one evening: the expected runs, the claims, and the true errors that only the simulator knows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class ExpectedRun:
-    """Expected history row of a run. Its decision must be one of `decision`, and its reason must contain `reason`."""
+    """Expected history row of a run.
+
+    The decision of the run must be one of those in `decision`, and the reason of the run must contain the text
+    `reason`.
+    """
 
     kind: str
     state: str
@@ -22,10 +26,11 @@ class ExpectedRun:
 class Evening:
     """Record of one evening.
 
-    The true volumetric errors are in µm, after the best-fitting rigid motion is removed. `true_before` is the error
-    with the table of the previous day, `true_after` the error with the table active at the end, and `reach` the error
-    after a full calibration of that night's machine (0 if not computed). `exit_codes` are the exit codes of the
-    commands called by the timer, in order.
+    `true_before`, `true_after` and `reach` are true volumetric errors in µm that remain after the best-fitting rigid
+    motion is removed. `true_before` is the error with the table of the previous day. `true_after` is the error with the
+    table that is active at the end. `reach` is the error after a full calibration of the machine as it is in that
+    night; it is 0 if it was not computed. `exit_codes` are the exit codes of the commands that the timer called, in
+    order.
     """
 
     night: int
@@ -43,7 +48,7 @@ class Evening:
 
     @property
     def ratio(self) -> float:
-        """`true_after` divided by `reach`; infinite if `reach` was not computed."""
+        """Ratio of `true_after` to `reach`; infinite if `reach` was not computed."""
         return self.true_after / self.reach if self.reach else math.inf
 
     @property

@@ -1,4 +1,4 @@
-"""The real service as a separate process, with its settings and its clients."""
+"""Real service as a separate process, with its settings and its clients."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ held_out_tolerance_um = 3.5
 
 
 def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = POLL_S) -> Found:
-    """Poll `condition` and return its first true result.
+    """Call `condition` repeatedly until its result is true, and return that result.
 
-    Raises TimeoutError, naming `what`, if the condition does not become true in time.
+    Raises TimeoutError with the text `what` if the result does not become true in time.
     """
     ends_s = time.monotonic() + TIMEOUT_S
     while not (found := condition()):
@@ -59,9 +59,9 @@ def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = 
 
 
 class ServiceHost:
-    """One state directory with its settings and, most of the time, a running service.
+    """State directory with its settings and, most of the time, a running service.
 
-    As a context manager it ends all processes on exit.
+    If the host is used as a context manager, all its processes end when the context ends.
     """
 
     def __init__(self, directory: Path, ready: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> None:
@@ -91,7 +91,10 @@ class ServiceHost:
         set_calendar(self.calendar, instant)
 
     def copy(self, directory: Path, ready: Mapping[str, Any]) -> ServiceHost:
-        """Return another host in `directory`, with a copy of this one's state and settings for the plant `ready`."""
+        """Return a new host in `directory` with a copy of this host's state.
+
+        The settings of the new host are the same except for the addresses in `ready`, which are those of another plant.
+        """
         shutil.copytree(
             self.state, directory / "state", ignore=shutil.ignore_patterns(address_file.ADDRESS_FILE, "*.lock")
         )
@@ -146,7 +149,7 @@ class ServiceHost:
         return self._http.post(path, json=body, headers=self._token if token else {})
 
     def at_rest(self, run_id: str) -> Document:
-        """Wait for the end of the run and return the service's status."""
+        """Wait until the run `run_id` has ended, and return the status of the service."""
 
         def ended() -> Document | None:
             now = self.status()
@@ -155,9 +158,9 @@ class ServiceHost:
         return wait_for(ended, f"the end of run {run_id}", STATUS_POLL_S)
 
     def command(self, *arguments: str, timer: bool = False) -> subprocess.Popen[str]:
-        """Start `volcal` with these arguments and this host's settings.
+        """Start the command `volcal` with `arguments` and with the settings of this host, and return its process.
 
-        If `timer` is True, it is started in the same way as by systemd's timer.
+        If `timer` is True, the command runs with the environment that systemd's timer gives it.
         """
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         if timer:
@@ -166,11 +169,11 @@ class ServiceHost:
         return self._start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
 
     def output(self, *arguments: str) -> str:
-        """Return the output of a `volcal` command, whatever its exit code."""
+        """Run a `volcal` command to its end and return its standard output, whatever its exit code is."""
         return self.command(*arguments).communicate(timeout=TIMEOUT_S)[0]
 
     def timer(self, kind: str, station: int, *options: str) -> subprocess.Popen[str]:
-        """Start the command that the systemd timer unit runs."""
+        """Start the command that systemd's timer would start, and return its process."""
         return self.command("start", "--kind", kind, "--wait", "--stations", str(station), *options, timer=True)
 
     def _start(self, command: list[str], **how: Any) -> subprocess.Popen[str]:
@@ -180,8 +183,9 @@ class ServiceHost:
 
 
 def settings_text(ready: Mapping[str, Any], changes: Mapping[str, str]) -> str:
-    """Return the shipped settings of the case study with the plant's ports and with the sections that a service
-    needs.
+    """Return the shipped settings of the case study, changed for this service.
+
+    The addresses are those of the plant, and the sections that a service needs are added.
     """
     text = CASE_STUDY.read_text(encoding="utf-8")
     exchanged = {

@@ -1,4 +1,4 @@
-"""Evenings of the fortnight: requests to the service, incidents, and the expected result."""
+"""Evenings of the fortnight: the requests to the service, the incidents, and the results expected from them."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ GOOD_NIGHT = ExpectedRun("nightly", "complete", "timer", FUSED_DECISIONS)
 
 
 class Incidents:
-    """Incidents on one host and one plant. `by_name` maps the name of each incident to its method.
+    """Incidents on one host and one plant.
 
-    If `compared` is True, an interrupted night is compared with the same night run without interruption.
+    `by_name` maps the name of each incident to the method that carries it out. If `compared` is True, a night with a
+    power failure is compared with the same night run without interruption.
     """
 
     def __init__(self, host: ServiceHost, plant: FortnightPlant, *, compared: bool) -> None:
@@ -60,7 +61,7 @@ class Incidents:
     # ------------------------------------------------------------------ regular evenings
 
     def by_hand(self, evening: Evening) -> None:
-        """Calibrate from the service's web page in the afternoon, with a person at the machine."""
+        """Run a calibration that a person at the machine starts from the web page of the service in the afternoon."""
         self._set_time(evening, 18)
         answer = self._host.post("/api/start", {"kind": "calibrate", "consent": True})
         status = self._host.at_rest(answer.json()["run_id"])
@@ -68,7 +69,7 @@ class Incidents:
         evening.expected.append(ExpectedRun("calibrate", "complete", "page", accepted=True))
 
     def timer(self, evening: Evening) -> None:
-        """Run the command that systemd's timer starts every night."""
+        """Run the nightly command as systemd's timer does every night."""
         self._set_time(evening, 23)
         code, _ = self._ask(evening, *SLOT)
         evening.claims["the timer's command ends well"] = code == 0
@@ -95,9 +96,11 @@ class Incidents:
     # ------------------------------------------------------------------ interrupted runs
 
     def power_failure(self, evening: Evening) -> None:
-        """Simulate a power failure while measuring; the axes stop where they are.
+        """Simulate a power failure while balls are measured: the service process is killed, and the axes stop where
+        they are.
 
-        For comparison, the same night is run without interruption on an identical machine with the same history.
+        Afterwards the service is started again and the interrupted night is resumed. If `compared` was set for the
+        incidents, the same night is also run without interruption on an identical machine with the same history.
         """
         self._set_time(evening, 23)
         through = self._uninterrupted_estimate(evening) if self._compared else []
@@ -125,7 +128,10 @@ class Incidents:
         evening.expected.append(GOOD_NIGHT)
 
     def link_loss(self, evening: Evening) -> None:
-        """Lose the link after the activation; the previous table cannot be reactivated until the link is restored."""
+        """Cut the link to the machine after the new table has been activated.
+
+        The agent cannot activate the previous table again until the link is restored.
+        """
         before = self._plant.active_bank, self._plant.active_crc32
         waiting = self._wait_for_new_table(evening)
         self._plant.cut_link()
@@ -139,7 +145,7 @@ class Incidents:
         evening.expected.append(ExpectedRun("nightly", "faulted", "timer", CHECKED_DECISIONS, "Modbus"))
 
     def abort(self, evening: Evening) -> None:
-        """Abort the run after the activation from the web page, without a token."""
+        """Abort the run from the web page, without a token, after the new table has been activated."""
         before = self._plant.active_bank, self._plant.active_crc32
         waiting = self._wait_for_new_table(evening)
         answer = self._host.post("/api/abort", {"reason": "a person walks in"}, token=False)
@@ -169,7 +175,7 @@ class Incidents:
             self._expect_state(evening, "refused", 420)
 
     def full(self, evening: Evening) -> None:
-        """Run a full calibration, with a person to move the artefact."""
+        """Run a night in which a full calibration is allowed, because a person is present and moves the artefact."""
         self._set_time(evening, 23)
         code, _ = self._ask(evening, "--slot", "3h", "--full-allowed")
         evening.claims["the timer's command ends well"] = code == 0
@@ -245,7 +251,10 @@ class Incidents:
 
 
 def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, float]]:
-    """Return name, value and standard uncertainty of every parameter in the only estimate of the run."""
+    """Return the name, the value and the standard uncertainty of every parameter of the run's estimate.
+
+    The run must have exactly one estimate.
+    """
     with open_journal(host.state) as reader:
         [text] = reader.estimates(reader.require_run(run_id).run)
     parameters = json.loads(text)["parameters"]
@@ -253,9 +262,10 @@ def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, floa
 
 
 def largest_difference(one: list[tuple[str, float, float]], other: list[tuple[str, float, float]]) -> float:
-    """Return the largest absolute difference in value, divided by the standard uncertainty given in `one`.
+    """Return the largest difference between two estimates, in units of the standard uncertainty of the estimate `one`.
 
-    Each item is (name, value, standard uncertainty); both lists must have the same names in the same order.
+    An estimate is a list of items (name, value, standard uncertainty). Both lists must contain the same names in the
+    same order.
     """
     assert [name for name, _, _ in one] == [name for name, _, _ in other]
     return max(abs(a - b) / sigma for (_, a, sigma), (_, b, _) in zip(one, other, strict=True))

@@ -1,4 +1,4 @@
-"""Check of the final contents of journal and history, row by row, against the records of the evenings."""
+"""Check of journal and history after the fortnight, row by row, against the records of the evenings."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ Row = dict[str, Any]
 
 
 def read_history(host: ServiceHost) -> list[Row]:
-    """Return the history rows as listed by `volcal history list`, oldest first."""
+    """Return the rows that `volcal history list` prints, with the oldest run first."""
     rows: list[Row] = json.loads(host.output("history", "list", "--last", "100", "--json"))["runs"]
     return rows
 
 
 def read_trends(host: ServiceHost, figure: Path | None = None) -> Row:
-    """Return the result of `volcal history trend` for the three volumetric errors."""
+    """Return the result of `volcal history trend` for three errors: without a table, with the active table, and held
+    out.
+    """
     names = [part for name in ("ve_bare", "ve_acting", "held_out") for part in ("--of", name)]
     drawn = [] if figure is None else ["--figure", str(figure)]
     document: Row = json.loads(host.output("history", "trend", *names, *drawn, "--json"))
@@ -31,9 +33,10 @@ def read_trends(host: ServiceHost, figure: Path | None = None) -> Row:
 
 
 def mismatched_rows(host: ServiceHost, evenings: Sequence[Evening], rows: Sequence[Row]) -> list[str]:
-    """Return descriptions of the history rows that differ from the expected ones.
+    """Return a description of each history row that differs from the expected row.
 
-    The journal must contain the same runs as the history, in the same order and with the same final states.
+    A further description is returned if the journal does not contain the same runs as the history, in the same order
+    and with the same final states.
     """
     expected = [(evening, row) for evening in evenings for row in evening.expected]
     found = [*_against(expected, rows)]
@@ -63,14 +66,16 @@ def _against(expected: Sequence[tuple[Evening, ExpectedRun]], rows: Sequence[Row
 
 
 def active_table_is_accepted(host: ServiceHost, plant: FortnightPlant) -> bool:
-    """Return True if the active bank holds the last accepted table and the service reports that bank as active."""
+    """Return True if the active bank holds the table that was accepted last, and the service reports this bank as
+    active.
+    """
     last = read_reference(host.state)
     accepted = last is not None and last.table.crc32 == plant.active_crc32
     return accepted and host.status()["active_bank"] == plant.active_bank
 
 
 def leftover_processes(directory: Path) -> list[str]:
-    """Return the command lines of running processes that contain the path `directory` of the fortnight."""
+    """Return the command lines of all running processes that contain the path `directory`, where the fortnight ran."""
     found = []
     for place in Path("/proc").glob("[0-9]*/cmdline"):
         try:

@@ -1,8 +1,8 @@
-"""Machine of the fortnight on its real links, and the external influences on it.
+"""Machine of the fortnight with its real links, and the external influences on the machine.
 
-It runs in the process that plays the fortnight; the service reaches it only over Modbus TCP and CAN. Every evening the
-machine has the errors to which it has aged by then, and its controller has been switched off and on but has retained
-its banks.
+The simulated machine runs in the process that carries out the fortnight. The service reaches the machine only over
+Modbus TCP and CAN. Every evening the machine has the errors to which it has aged by that evening. Its controller has
+been switched off and on since the previous evening, but has retained its banks.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ HERE = "127.0.0.1"
 
 
 class FortnightPlant:
-    """Simulated machine over several nights. `station_of` returns the station of the artefact in a given night."""
+    """Simulated machine over several nights.
+
+    The function `station_of` returns the station of the artefact in a given night.
+    """
 
     def __init__(self, scenario: Scenario, station_of: Callable[[int], int]) -> None:
         settings = scenario.settings.model_copy(update={"noise_by_step": True})
@@ -38,8 +41,9 @@ class FortnightPlant:
     # ------------------------------------------------------------------ influences
 
     def switch_to_night(self, night: int) -> None:
-        """Switch the machine off, and on again with the errors and the artefact station of `night`; its banks are
-        retained.
+        """Switch the machine off and on again, with the errors and the artefact station of `night`.
+
+        The controller retains its banks.
         """
         self.switch_off()
         self._night = night
@@ -52,18 +56,18 @@ class FortnightPlant:
         self._machine.close()
 
     def power_cycle(self) -> None:
-        """Switch the machine off and on again in the same night, which also restores a broken link."""
+        """Switch the machine off and on again in the same night. The restart also restores a link that was cut."""
         self.switch_to_night(self._night)
 
     def cut_link(self) -> None:
-        """Cut the Modbus link by closing the connection and accepting no new one."""
+        """Cut the Modbus link: close the connection and accept no new connection."""
         self._machine.modbus.close()
 
     def permit(self, permission: Permission, given: bool) -> None:
         self.world.controller.granted[permission] = given
 
     def duplicate(self) -> FortnightPlant:
-        """Return an identical machine on its own links."""
+        """Return a machine that is identical to this machine in the same night but has its own links."""
         other = FortnightPlant(self._scenario, self._station_of)
         other.switch_off()
         controller = self.world.controller
@@ -93,7 +97,7 @@ class FortnightPlant:
 
     @property
     def true_um(self) -> float:
-        """True volumetric error in µm with the active table, after the best-fitting rigid motion is removed."""
+        """True volumetric error in µm with the active table; the best-fitting rigid motion is removed."""
         return self.world.truth.true_volumetric_error(self.active_bank)[1]
 
     @property
@@ -102,7 +106,7 @@ class FortnightPlant:
 
     @property
     def position(self) -> list[float]:
-        """Displayed axis position in mm."""
+        """Displayed axis positions in mm."""
         return [float(value) for value in self.world.controller.displayed_position()]
 
     def _switch_on(self) -> WiredMachine:

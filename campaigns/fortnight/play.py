@@ -1,4 +1,4 @@
-"""Runs the whole fortnight, from its first evening to its last morning."""
+"""Execution of the whole fortnight, from its first evening to its last morning."""
 
 from __future__ import annotations
 
@@ -33,11 +33,15 @@ DAMAGE = "damage"
 
 @dataclass(frozen=True)
 class Programme:
-    """Programme of a fortnight. Each of `evenings` is one or more names from `Incidents`, separated by commas.
+    """Programme of a fortnight.
 
-    `changes` are changes of the shipped settings. If `compared` is True, the fortnight includes the trends and the
-    comparisons that need a duplicate machine, although both take additional nights. `collision_scale` is the size of
-    the collision relative to the collision defined by the season.
+    Each item of `evenings` contains one or more names of incidents from `Incidents`, separated by commas. `changes`
+    maps texts of the shipped settings to the texts that replace them. `collision_scale` is the size of the collision
+    relative to the collision that the season defines.
+
+    If `compared` is True, the fortnight includes additional checks, which take additional time. The true errors are
+    compared with the errors after full calibrations, the trends are checked, and an interrupted night is compared with
+    the same night on a duplicate machine without interruption.
     """
 
     evenings: tuple[str, ...]
@@ -47,7 +51,7 @@ class Programme:
 
     @property
     def season(self) -> Season:
-        """Season of the nights; the collision happens before the slot of the evening named after it (`DAMAGE`)."""
+        """Season of the nights, in which the collision happens before the slot of the evening named `DAMAGE`."""
         damaged = self.evenings.index(DAMAGE) if DAMAGE in self.evenings else len(self.evenings)
         return Season(len(self.evenings) - 1, damaged, seed=1)
 
@@ -86,7 +90,9 @@ So few measurements give an uncertain estimate, so the collision must be large t
 
 @dataclass
 class FortnightResult:
-    """Result of a fortnight. `trends` are the trends reported by the history before the damage, after it, and at the
+    """Result of a fortnight.
+
+    `trends` contains the trends that the history reports at three times: before the collision, after it, and at the
     end.
     """
 
@@ -100,7 +106,7 @@ class FortnightResult:
 
 
 def run_fortnight(programme: Programme, report: Callable[[str], None], figure: Path | None = None) -> FortnightResult:
-    """Run the whole fortnight and return its result; no process or file remains afterwards."""
+    """Run the whole fortnight and return its result. All its processes have then ended, and its files are deleted."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
     began = perf_counter()
     with (
@@ -187,7 +193,7 @@ def _judge(programme: Programme, played: FortnightResult) -> None:
 
 
 def trend_claims(played: FortnightResult) -> dict[str, bool]:
-    """Return the claims about the trends and alarms reported by the history, each with True if it holds."""
+    """Return the claims about the trends and alarms in the history. The value of a claim is True if the claim holds."""
     before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
     acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})
     return {

@@ -1,4 +1,4 @@
-"""Command `volcal serve` with the calendar of the fortnight, otherwise unchanged.
+"""Command `volcal serve` with the simulated calendar of the fortnight and otherwise without changes.
 
 python -m campaigns.fortnight.serving SETTINGS CALENDAR
 """

@@ -1,1 +1,1 @@
-"""Season of nightly runs on one machine that drifts and has one collision."""
+"""Trial with a season of nightly runs on one machine that drifts and that has one collision."""

@@ -1,4 +1,4 @@
-"""Figure of the nights: the true VCE every morning, the true VCE after a full calibration, and the decisions."""
+"""Figure of the nights: the true VCE of every morning, the true VCE after a full calibration, and the decisions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ LARGEST_RATIO = 1.5
 
 
 def draw(rows: Sequence[NightRow], step: int, path: Path) -> None:
-    """Write the figure to the PNG file `path`. `step`: night of the collision."""
+    """Draw the figure of the nights from `rows` and write it to the PNG file `path`. `step` is the night of the
+    collision.
+    """
     found = picture(path.stem, lambda figure: _draw(figure, rows, step), (8.0, 5.6))
     write_all_atomically(path.parent, {path.name: found.png})
 

@@ -1,14 +1,14 @@
-"""Nights of one machine that drifts: first a full calibration, then short time slots, with a collision before one of
-them.
+"""Nights of one machine that drifts: a full calibration, then short time slots, with a collision before one slot.
 
 Every night is a whole run of the agent (`volcal nightly`) on the simulated machine of that night, in this process and
-on virtual time. The result of a night includes facts known only to the simulator: the true volumetric error with the
-active table, and the error that a full calibration in the same night would have left (the reach).
+on virtual time. The result of a night includes facts that only the simulator knows: the true volumetric error with the
+active table, and the reach. The reach is the error that a full calibration in the same night would have left.
 
-The reach is computed by Monte Carlo simulation of ball centres, without touches: the true ball centres of the whole
-position set are taken on a copy of that night's machine, measured through its exact field with the noise of a touch
-pattern, and identified with the Legendre order chosen by evidence; the true error is then evaluated with the resulting
-table. The reach is the mean over `DRAWS` draws. The full calibrations actually run in the season are reported too.
+The reach is computed by a Monte Carlo simulation of ball centres, without touches. The simulation takes the true ball
+centres of the whole position set on a copy of that night's machine. It measures them through the exact error field with
+the noise of a touch pattern, and identifies the machine with the Legendre order of the settings. Then the true error
+with the resulting table is evaluated. The reach is the mean over `DRAWS` random draws. The results of the full
+calibrations that were run in the season are reported too.
 
     python -m campaigns.nights --nights 30 --step 17 [--figure nights.png] [--csv nights.csv]
 
@@ -57,7 +57,10 @@ LARGEST_RATIO = 1.5
 
 
 def run_season(season: Season, report: bool = True) -> list[NightRow]:
-    """Run all nights in order. Meanwhile a separate process computes the reach (see the module) of each night."""
+    """Run all nights in order and return one row for each night.
+
+    Meanwhile a separate process computes for each night the error that a full calibration would have left.
+    """
     with (
         ProcessPoolExecutor(1) as pool,
         memory_directory("nights") as directory,
@@ -74,7 +77,7 @@ def run_season(season: Season, report: bool = True) -> list[NightRow]:
 
 
 class SeasonMachine:
-    """One machine, whose controller retains its banks from night to night, and the agent that calibrates it."""
+    """One machine and the agent that calibrates it. The machine's controller retains its banks from night to night."""
 
     def __init__(self, season: Season, state: Path) -> None:
         self._season = season
@@ -139,7 +142,7 @@ class SeasonMachine:
 
 
 def build_rig(world: World, clock: Clock, job: Job) -> Rig:
-    """Return a rig in which one device in this process plays every role."""
+    """Return a rig in which a single simulated device, in this process, has the role of every device."""
     device = SimulatedMachineDevice(world, clock)
     mounts = dict.fromkeys(range(1, len(job.settings.stations.places_mm) + 1), device)
     return Rig(
@@ -155,7 +158,10 @@ def build_rig(world: World, clock: Clock, job: Job) -> Rig:
 
 
 def verdict(season: Season, rows: Sequence[NightRow]) -> dict[str, object]:
-    """Return the claims about the nights, each with True if it holds, and the figures behind them."""
+    """Return the claims about the nights and the figures on which they are based.
+
+    The value of a claim is True if the claim holds.
+    """
     slots = [row for row in rows[1:] if row.night != season.step]
     worst = max(slots, key=lambda row: row.ratio, default=rows[0])
     happens = season.step <= season.nights

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class NightRow:
-    """Results of one night; errors in µm.
+    """Results of one night; all errors are in µm.
 
-    Four fields are true errors: `true_before` with the table of the previous night, `true_after` with the table active
-    in the morning, `untouched` with the table of the first night, and `reach` after a full calibration in that night.
-    `ve_now` and `ve_after` are the errors reported by the agent.
+    Four fields are true errors after the best-fitting rigid motion is removed. `true_before` is the error with the
+    table of the previous night, `true_after` the error with the table that is active in the morning, and `untouched`
+    the error with the table of the first night. `reach` is the error that a full calibration in that night would leave.
+    `ratio` is `true_after` divided by `reach`. `ve_now` and `ve_after` are the errors that the agent itself reports.
     """
 
     night: int

@@ -1,4 +1,4 @@
-"""Season of the nights, and the error that a full calibration would leave in each of them."""
+"""Definition of a season of nights, and the error that a full calibration would leave in each night."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ COLLISION = {"B0Z": 12.0, "EAZ": 4.0, "EYX": 3.0}
 
 @dataclass(frozen=True)
 class Season:
-    """Season of `nights` nights, with the collision before the time slot of night `step`."""
+    """Season of `nights` nights after a first full calibration. A collision happens before the time slot of night
+    `step`.
+    """
 
     nights: int = 30
     step: int = 17
@@ -39,7 +41,9 @@ class Season:
 
     @property
     def scenario(self) -> Scenario:
-        """Scenario with scale errors that vary over a season of three months, a slow random walk of all errors, and the
+        """Scenario of the season, in which the machine's errors change from night to night.
+
+        The scale errors vary with a period of three months, all errors follow a slow random walk, and there is one
         collision.
         """
         shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
@@ -55,20 +59,23 @@ class Season:
         return replace(shipped, settings=shipped.settings.model_copy(update={"ageing": ageing, "seed": self.seed}))
 
     def station(self, night: int) -> int:
-        """Return the station at which the day shift has placed the artefact. The station advances by one every day."""
+        """Return the station at which the artefact stands in `night`.
+
+        The day shift moves the artefact to the next station every day.
+        """
         return 1 + night % len(self.scenario.settings.stations_mm)
 
 
 def load_season_case(state: Path) -> Job:
-    """Return the shipped case study with its runs under `state`."""
+    """Return the job of the shipped case study, with `state` as its state directory."""
     settings = load_settings(CASE_STUDY).model_copy(update={"state_directory": state})
     return prepare_job(settings, SHIPPED_CONFIGURATION)
 
 
 def full_calibration_vce_um(season: Season, night: int) -> float:
-    """Return the mean true VCE in µm after a full calibration of that night's machine.
+    """Return the mean true VCE in µm that full calibrations of the machine of `night` would leave.
 
-    The best-fitting rigid motion is removed.
+    The mean is taken over `DRAWS` simulated measurements. The best-fitting rigid motion is removed.
     """
     job = load_season_case(Path("unused"))
     world = World(scenario_of_night(season.scenario, night))
@@ -85,9 +92,9 @@ def full_calibration_vce_um(season: Season, night: int) -> float:
 
 
 def true_vce_with_table(world: World, image: TableImage) -> float:
-    """Return the true VCE in µm with `image` in place of the active table.
+    """Return the true VCE in µm with the table `image`, which replaces the active table.
 
-    The best-fitting rigid motion is removed. The world must not be used afterwards.
+    The best-fitting rigid motion is removed. The function changes `world`, which must not be used afterwards.
     """
     if world.controller.active_bank == BANK:
         world.controller.activate(0)
@@ -96,8 +103,9 @@ def true_vce_with_table(world: World, image: TableImage) -> float:
 
 
 def simulated_observations(world: World, job: Job, rng: np.random.Generator) -> Observations:
-    """Return the ball centres of the whole position set as the machine without table would measure them, with touch
-    noise.
+    """Return simulated measurements of the ball centres of the whole position set, with touch noise.
+
+    The ball centres are measured as the machine without a table would measure them.
     """
     planned = job.procedure.plan(job.positions).observations
     settings = world.scenario.settings

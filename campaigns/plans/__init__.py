@@ -1,4 +1,4 @@
-"""Random plans, checked by a preflight and run on a simulated machine with errors.
+"""Trial with random plans, which are checked by a preflight and run on a simulated machine with errors.
 
-The campaign searches for collisions and for bad plans that are not refused.
+The trial searches for collisions and for bad plans that are not refused.
 """

@@ -1,12 +1,15 @@
-"""Random plans on a simulated machine with errors. The output ends with one line of JSON.
+"""Trial of random plans on a simulated machine with errors. The output ends with one line of JSON.
 
     python -m campaigns.plans --count 10000 --seed 1 --workers 2
     python -m campaigns.plans --only 123        # repeat one plan and print its result
 
-Each plan is drawn from its own seed (machine, probe, artefact, mount, stations, positions, procedure, errors of the
-world), checked by a preflight, run, and run again with an abort, a hold or an emergency stop at a random instant. Every
-`--judge-every`th run is also examined by an independent collision check (`campaigns/plans/judge.py`), which is itself
-compared with the simulator on random straight moves among the bodies. The exit code is 0 only if nothing collided.
+Each plan is drawn with its own seed. The machine, probe, artefact, mount, stations, positions, procedure and errors are
+all random. The plan is checked by a preflight and run. Then it is run again with an abort, a hold or an emergency stop
+at a random instant.
+
+The first run of every K-th plan is also examined by an independent collision check (`campaigns/plans/judge.py`), where
+K is given by `--judge-every`. This check is itself compared with the simulator on random straight moves among the
+bodies. The exit code is 0 only if there was no collision.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Random but sensible case: machine, probe, artefact, mount, stations, procedure, and true errors.
+"""Random but sensible cases: machine, probe, artefact, mount, stations, procedure, and true errors.
 
-Every drawn case is one that an engineer could have written. It may still be inconsistent in a detail; finding that out
-is the task of the agent's checks and its preflight.
+Every case could have been written by an engineer. It may still be inconsistent in a detail. The agent's checks and its
+preflight must find such inconsistencies.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ CANDIDATES = 24
 
 @dataclass(frozen=True)
 class DrawnCase:
-    """Drawn case. `job` is the agent's view of it; `scenario` has the true start position, placement and errors.
+    """Case that was drawn at random.
 
-    `interruption` is the event that interrupts the second run of the plan, after the fraction `at_share` of its
-    duration.
+    `job` contains what the agent knows about the case, and `scenario` contains the true start position, placement and
+    errors. In the second run of the plan the event `interruption` happens after the fraction `at_share` of the planned
+    machine time.
     """
 
     seed: int
@@ -42,7 +43,7 @@ class DrawnCase:
 
 
 class Dice:
-    """Random generator with the few kinds of draws that this campaign needs."""
+    """Random generator that provides the few kinds of random values needed for a case."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 20261])
@@ -51,7 +52,7 @@ class Dice:
         return round(float(self._rng.uniform(low, high)), digits)
 
     def whole(self, low: int, high: int) -> int:
-        """Return a random integer from `low` to `high`, both included."""
+        """Return a random integer between `low` and `high`, both included."""
         return int(self._rng.integers(low, high + 1))
 
     def chance(self, probability: float) -> bool:
@@ -63,7 +64,7 @@ class Dice:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Dimensions that determine the layout, in mm."""
+    """Dimensions in mm that determine the layout of a case."""
 
     probe: Document
     bar: Document
@@ -75,7 +76,7 @@ class Sizes:
 
 
 def draw(seed: int, directory: Path) -> DrawnCase:
-    """Return the case of `seed`, and write its files into `directory`.
+    """Draw the case with the random seed `seed`, write its files into `directory`, and return the case.
 
     Raises UserError if the agent refuses these files.
     """
@@ -334,7 +335,10 @@ def with_start(scenario: Scenario, start_mm: tuple[float, float, float]) -> Scen
 
 
 def toml(document: Document) -> str:
-    """Return a document of tables as TOML text, with inline tables from the second level on."""
+    """Return `document` as TOML text with one line for each top-level key.
+
+    Nested dictionaries become inline tables. Top-level keys with the value None are omitted.
+    """
     return "".join(f"{name} = {_inline(value)}\n" for name, value in document.items() if value is not None)
 
 

@@ -1,8 +1,9 @@
-"""Independent collision check with dense samples in time, obstacles as point clouds, and its own arithmetic.
+"""Independent collision check: motion is sampled densely in time, and obstacles are represented by point clouds.
 
-It shares no distance function with the planner or the simulated world. From the world it takes only facts: axis
-positions at an instant, mount angles and location of the artefact. A capsule at rest is a row of points `SPACING_MM`
-apart with a radius; the probe is a point, two segments along Y and a box.
+The check shares no distance function with the planner or the simulated world. It takes only facts from the world: the
+axis positions at an instant, the mount angles, and the location of the artefact. A capsule at rest is represented by a
+row of points with a radius, at a spacing of `SPACING_MM`. The probe is represented by a point for the tip, two segments
+along Y, and a box.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ CHUNK = 256
 
 @dataclass(frozen=True)
 class PointCloud:
-    """Points (n, 3) and their radii (n,), in mm.
+    """Point cloud of n points that represents the obstacles.
 
-    `body` is the index in `names` of the body of each point. `ball` is the number of the ball on which each point lies,
-    or -1 if it lies on none.
+    `points`, shape (n, 3), and `radii`, shape (n,), are in mm. `body` gives for each point the index in `names` of its
+    body. `ball` gives for each point the number of its ball, or -1 if the point does not belong to a ball.
     """
 
     points: Array
@@ -45,9 +46,10 @@ class PointCloud:
 
 @dataclass
 class JudgeResult:
-    """Result of the check.
+    """Result of the collision check.
 
-    `smallest_mm`: smallest clearance of all pairs of bodies except stylus and ball, between which contact is intended.
+    `smallest_mm` is the smallest clearance in mm over all pairs of bodies. The pair of stylus and ball is excluded,
+    because contact between these two is intended.
     """
 
     samples: int = 0
@@ -56,7 +58,7 @@ class JudgeResult:
 
 
 class ProbeDimensions:
-    """Dimensions of the probe in mm, from the settings."""
+    """Dimensions of the probe in mm, taken from the settings."""
 
     def __init__(self, job: Job, overtravel_mm: float) -> None:
         probe = job.settings.probe
@@ -68,7 +70,10 @@ class ProbeDimensions:
 
 
 class CollisionJudge:
-    """Checks one run on `world`, one interval of time at a time, before the world advances by that interval."""
+    """Collision check of one run on `world`.
+
+    The check examines one interval of time after another, each before the world advances by that interval.
+    """
 
     def __init__(self, world: World, job: Job) -> None:
         self._world = world
@@ -130,7 +135,10 @@ class CollisionJudge:
 
 
 def pose(place: Array, shaft_mm: float, azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array]:
-    """Return the middle of the bar (3,) in mm and the directions of the artefact's axes as columns (3, 3)."""
+    """Return the middle of the bar, shape (3,), in mm, and the rotation matrix of the artefact, shape (3, 3).
+
+    The columns of the matrix are the directions of the artefact's axes in the workpiece frame.
+    """
     a, e = math.radians(azimuth_deg), math.radians(elevation_deg)
     along = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     inward = np.array([-math.sin(a), math.cos(a), 0.0])
@@ -138,7 +146,7 @@ def pose(place: Array, shaft_mm: float, azimuth_deg: float, elevation_deg: float
 
 
 def build_cloud(job: Job, place: Array, centre: Array, rotation: Array) -> PointCloud:
-    """Return points of all obstacles except the table: balls, posts, bar, shaft and pedestal."""
+    """Return the point cloud of all obstacles except the table: balls, posts, bar, shaft and pedestal."""
     mount, balls = job.settings.mount, job.artefact.balls
     parts: list[tuple[str, Array, float, int]] = []
     for number, ball in enumerate(balls):
@@ -174,7 +182,10 @@ def _row(start: Array, end: Array) -> Array:
 
 
 def judge_tips(seen: JudgeResult, tips: Array, cloud: PointCloud, dimensions: ProbeDimensions) -> None:
-    """Add to `seen` the collisions and the smallest clearance of the probe with its tip centre at `tips` (n, 3)."""
+    """Check the probe for collisions at n successive positions of its tip centre, `tips` of shape (n, 3) in mm.
+
+    The collisions and the smallest clearance are added to `seen`.
+    """
     for first in range(0, len(tips), CHUNK):
         part = tips[first : first + CHUNK]
         seen.samples += len(part)

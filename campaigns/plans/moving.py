@@ -1,4 +1,6 @@
-"""Run kind with all motion and measurements of a calibration, but without identification and without writing tables."""
+"""Run kind with all motions and measurements of a calibration, but without identification and without
+writing a table.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from drivers.clock import VirtualClock
 
 
 class MotionOnlyRun(GuardedRun):
-    """Run of the whole procedure, starting with the check of permissions; it ends like every other run."""
+    """Run of the whole procedure, which begins with the check of permissions and ends like every other run."""
 
     def _work(self) -> None:
         self._begin()
@@ -25,8 +27,9 @@ class MotionOnlyRun(GuardedRun):
 
 @dataclass
 class MotionOnlyKind:
-    """Run kind with one preflight, made from the current position; a second run of the same plan must start there
-    too.
+    """Run kind whose preflight is computed once, from the position at which the first run starts.
+
+    A second run of the same plan uses the same preflight and must therefore start at the same position.
     """
 
     name: str = "moving"
@@ -41,9 +44,10 @@ class MotionOnlyKind:
 
 
 class AlarmClock(VirtualClock):
-    """Clock that calls each action passed to `at` once the instant passed with it is over.
+    """Virtual clock that calls functions at given instants.
 
-    `watch(before_s, after_s)` is called before every advance.
+    The method `at(instant_s, action)` registers a function `action` that is called once the clock has reached
+    `instant_s`. If the function `watch` is set, `watch(before_s, after_s)` is called before every advance of the clock.
     """
 
     def __init__(self) -> None:

@@ -1,5 +1,6 @@
-"""Test of the judge (`judge.py`): its verdicts on random straight moves among the bodies, compared with the
-simulator's.
+"""Test of the independent collision check (`judge.py`).
+
+Its verdicts on random straight moves among the bodies are compared with those of the simulator.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ FREE_AT_START_MM = 2.0
 
 @dataclass(frozen=True)
 class JudgeComparison:
-    """Comparison of verdicts. `disagreed` describes each disagreement, with its seed and move."""
+    """Comparison of the verdicts of the collision check and the simulator.
+
+    `disagreed` contains a description of each disagreement, with the seed and the move.
+    """
 
     moves: int = 0
     collisions: int = 0
@@ -42,7 +46,10 @@ class JudgeComparison:
 
 
 def compare_judge(seed: int, moves: int) -> JudgeComparison:
-    """Compare the verdicts of judge and simulator on unguarded moves between random positions in the case of `seed`."""
+    """Compare the verdicts of the collision check and the simulator on `moves` random moves in the case of `seed`.
+
+    The moves are straight and unguarded, between random positions. If the agent refuses the case, no move is compared.
+    """
     with tempfile.TemporaryDirectory(prefix="volcal-provoked-") as directory:
         try:
             drawn = draw(seed, Path(directory))

@@ -1,4 +1,4 @@
-"""Trial of one drawn plan: a preflight, a run with errors, and a second run that is interrupted."""
+"""Trial of one random plan: a preflight, a run with errors, and a second run that is interrupted."""
 
 from __future__ import annotations
 
@@ -29,10 +29,11 @@ POSITION_TOLERANCE_MM = 0.01
 
 @dataclass
 class PlanTrial:
-    """Result of one plan.
+    """Result of the trial of one plan.
 
-    If nothing moved, `refused` is the reason. If a run moved but did not end as expected, `stopped` is the reason.
-    `failures` are the violated conditions. `seen` is the result of the judge, or None if it did not check this plan.
+    `refused` is the reason if the agent refused the plan before any motion. `stopped` is the reason if the first run
+    moved but ended with an error. `failures` lists the violated conditions. `seen` is the result of the independent
+    collision check, or None if the plan was not checked.
     """
 
     seed: int
@@ -47,9 +48,9 @@ class PlanTrial:
 
 
 def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
-    """Carry out all runs of the plan of `seed`.
+    """Carry out the preflight and both runs of the plan of `seed`, and return the result.
 
-    Never raises: a refusal is part of the result, and a defect is a failure.
+    The function never raises an error: a refusal is a regular result, and a defect is recorded as a failure.
     """
     trial, began = PlanTrial(seed), perf_counter()
     with memory_directory("plan") as directory:
@@ -128,8 +129,9 @@ def _carry_out(
 
 
 def reason_of(error: VolcalError) -> str:
-    """Return the type of a refusal and its message without numbers and ball names, so that like refusals can be
-    counted.
+    """Return the type and the message of a refusal, with every number in the message replaced by ``#``.
+
+    Refusals that differ only in their numbers are then counted as the same.
     """
     words = re.sub(r"-?\d+(\.\d+)?", "#", error.message)
     return f"{type(error).__name__}: {words}"

@@ -1,1 +1,1 @@
-"""One run, interrupted at several instants of every step and resumed."""
+"""Trial in which one run is interrupted at several instants of every step and then resumed."""

@@ -1,7 +1,7 @@
-"""Short run to be interrupted, on one machine in this process, with a kill switch.
+"""Short run on one simulated machine in this process, with a kill switch that interrupts the run.
 
-A killed process executes nothing. To simulate this, journal, clock and devices fail after the kill switch has been
-used, so the run's own withdrawal and clean-up have no effect.
+A killed process executes nothing. To simulate this, every access to the journal or to a device fails after the kill
+switch has been used. The withdrawal and the clean-up of the interrupted run therefore have no effect.
 """
 
 from __future__ import annotations
@@ -47,11 +47,14 @@ BALLS = (0, 2, 5, 8, 10)
 
 
 class Killed(BaseException):
-    """Raised by every operation that a killed process would no longer execute."""
+    """Error raised by every operation that a killed process would no longer execute."""
 
 
 class KillSwitch:
-    """Switch that is alive until `kill` is called; `notify` is called at each of the `MOMENTS` of every step."""
+    """Switch that simulates the kill of a process. After `kill` has been called, every call of `check` raises Killed.
+
+    The function `notify` is called at each of the instants `MOMENTS` of every step.
+    """
 
     def __init__(self, notify: Callable[[str, Step], None]) -> None:
         self.dead = False
@@ -69,7 +72,11 @@ class KillSwitch:
 
 @dataclass
 class KillableClock:
-    """Clock of one process, for a simulated machine that outlives the process."""
+    """Clock of one process that uses a simulated machine, with a kill switch.
+
+    The machine outlives the process. The clock therefore starts at the present time of the machine. If the kill switch
+    is set to kill midway, a call of `sleep` ends with the kill after half of its duration.
+    """
 
     inner: Clock
     world: World
@@ -100,7 +107,10 @@ class KillableDevice:
 
 
 def patch_journal(kill_switch: KillSwitch) -> Callable[[], None]:
-    """Make every journal of this process notify `kill_switch` of its steps. Return a function that undoes this."""
+    """Make every journal of this process call `kill_switch.notify` at the instants of each step.
+
+    Returns a function that removes this change.
+    """
     begin, finish, execute = RunJournal.begin, RunJournal.finish, RunJournal._execute
 
     def patched_begin(self: RunJournal, step: Step) -> None:
@@ -129,8 +139,9 @@ def patch_journal(kill_switch: KillSwitch) -> Callable[[], None]:
 
 
 def cache_preflight() -> None:
-    """Cache the result of the preflight, which is always the same for this case; forked copies of the process
-    inherit it.
+    """Cache the result of the preflight for each start position. The result is always the same for this case.
+
+    Forked copies of the process inherit the cached result.
     """
     done: dict[Any, Any] = {}
 
@@ -144,7 +155,7 @@ def cache_preflight() -> None:
 
 @dataclass
 class ResumeMachine:
-    """One machine, and the agent's runs on it with one state directory."""
+    """One simulated machine, and the runs of the agent on it with one state directory."""
 
     world: World
 
@@ -160,7 +171,7 @@ class ResumeMachine:
 
     @property
     def table(self) -> list[int]:
-        """Number of the active bank, and the CRC-32 of its contents."""
+        """Number of the active bank, and CRC-32 of its table (0 if no table is active)."""
         controller = self.world.controller
         bank = controller.active_bank
         return [bank, table_digest(controller.banks[bank]) if bank else 0]
@@ -178,10 +189,10 @@ class ResumeMachine:
 
 
 def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
-    """Write the files of a small case to `directory`, the working directory.
+    """Write the files of a small case to `directory`, which must be the working directory; return settings and machine.
 
-    The case has five balls, two positions and one held-out position. The errors are so large, and the gates so wide,
-    that the table is always written and verified.
+    The case has five balls, two measured positions and one held-out position. The errors are so large and the gates so
+    wide that the table is always written and verified.
     """
     artefact = (SHIPPED_CONFIGURATION / "artefacts" / "ball-bar-1500.toml").read_text()
     head, rows = artefact.split("balls = [\n")
@@ -227,7 +238,7 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
 
 
 def signature(machine: ResumeMachine) -> dict[str, Any]:
-    """Return all results that must not depend on an interruption, with all digits of their numbers."""
+    """Return all results of the run that an interruption must not change. All digits of their numbers are kept."""
     with open_journal(STATE) as reader:
         [row] = reader.runs()
         run = row.run

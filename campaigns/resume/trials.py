@@ -1,13 +1,13 @@
-"""One run, interrupted at each instant of each step, resumed, and compared with the uninterrupted run.
+"""Trial in which one run is interrupted at each instant of each step, resumed, and compared with the uninterrupted run.
 
-One run continues to its end. At every instant (`MOMENTS`) of its steps the process is forked and its state directory
-copied; in the copy the run is killed, and then resumed on the machine in the state in which the killed run left it.
-Every figure of every copy must equal that of the uninterrupted run, every touch must be recorded once, and the table
-must be the same.
+The uninterrupted run continues to its end. At each of the instants `MOMENTS` of each of its steps, the process is
+forked and the state directory is copied. In the copy the run is killed. Then the run is resumed, with the machine in
+the state in which the kill left it. Every figure of every copy must equal the figure of the uninterrupted run, every
+touch must be recorded exactly once, and the table must be the same.
 
     python -m campaigns.resume [--every 1] [--moments before,begun,midway,done,durable]
 
-The output ends with one line of JSON. The exit code is 0 only if nothing differs.
+The output ends with one line of JSON. The exit code is 0 only if there is no difference.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ from campaigns.resume.case import (
 
 @dataclass
 class InterruptionRecorder:
-    """Forks a copy of the run at each selected instant, has the copy killed there, and records these instants.
+    """Recorder that forks a copy of the run at each selected instant, and has the run in the copy killed there.
 
-    The results of the copies are files in the directory `results`.
+    The recorder keeps a list of these instants. Each copy writes its result to a file in the directory `results`.
     """
 
     machine: ResumeMachine
@@ -90,7 +90,7 @@ class InterruptionRecorder:
             self.kill_switch.kill()
 
     def conclude(self) -> None:
-        """Resume the killed run in this copy of the process, and write its result to a file."""
+        """Resume the killed run in this forked copy of the process, and write the result to a file."""
         try:
             ended = self.machine.resume()
             if ended.error is not None:
@@ -104,7 +104,7 @@ class InterruptionRecorder:
 
 
 def repeated_measurements() -> list[Any]:
-    """Return the keys of touches with a result, and of balls, that the journal contains more than once."""
+    """Return all keys that occur more than once in the journal, among the touches with a result and among the balls."""
     with open_journal(STATE) as reader:
         [run] = reader.runs()
         keys = [[row.key for row in rows] for rows in (reader.touches(run.run), reader.balls(run.run))]

@@ -1,1 +1,1 @@
-"""Calibrations during which machine and ball bar warm up."""
+"""Trial with calibrations during which the machine and the ball bar warm up."""

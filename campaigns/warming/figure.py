@@ -1,4 +1,6 @@
-"""Figure of the warming runs: temperatures, and residual errors with and without the drift correction."""
+"""Figure of the warming trial: temperatures, and the errors that remain with and without the correction of
+the drift.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ from campaigns.warming.row import WarmingRow
 
 @dataclass(frozen=True)
 class WarmingTrace:
-    """Temperatures in °C reported with every ball, and the machine time of each ball in minutes."""
+    """Temperatures of machine and ball bar over one calibration.
+
+    The temperatures in °C are those recorded with each measured ball, and `minutes` is the machine time of each ball.
+    """
 
     minutes: tuple[float, ...]
     machine_c: tuple[float, ...]
@@ -25,7 +30,9 @@ class WarmingTrace:
 
 
 def draw(rows: Sequence[WarmingRow], trace: WarmingTrace, path: Path) -> None:
-    """Write the figure to the PNG file `path`."""
+    """Draw the temperatures and the remaining errors of the warming trial, and write the figure to the PNG
+    file `path`.
+    """
     found = picture(path.stem, lambda figure: _draw(figure, rows, trace), (8.0, 3.6))
     write_all_atomically(path.parent, {path.name: found.png})
 

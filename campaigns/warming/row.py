@@ -1,4 +1,4 @@
-"""Row of results for one machine, with and without warming."""
+"""Row of results of the warming trial for one machine."""
 
 from __future__ import annotations
 
@@ -7,14 +7,26 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class WarmingRow:
-    """Results of one machine; errors are true VCE in µm, after the best-fitting rigid motion is removed.
+    """Results for one machine that was calibrated three times: at 20 °C, at 23 °C, and while warming from 20 °C to 23
+    °C.
 
-    Three errors are those with the table written by the run: `constant` at 20 °C throughout, `settled` at 23 °C
-    throughout, and `warm` while machine and bar warm from 20 °C to 23 °C, evaluated at the last ball of the set.
-    `ratio` is `warm` divided by `settled`. Two errors are those with tables identified from the same ball centres as
-    `warm`: `undrifted` assumes that the machine does not drift, and `untold` assumes in addition that the bar is at
-    20 °C. Two errors are evaluated at the end of the whole warm run: `late` with its table, and `bare` without a table.
-    The `predicted_…` fields are the agent's own predictions.
+    The third calibration is called the warm run. `minutes` is the machine time of the warm run. `machine_k` and
+    `artefact_k` are the temperature changes in K of the machine and the ball bar between the first and the last ball of
+    the warm run. The following fields are true volumetric errors in µm, after the best-fitting rigid motion is removed.
+
+    `constant` is the error after the calibration at 20 °C. `settled` is the error after the calibration at 23 °C.
+    `warm` is the error after the warm run, for the machine as it was at the last ball before the verification. `ratio`
+    is `warm` divided by `settled`.
+
+    `undrifted` and `untold` are errors for the same state of the machine as `warm`, but with other tables. Both tables
+    are identified from the ball centres of the warm run. For `undrifted`, the identification assumes that the machine
+    does not drift. For `untold`, it assumes in addition that the bar has a temperature of 20 °C.
+
+    `late` and `bare` are errors for the machine as it is at the end of the warm run. `late` is the error with the table
+    of the warm run, and `bare` is the error without a table.
+
+    `predicted_constant`, `predicted_settled` and `predicted_warm` are the errors in µm that the agent itself predicts
+    after each of the three calibrations.
     """
 
     seed: int

@@ -1,19 +1,21 @@
 """Calibrations while machine and bar warm by 3 K, compared with calibrations at constant temperature.
 
-Whole calibrations are carried out on the simulated case study, in this process and on virtual time. The hall warms at
-once; bar and machine follow. The machine's scales, spindle and ram grow, its column bends with a lag behind its
-thermometer, the bar bows, and the thermometers have noise, lag and offsets. The results are true volumetric errors with
-the table written by the run, after the best-fitting rigid motion is removed. They are evaluated for the machine as it
-was at the last ball of the set, which is the state that the estimate describes. The same machine and bar are also
-calibrated twice at constant temperature: at 20 °C, and at 23 °C, where the bar's expansion is as uncertain as in the
-warm run. The ball centres of the warm run are also identified without a drift of the machine, and in addition with the
-bar assumed to be at 20 °C.
+Whole calibrations are carried out on the simulated case study, in this process and on virtual time. In the warm run the
+hall becomes warmer at the start, and bar and machine follow with a lag. The scales, the spindle and the ram of the
+machine grow. The column bends with an additional lag behind the machine's thermometer, and the bar bows. The
+thermometers have noise, lag and offsets.
+
+The results are true volumetric errors with the table that the run has written; the best-fitting rigid motion is
+removed. They are evaluated for the machine as it was at the last ball of the set, because the estimate describes this
+state. The same machine and bar are also calibrated twice at constant temperature: once at 20 °C, and once at 23 °C,
+where the expansion of the bar is as uncertain as in the warm run. The ball centres of the warm run are identified two
+more times: first without a drift of the machine, and then also with the bar assumed to be at 20 °C.
 
     python -m campaigns.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
 
-The output ends with one line of JSON. The exit code is 0 only if three claims hold: the rms error over the machines is
-at most a fifth larger in the warm runs than at 23 °C; every machine and bar has warmed by about 3 K; and for every
-machine, omitting the drift more than doubles the error.
+The output ends with one line of JSON. The exit code is 0 only if three claims hold. First, the rms error over the
+machines is at most a fifth larger in the warm runs than at 23 °C. Second, every machine and bar has warmed by about 3
+K. Third, for every machine the error more than doubles if the identification omits the drift.
 """
 
 from __future__ import annotations
@@ -77,7 +79,7 @@ THERMOMETER_K = 0.02
 
 @dataclass(frozen=True, eq=False)
 class WarmingRun:
-    """One calibration. `records`: journal records of its balls, without those of the verification."""
+    """One calibration. `records` are the journal records of its balls, without the balls of the verification."""
 
     world: World
     job: Job
@@ -86,12 +88,18 @@ class WarmingRun:
 
     @property
     def true_um(self) -> float:
-        """True volumetric error in µm with the active table, in the machine's present state."""
+        """True volumetric error in µm with the active table, for the present state of the machine.
+
+        The best-fitting rigid motion is removed.
+        """
         return self.world.truth.true_volumetric_error(self.world.controller.active_bank)[1]
 
 
 def compare_runs(seed: int) -> tuple[WarmingRow, WarmingTrace]:
-    """Carry out the three calibrations of one machine. Raises RuntimeError if one fails or leaves no table active."""
+    """Carry out the three calibrations of the machine of `seed`: at 20 °C, at 23 °C, and while the machine warms.
+
+    Raises RuntimeError if a calibration fails or leaves no table active.
+    """
     still, settled, warm = (run_calibration(seed, temperatures) for temperatures in (STILL, SETTLED, WARMING))
     world, records = warm.world, warm.records
     late_um, bare_um = warm.true_um, world.truth.true_volumetric_error(None)[1]
@@ -121,7 +129,10 @@ def compare_runs(seed: int) -> tuple[WarmingRow, WarmingTrace]:
 
 
 def run_calibration(seed: int, temperatures: ThermalSettings) -> WarmingRun:
-    """Carry out one calibration, starting with a controller without tables."""
+    """Carry out one calibration at `temperatures`. At the start the controller has no table.
+
+    Raises RuntimeError if the calibration fails or leaves no table active.
+    """
     with memory_directory("warming") as directory:
         state = Path(directory) / "state"
         world, job = World(_scenario(seed, temperatures)), prepare_job(_settings(state), SHIPPED_CONFIGURATION)
@@ -188,7 +199,10 @@ def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
 
 
 def verdict(rows: Sequence[WarmingRow]) -> dict[str, object]:
-    """Return the three claims of the module, each with True if it holds, and the figures behind them."""
+    """Return the three claims of the trial and the figures on which they are based.
+
+    The value of a claim is True if the claim holds.
+    """
     worst = max(rows, key=lambda row: row.ratio)
     constant, settled, warm = (_rms([getattr(row, name) for row in rows]) for name in ("constant", "settled", "warm"))
     warmed = min(min(row.machine_k, row.artefact_k) for row in rows)
