@@ -1,8 +1,8 @@
-"""Access token: its holder may move the machine and write tables.
+"""Access token of the service. A person or program that has it may move the machine and write tables.
 
-The token is stored in a file that only the file's owner can read: the one passed by systemd (LoadCredential=token:…),
-the one named in the settings, or one that the service creates in the state directory, so that a first start needs no
-preparation.
+The token is stored in a file that only the file's owner can read. The file is the one passed by systemd
+(LoadCredential=token:…) or else the one named in the settings. If there is neither, the service creates the file in the
+state directory, so that a first start needs no preparation.
 """
 
 from __future__ import annotations
@@ -26,9 +26,8 @@ def token_path(settings: Settings, environment: Mapping[str, str] = os.environ) 
 
 
 def make_token(settings: Settings) -> None:
-    """Create a token file in the state directory. Do nothing if it exists already, or if systemd or the settings name
-    another token file.
-    """
+    """Create a token file in the state directory. Do nothing if the file exists already, or if systemd or the settings
+    provide another token file."""
     path = token_path(settings)
     if settings.service.token_file is not None or path.exists():
         return
@@ -44,8 +43,7 @@ def make_token(settings: Settings) -> None:
 
 def read_token(path: Path) -> str:
     """Return the token. Raise ConfigurationError if the token is missing or too short, or if users other than the owner
-    of the file can read it.
-    """
+    of the file can access the file."""
     try:
         mode = open_mode(path)
         text = path.read_text(encoding="ascii").strip()

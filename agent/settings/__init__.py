@@ -1,1 +1,1 @@
-"""The settings file: its sections, how it is loaded, and the secrets that it names."""
+"""Settings file of the agent: its sections, the functions that load it, and the secrets that it names."""

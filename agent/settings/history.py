@@ -1,4 +1,4 @@
-"""Section `[history]`: database of the run history, and tolerances of trend alarms."""
+"""Section `[history]` of the settings file: database of the run history, and tolerances of trend alarms."""
 
 from __future__ import annotations
 
@@ -13,12 +13,17 @@ Error = Annotated[str, Field(pattern=r"^[A-Z0-9_]{2,8}(\[[a-z0-9]+\])?$")]
 
 
 class HistorySettings(StrictModel):
-    """Settings of the run history. `url`: database URL without password (SQLAlchemy form), shared by all machines of a
-    plant; by default a SQLite file in the state directory. `credentials_file`: file with the password, one line.
-    `machine`: name of this machine in the history; by default the name of the machine file.
+    """Settings of the run history.
 
-    Tolerances are in µm, those of parameters (an error as EXX, a coefficient as EXX[1]) in µm or µrad. An alarm is
-    raised if a trend is expected to leave its tolerance within `warn_nights`.
+    - `url` is the database URL without password (SQLAlchemy form), shared by all machines of a plant; by default the
+      database is a SQLite file in the state directory.
+    - `credentials_file` is a file that contains the password on one line.
+    - `machine` is the name of this machine in the history; by default it is the name in the machine file.
+    - `ve_tolerance_um` and `held_out_tolerance_um` are tolerances in µm.
+    - `parameter_tolerances` maps an error (such as EXX) or a coefficient (such as EXX[1]) to its tolerance in µm or
+      µrad.
+
+    An alarm is raised if a trend is expected to leave its tolerance within `warn_nights` nights.
     """
 
     url: str | None = None

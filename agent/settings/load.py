@@ -1,4 +1,4 @@
-"""Load settings from their file, and apply overrides of the command line."""
+"""Functions that load the settings from their file and apply the overrides of the command line."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ POSITION_FILES = (".csv", ".toml")
 
 
 def read_settings(path: Path) -> Settings:
-    """Read settings from a file and make the paths in them absolute. Raises ConfigurationError if they are invalid.
+    """Read settings from a file and make the paths in them absolute. Raises ConfigurationError if the settings are
+    invalid.
 
-    Device options are not validated, so no driver is loaded. This suffices for commands that only talk to the service
-    or read its stored results.
+    The options of the devices are not validated, so no driver is loaded. This function suffices for commands that only
+    communicate with the service or read its stored results.
     """
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):
@@ -40,7 +41,8 @@ def load_settings(path: Path) -> Settings:
 
 @contextmanager
 def naming(config: Path) -> Iterator[None]:
-    """Add the settings file to every UserError raised in the block, unless the error names a file already."""
+    """Add the path of the settings file to every UserError raised in the `with` block, unless the error already names a
+    file."""
     try:
         yield
     except UserError as error:
@@ -54,7 +56,7 @@ def with_overrides(
     stations: Sequence[int] | None = None,
     formulation: str | None = None,
 ) -> Settings:
-    """Return the settings with the overrides of the command line, validated again."""
+    """Return the settings with the overrides of the command line. The result is validated again."""
     document = settings.model_dump()
     if position_set is not None:
         is_file = position_set.endswith(POSITION_FILES)
@@ -71,7 +73,8 @@ def with_overrides(
 
 
 def current_settings_document(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a settings document stored by an earlier version with former keys replaced by the current ones."""
+    """Return a settings document that was stored by an earlier version, with former keys replaced by the current
+    keys."""
     document = with_current_keys(stored, Settings)
     document["devices"] = {
         name: {**device, "options": current_options(device["driver"], device.get("options", {}))}

@@ -1,4 +1,4 @@
-"""Section `[opcua]`: listening address of the OPC UA server, and its trusted clients."""
+"""Section `[opcua]` of the settings file: listening address of the OPC UA server, and its trusted clients."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ def _address(text: str) -> str:
 
 
 class OpcUaSettings(StrictModel):
-    """Settings of the OPC UA server. `trusted_clients`: directory with client certificates (DER or PEM); by default
-    ``opcua/trusted`` in the state directory. `anonymous_reading`: anonymous clients may read, hold and abort."""
+    """Settings of the OPC UA server.
+
+    `trusted_clients` is the directory of the client certificates (DER or PEM); by default it is ``opcua/trusted`` in
+    the state directory. If `anonymous_reading` is true, anonymous clients may read, hold and abort.
+    """
 
     enabled: bool = False
     host: Annotated[str, AfterValidator(_address)] = "127.0.0.1"

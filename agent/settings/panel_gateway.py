@@ -1,4 +1,5 @@
-"""Section `[gateway]`: access to the Modbus server for panels, and the reaction to a silent panel."""
+"""Section `[gateway]` of the settings file: access to the Modbus server for panels, and the reaction to the loss of a
+panel's heartbeat."""
 
 from __future__ import annotations
 
@@ -25,9 +26,10 @@ Address = Annotated[str, AfterValidator(_address)]
 
 
 class GatewaySettings(StrictModel):
-    """Settings of the panel gateway. `clients`: permitted addresses or networks; other connections are closed.
+    """Settings of the panel gateway.
 
-    Without `access_code_file` panels may only read, hold and abort.
+    `clients` are the permitted addresses or networks; connections from other addresses are closed. If
+    `access_code_file` is not set, panels may only read, hold and abort.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {

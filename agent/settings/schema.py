@@ -1,7 +1,8 @@
-"""Settings file of the agent (TOML). Values are bounded, unknown keys are refused, and paths are relative to the file.
+"""Settings file of the agent (TOML). The range of each value is limited, unknown keys are refused, and paths are
+relative to the settings file.
 
-The name of a key ends with its unit if the unit is not mm. The JSON schema of this module is committed under
-``config/schema``.
+The name of a key ends with its unit. Lengths without a unit in the key are in mm. The JSON schema of this module is
+committed under ``config/schema``.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Order = Literal["evidence", "file"] | Annotated[int, Field(ge=1, le=15)]
 
 
 class ClockSettings(StrictModel):
-    """Clock of the run: `real` on a machine, `scaled` or `lockstep` against simulators."""
+    """Clock of the run. `kind` is ``real`` on a machine, and ``scaled`` or ``lockstep`` if the run uses simulators."""
 
     kind: Literal["real", "scaled", "lockstep"] = "real"
     factor: PositiveFloat = 1.0
@@ -38,14 +39,15 @@ class ClockSettings(StrictModel):
 
 
 class DeviceSettings(StrictModel):
-    """A device: the name of its driver plugin, and the options that this plugin validates."""
+    """Device, given by the name of its driver plugin and by options, which this plugin validates."""
 
     driver: Name
     options: dict[str, Any] = Field(default_factory=dict)
 
 
 class RoleSettings(StrictModel):
-    """Device that plays each role. `mount`: one device for all stations, or a device for each station."""
+    """Name of the device that plays each role. `mount` names one device for all stations, or maps each station number
+    to a device."""
 
     machine: Name
     probe: Name
@@ -56,10 +58,12 @@ class RoleSettings(StrictModel):
 
 
 class StationSettings(StrictModel):
-    """Stations of the mount. `places_mm`: foot of the mount at each station (numbered from 1), workpiece frame.
+    """Stations of the mount. `places_mm` is the position of the mount's foot at each station in the workpiece frame;
+    stations are numbered from 1.
 
-    If each station has its own mount: `artefacts` lists one artefact file per station (omit it if a single artefact is
-    moved between the mounts), and `parked_deg` is azimuth and elevation of the mounts that are not being measured.
+    If each station has a mount of its own, `artefacts` lists one artefact file per station and `parked_deg` is the
+    azimuth and elevation of the mounts at which no artefact is being measured. `artefacts` is omitted if one artefact
+    is moved between the mounts.
     """
 
     places_mm: list[Coordinates] = Field(min_length=1)
@@ -76,7 +80,8 @@ class StationSettings(StrictModel):
 
 
 class ProcedureSettings(StrictModel):
-    """Measuring procedure. `position_set`: names joined by + (S1+S3), or the path of a position file."""
+    """Measuring procedure. `position_set` consists of names joined by + (such as S1+S3), or is the path of a position
+    file."""
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "find_feed_mm_per_min": "first_touch_feed_mm_per_min",
@@ -112,7 +117,11 @@ class ProcedureSettings(StrictModel):
 
 
 class ProbeCheckSettings(StrictModel):
-    """Repeatability check of the probe before a run: 2σ of `touches` touches at a ball's pole against `limit_um`."""
+    """Repeatability check of the probe before a run.
+
+    A ball is touched `touches` times at its pole. Twice the standard deviation of these touches must not exceed
+    `limit_um`.
+    """
 
     enabled: bool = True
     touches: int = Field(default=5, ge=3, le=50)
@@ -122,8 +131,9 @@ class ProbeCheckSettings(StrictModel):
 class QualificationSettings(StrictModel):
     """Stylus qualification on the datum ball with 25 touches before a run.
 
-    `ball`: number of the datum ball; by default the first ball that is accessible from all sides. `limit_um`: limit of
-    the form error and of each residual. `ball_radius_sigma_um`: standard deviation of the artefact's ball radii.
+    `ball` is the number of the datum ball; by default it is the first ball that is accessible from all sides.
+    `limit_um` is the limit of the form error and of each residual. `ball_radius_sigma_um` is the standard deviation of
+    the radii of the artefact's balls.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -138,10 +148,11 @@ class QualificationSettings(StrictModel):
 
 
 class ReversalSettings(StrictModel):
-    """Reversal test of the linear axes on the datum ball: `touches` from either side at two points per axis.
+    """Reversal test of the linear axes on the datum ball.
 
-    Lost motion above `limit_um` raises a warning. If it exceeds the limit by more than its uncertainty and `on_excess`
-    is `stop`, the run ends.
+    At each of two points per axis the ball is touched `touches` times from either side. Lost motion above `limit_um`
+    raises a warning. If `on_excess` is ``stop`` and the lost motion exceeds the limit by more than its uncertainty, the
+    run ends.
     """
 
     enabled: bool = True
@@ -151,7 +162,11 @@ class ReversalSettings(StrictModel):
 
 
 class IdentificationSettings(StrictModel):
-    """Identification. `order` of the Legendre series: chosen by `evidence`, that of the machine `file`, or a number."""
+    """Identification of the machine errors.
+
+    `order` is the order of the Legendre series: ``evidence`` chooses the order with the largest evidence from the
+    measurements, ``file`` takes the order of the machine file, and a number sets the order itself.
+    """
 
     formulation: Literal["centres", "distances"] = "centres"
     prior: bool = True
@@ -167,9 +182,11 @@ class TableSettings(StrictModel):
 
 
 class GateSettings(StrictModel):
-    """Limits of the gates between an estimate and a machine; µm where the key says so.
+    """Limits of the gates, which an estimate must pass before it is applied to a machine. A limit is in µm if its key
+    says so.
 
-    Runs take them from the settings file, `volcal identify` from the file it is given or else these defaults.
+    A run takes the limits from its settings file. `volcal identify` takes them from the settings file that it is given
+    or, without a settings file, uses these defaults.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -191,7 +208,8 @@ class GateSettings(StrictModel):
 
 
 class VerificationSettings(StrictModel):
-    """Held-out positions: measured before and after at these stations and not used for the estimate."""
+    """Held-out positions, which are not used for the estimate. They are measured at `stations` before and after a new
+    table is activated."""
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "largest_chi2": "max_chi2",
@@ -205,11 +223,11 @@ class VerificationSettings(StrictModel):
 
 
 class TimingSettings(StrictModel):
-    """Parameters of the cycle time prediction; speeds of the linear axes come from the machine file.
+    """Parameters of the cycle time prediction. The speeds of the linear axes come from the machine file.
 
-    Speed and acceleration are those of the mount. Each latency is added to the motion time of its command;
-    `turn_latency_s` includes the settling of the mount. `relocation_minutes`: time to move the artefact to another
-    station (the simulated operator needs none).
+    `speed_deg_per_s` and `acceleration_deg_per_s2` are those of the mount. Each latency is added to the motion time of
+    its command; `turn_latency_s` includes the settling of the mount. `relocation_minutes` is the time needed to move
+    the artefact to another station; the simulated operator needs no time.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -225,14 +243,18 @@ class TimingSettings(StrictModel):
 
 
 class NightlySettings(StrictModel):
-    """Nights after a full calibration: measurements of `verify` and `nightly`, and limits for a changed machine.
+    """Settings of the nights after a full calibration. They set the measurements of `volcal verify` and `volcal
+    nightly`, and the limits beyond which the machine counts as changed.
 
     The first `held_out_positions` of `verification.positions_deg` are measured at the start, and again if a new table
-    is written; `check_positions` designed positions complete the verification. `drift_um`: rms field by which the
-    machine may change per night, distributed like its family; `scale_drift_um_per_m`: additional drift of the scale of
-    each axis. The machine is out of limits if the normalised χ² of the prediction exceeds `max_chi2`, if one error has
-    stepped with at least `step_evidence` (ln of the likelihood ratio), or if the VE exceeds `max_ve_growth` times the
-    VE after the last accepted night.
+    is written. `check_positions` is the number of designed positions that complete the verification.
+
+    The machine may change by an rms field of `drift_um` per night, distributed like its family. `scale_drift_um_per_m`
+    is an additional drift per night of the scale of each axis.
+
+    The machine is out of limits in three cases: if the normalised χ² of the prediction exceeds `max_chi2`; if one error
+    has changed in a step whose evidence (ln of the likelihood ratio) is at least `step_evidence`; or if the VE exceeds
+    `max_ve_growth` times the VE after the last accepted night.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -258,7 +280,7 @@ class NightlySettings(StrictModel):
 
 
 class PreflightSettings(StrictModel):
-    """Driver plugin that simulates the machine in the preflight."""
+    """Settings of the preflight. `driver` is the driver plugin that simulates the machine."""
 
     driver: Name = "simulated"
 
@@ -315,6 +337,6 @@ class Settings(StrictModel):
 
 
 def parse_settings(text: str, source: str) -> Settings:
-    """Parse settings from TOML text. Raises FormatError, which names the file, the key, and the keys that are valid
-    there."""
+    """Parse settings from TOML text. Raises FormatError, which names the file, the invalid key, and the keys that are
+    valid in its place."""
     return read_toml(text, source, Settings)

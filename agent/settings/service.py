@@ -1,4 +1,4 @@
-"""Section `[service]`: network access, permitted hours of unattended starts, timeouts."""
+"""Section `[service]` of the settings file: network access, permitted hours of unattended starts, and timeouts."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ HourSpan = Annotated[str, Field(pattern=r"^([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3
 
 
 class ServiceSettings(StrictModel):
-    """Settings of the service. `host`: listening address; any address but loopback requires a certificate.
+    """Settings of the service. `host` is the listening address; any address except loopback requires a certificate.
 
-    Unattended starts are permitted only within `hours` (local time, for example 22:00-05:30) and `warm_up_minutes`
-    after this computer was switched on.
+    An unattended start is permitted only within `hours` (local time, for example 22:00-05:30). This computer must also
+    have been on for at least `warm_up_minutes`.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {

@@ -1,4 +1,5 @@
-"""Section `[temperature]`: thermometers, thermal stability limits, and the thermal drift model of the machine."""
+"""Section `[temperature]` of the settings file: thermometers, thermal stability limits, and the model of the thermal
+drift of the machine."""
 
 from __future__ import annotations
 
@@ -14,18 +15,22 @@ Sensor = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
 
 
 class TemperatureSettings(StrictModel):
-    """Temperature settings. Sensor names are those that the thermometer reports; sensors on one body are averaged.
+    """Temperature settings. Sensors have the names that the thermometer reports; the readings of several sensors on one
+    body are averaged.
 
-    `standard_uncertainty_k`: standard uncertainty of the artefact temperature, common to the whole run.
-    `declared_artefact_c`: artefact temperature if it has no sensor. The run waits while the artefact changes faster
-    than `max_rate_k_per_h` or is farther than `max_departure_k` from 20 °C; it reads the sensors every
-    `poll_interval_s` and gives up after `max_wait_minutes`. The first ball of each position is measured again at its
-    end: a shift beyond `drift_warning_um` is reported, a shift beyond `procedure.drift_limit_um` ends the run.
+    `standard_uncertainty_k` is the standard uncertainty of the artefact temperature, common to the whole run.
+    `declared_artefact_c` is the artefact temperature that is used if the artefact has no sensor. The run waits while
+    the artefact changes faster than `max_rate_k_per_h` or differs by more than `max_departure_k` from 20 °C. It reads
+    the sensors every `poll_interval_s` and gives up after `max_wait_minutes`.
 
-    The drift of the machine is fitted if its sensors change by at least `min_change_k` (`declared_change_k` if it has
-    no sensor). The prior standard deviations per kelvin are `scale_um_per_m_k` for scales, `bending_um_per_m_k` for
-    bending and tilt of guides, and `tip_um_per_k` for the tip, which includes the growth of the scales at mid-travel.
-    The first `repeat_positions` positions are measured again at the end if the machine has changed by
+    The first ball of each position is measured again at the end of the position. A shift of the ball beyond
+    `drift_warning_um` is reported; a shift beyond `procedure.drift_limit_um` ends the run.
+
+    The thermal drift of the machine is fitted if the machine temperature changes by at least `min_change_k`. If the
+    machine has no sensor, the change is assumed to be `declared_change_k`. The prior standard deviations per kelvin are
+    `scale_um_per_m_k` for scales, `bending_um_per_m_k` for bending and tilt of guides, and `tip_um_per_k` for the
+    position of the tip, which includes the growth of the scales at mid-travel. The first `repeat_positions` positions
+    are measured again at the end of the run if the machine temperature has changed by more than
     `repeat_after_change_k`.
     """
 

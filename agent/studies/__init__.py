@@ -1,7 +1,8 @@
-"""Studies of the procedure. Each examines a case by simulation and in closed form, and produces a figure and its
+"""Studies of the procedure. Each study examines a case by simulation and in closed form, and produces a figure with its
 numbers.
 
-A study is a function `run(case: StudyCase) -> StudyResult` in a module of this package, with one entry here.
+A study is a function `run(case: StudyCase) -> StudyResult` in a module of this package. `STUDIES` lists these functions
+by name.
 """
 
 STUDIES: dict[str, str] = {

@@ -1,5 +1,5 @@
-"""Number of balls needed on a bar of given length. The study computes the volumetric error after compensation with 3 to
-15 balls, and the gain of each number as a share of the largest gain."""
+"""Study of the number of balls needed on a bar of given length. It computes the volumetric error after compensation
+with 3 to 15 balls, and the gain of each number of balls as a share of the largest gain."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ AXIS_LABEL = "balls over the same length"
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Results of one identification variant: verdict, and share of the largest gain, for each of `COUNTS`.
+    """Results of one identification variant for each number of balls in `COUNTS`.
 
-    A share is None if the machine is not identified with that number of balls, or if no number reduces the error.
+    `verdicts` are the volumetric errors found, and `shares` are the gains as shares of the largest gain. A share is
+    None if the machine is not identified with this number of balls, or if no number of balls reduces the error.
     """
 
     variant: IdentificationVariant
@@ -40,14 +41,15 @@ class Curve:
 
     @property
     def fewest(self) -> int | None:
-        """Smallest number of balls whose share of the gain is at least `SUFFICIENT_SHARE`; None if there is none."""
+        """Smallest number of balls whose share of the largest gain is at least `SUFFICIENT_SHARE`; None if no number
+        reaches this share."""
         return next(
             (n for n, share in zip(COUNTS, self.shares, strict=True) if share and share >= SUFFICIENT_SHARE), None
         )
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate bars of the case's length with 3 to 15 balls, in the case's position set."""
+    """Evaluate bars that have the length of the case's bar and 3 to 15 balls, in the position set of the case."""
     bar, evaluator, variants, positions = (
         Bar.of(case.artefact),
         ProcedureEvaluator(case),
@@ -73,10 +75,10 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def gain_shares(verdicts: Sequence[Verdict], before: VolumetricRms) -> tuple[float | None, ...]:
-    """Return the gain of each verdict as a share of the largest gain. The gain is VE - VCE, both after the best-fitting
-    rigid motion is removed.
+    """Return the gain of each verdict as a share of the largest gain.
 
-    A share is None if the machine is not identified, or if no number of balls reduces the error.
+    The gain is the VE (`before`) minus the VCE, both after the best-fitting rigid motion is removed. A share is None if
+    the machine is not identified, or if no number of balls reduces the error.
     """
     left = [aligned_um(verdict) for verdict in verdicts]
     best = min((value for value in left if value is not None), default=before.aligned_um)

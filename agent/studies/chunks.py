@@ -35,8 +35,8 @@ class Chunk(Generic[Item]):
     items: Sequence[Item]
 
     def run(self, task: Callable[[Item], Result]) -> list[Result]:
-        """Return the result of `task` for each item. If `task` raises an error, raises VolcalError, which names the
-        item."""
+        """Return the result of `task` for each item. If `task` raises an error, raises VolcalError with the name of the
+        failed item."""
         results: list[Result] = []
         for number, item in enumerate(self.items, start=self.first):
             try:
@@ -47,15 +47,16 @@ class Chunk(Generic[Item]):
 
 
 def split_into_chunks(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
-    """Split the items for `workers` workers into chunks of equal size; the last one may be shorter."""
+    """Split the items into chunks of equal size for `workers` workers; the last chunk may be shorter."""
     size = max(1, min(_MAX_ITEMS, -(-len(items) // (_CHUNKS_PER_WORKER * workers))))
     return [Chunk(start, items[start : start + size]) for start in range(0, len(items), size)]
 
 
 def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
-    """Return the results of a chunk for a pickled task, with linear algebra in this process limited to one thread.
+    """Return the results of a pickled task for the items of a chunk. Linear algebra in this process is limited to one
+    thread.
 
-    The limit is needed because sums computed by several threads depend on the number of threads.
+    The limit is needed because rounding in sums computed by several threads depends on the number of threads.
     """
     function = _unpickled(task)
     threadpool_limits(limits=1)  # after unpickling, since it affects only libraries that are already loaded
@@ -63,8 +64,11 @@ def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
 
 
 def run_chunk_on_cluster(task: bytes, chunk: Chunk[Any], software: Mapping[str, str]) -> list[Any]:
-    """Return the results of a chunk computed on another computer. Raises ConfigurationError if its software versions
-    differ from those of the submitting computer, `software`."""
+    """Return the results of a chunk, computed on a computer of the cluster.
+
+    `software` contains the software versions of the computer that submitted the chunk. Raises ConfigurationError if the
+    versions on this computer differ.
+    """
     here = local_software()
     for name, wanted in software.items():
         if here[name] != wanted:

@@ -1,7 +1,7 @@
-"""Study workers on a Dask cluster. `distributed` is an optional dependency: `pip install volcal[cluster]`.
+"""Study workers on a Dask cluster. The package `distributed` is an optional dependency: `pip install volcal[cluster]`.
 
-Three waits have a time limit: for the connection, for the first worker, and, while no result arrives, for a response of
-the scheduler. The computing time of a chunk is not limited.
+Three waits have a time limit: the wait for the connection, the wait for the first worker, and, while no result arrives,
+the wait for a response of the scheduler. The computing time of a chunk is not limited.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ _MAX_GREETING_BYTES = 1 << 20
 
 
 class DaskWorkers:
-    """Workers of the Dask scheduler at `address`, connected inside the `with` block.
+    """Workers of the Dask scheduler at `address`, which are connected inside the `with` block.
 
-    Raises ConfigurationError for an invalid address or different software versions, LinkLost or LinkTimeout if
-    scheduler or workers cannot be reached or the connection is lost, RunError if workers died repeatedly, and
-    VolcalError with the item's name if an item failed.
+    Raises ConfigurationError if the address is invalid or the software versions differ. Raises LinkLost or LinkTimeout
+    if the scheduler or the workers cannot be reached or the connection is lost. Raises RunError if workers died
+    repeatedly, and VolcalError, with the name of the item, if an item failed.
     """
 
     def __init__(self, address: str) -> None:

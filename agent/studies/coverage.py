@@ -1,8 +1,9 @@
-"""Coverage of the 95 % regions of an estimate, for machines with more errors than the model describes.
+"""Study of the coverage of the 95 % regions of an estimate, for machines that have more errors than the model
+describes.
 
-Each machine is drawn with one of several forms of deflection and measured in the case's set and in the held-out
-positions. It is identified twice: with the Legendre order of the machine file, and with the order that has the largest
-evidence from the measurements.
+Each machine is drawn with one of several forms of deflection. It is measured in the position set of the case and in the
+held-out positions. Two estimates are made: one with the Legendre order of the machine file, and one with the order that
+has the largest evidence from the measurements.
 """
 
 from __future__ import annotations
@@ -52,9 +53,12 @@ _MACHINES_PER_CHECK = 5  # number of richer machines per machine as modelled
 
 @dataclass(frozen=True, eq=False)
 class ComparedEstimate:
-    """Comparison of one estimate with the true machine, with its true VE, true VCE and predicted VCE in mm. `form` is
-    the form of deflection, and `chosen` the choice of the Legendre order. `levels` maps each kind of region to the
-    confidence levels at which the regions just contain the true values."""
+    """Comparison of one estimate with the true errors of its machine.
+
+    `form` is the form of deflection, and `chosen` says how the Legendre order was chosen. `levels` maps each kind of
+    region to the confidence levels at which the regions just contain the true values. `ve_mm` is the true VE, `vce_mm`
+    the true VCE and `predicted_vce_mm` the predicted VCE, all in mm.
+    """
 
     form: str
     chosen: str
@@ -67,8 +71,8 @@ class ComparedEstimate:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTask:
-    """Task that draws a machine, given its number and form of deflection, and compares the estimates of this machine
-    with its true errors."""
+    """Task that draws a machine, given its number and its form of deflection, and compares its estimates with its true
+    errors."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -137,8 +141,10 @@ class CoverageTask:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the coverage over `case.machines` machines with alternating forms of deflection, and over some machines
-    that the model describes exactly."""
+    """Compute the coverage over `case.machines` machines with alternating forms of deflection.
+
+    Some additional machines are drawn that the model describes exactly.
+    """
     machines = [(number, DEFLECTION_FORMS[number % len(DEFLECTION_FORMS)]) for number in range(case.machines)]
     machines += [(case.machines + extra, AS_MODELLED) for extra in range(max(case.machines // _MACHINES_PER_CHECK, 2))]
     found = case.map(_comparison(case), machines)
@@ -170,13 +176,14 @@ def _comparison(case: StudyCase) -> CoverageTask:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTable:
-    """Comparisons of all machines. The observed coverage can be computed over any selection of them."""
+    """Comparisons for all machines. The observed coverage can be computed for any selection of these comparisons."""
 
     compared: Sequence[ComparedEstimate]
     rng: np.random.Generator
 
     def select(self, chosen: str, form: str | None = None) -> list[ComparedEstimate]:
-        """Return the comparisons made with one choice of the Legendre order, for one form of deflection or for all."""
+        """Return the comparisons made with the choice `chosen` of the Legendre order, for the form of deflection
+        `form`. If `form` is None, return them for all forms."""
         forms = DEFLECTION_FORMS if form is None else (form,)
         return [one for one in self.compared if one.chosen == chosen and one.form in forms]
 

@@ -22,9 +22,11 @@ _LOWEST = 70.0
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Results for one choice of the Legendre order. `groups` has the forms of deflection and the group "all".
+    """Results for one choice of the Legendre order. `groups` contains the names of the forms of deflection and the name
+    ``all``.
 
-    `shares`: region → observed coverage of each of `groups`; `curves`: region → observed coverage at each of `LEVELS`.
+    `shares` maps each region to its observed coverage in each of `groups`. `curves` maps each region to its observed
+    coverage at each of the nominal levels `LEVELS`.
     """
 
     title: str
@@ -34,7 +36,8 @@ class Panel:
 
 
 def draw(figure: Figure, panels: Sequence[Panel]) -> None:
-    """Draw one row per panel, with coverage by form of deflection on the left and reliability on the right."""
+    """Draw one row of diagrams per panel. The left diagram shows the observed coverage by form of deflection, the right
+    diagram shows the observed coverage against the nominal coverage."""
     axes = figure.subplots(len(panels), 2, width_ratios=(2.1, 1.0), squeeze=False)
     for (left, right), panel in zip(axes, panels, strict=True):
         _by_form(left, panel)

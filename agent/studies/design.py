@@ -1,8 +1,9 @@
-"""Comparison of designed sets with S1, S2, S3 and their combinations, by volumetric compensated error and machine time.
+"""Study that compares designed position sets with S1, S2, S3 and their combinations, by volumetric compensated error
+(VCE) and machine time.
 
-Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`). The closed form
-includes the deflection of the machine file, but the model and the search do not. The named sets are also evaluated with
-the published formulation: distances, unit weights, no prior.
+Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`). This closed form
+includes the deflection stated in the machine file, but the error model and the search for designs do not. The named
+sets are also evaluated with the published formulation, which uses distances with unit weights and no prior.
 """
 
 from __future__ import annotations
@@ -65,11 +66,11 @@ CENTRES = Options(estimate_scales=False, outliers="none")
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """Results of one set. All errors are computed after the best-fitting rigid motion is removed.
+    """Results of one position set. All errors are computed after the best-fitting rigid motion is removed.
 
-    `criterion_um`: expected VCE without deflection, the criterion of the search. `vce_um`: expected VCE with
-    deflection. `published_um`, `with_prior_um`: expected VCE with the published formulation, without and with the
-    prior. Both are None for sets that are not named.
+    `criterion_um` is the expected VCE without deflection, which is the criterion of the search. `vce_um` is the
+    expected VCE with deflection. `published_um` and `with_prior_um` are the expected VCE with the published
+    formulation, without and with the prior; both are None for a designed set.
     """
 
     name: str
@@ -88,8 +89,12 @@ class EvaluatedSet:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate three groups of sets: the named sets, the designs for time slots and for the VCE of the reference set,
-    and the designs for one time slot with other artefacts and touches."""
+    """Evaluate three groups of position sets.
+
+    The first group contains the named sets. The second contains the designs for several time slots, and the design that
+    reaches the VCE of the reference set. The third contains the designs for one time slot with other artefacts and
+    other numbers of touches.
+    """
     evaluator = SetEvaluator.of(case)
     base = variants_of(case.job, Path())[0]
     named = [evaluator.evaluate_named(base, name, case.positions(name)) for name in SETS]
@@ -123,7 +128,8 @@ def run(case: StudyCase) -> StudyResult:
 
 @dataclass(frozen=True, eq=False)
 class SetEvaluator:
-    """Evaluator of sets. `field`: residual field form of the case on the evaluation grid, the same for all sets."""
+    """Evaluator of position sets. `field` is the quadratic form that gives the residual field of the case on the
+    evaluation grid; it is the same for all sets."""
 
     field: FieldForm
 

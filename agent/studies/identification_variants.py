@@ -1,5 +1,5 @@
-"""Identification variants that a study compares. They are the requested options, and the published method with and
-without a prior."""
+"""Identification variants that a study compares. The variants are the options requested by the case, and the published
+method with and without a prior."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False)
 
 @dataclass(frozen=True, eq=False)
 class IdentificationVariant:
-    """Identification options in which all scales of the uncertainties are those stated, not estimated, so that closed
-    form and simulation are comparable."""
+    """Identification options that make closed form and simulation comparable.
+
+    All scales of the uncertainties are the stated scales and are not estimated from the measurements.
+    """
 
     options: Options
 
@@ -26,14 +28,14 @@ class IdentificationVariant:
 
     @property
     def title(self) -> str:
-        """Label of the variant, with a mark if it is the published method."""
+        """Label of the variant, marked as the published method if the variant is the published method."""
         published = IdentificationVariant(PUBLISHED).label == self.label
         return f"{self.label} (published method)" if published else self.label
 
 
 def identification_variants(options: Options) -> tuple[IdentificationVariant, ...]:
-    """Return the requested variant, the published method with the family of machines as prior, and the published
-    method, without duplicates."""
+    """Return three variants without duplicates: the requested options, the published method with the family of machines
+    as prior, and the published method itself."""
     candidates = (options, replace(PUBLISHED, use_prior=True), PUBLISHED)
     found: dict[str, IdentificationVariant] = {}
     for candidate in candidates:

@@ -1,4 +1,4 @@
-"""Effect of tilting the ball holders. The study computes the volumetric error after compensation for tilts of 0 to 30
+"""Study of the effect of tilted ball holders. It computes the volumetric error after compensation for tilts of 0 to 30
 degrees."""
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Verdicts = Sequence[tuple[Verdict, ...]]
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate the case's bar with each tilt of its holders, in the position sets S2 and S2+S3."""
+    """Evaluate the bar of the case with each tilt of its ball holders, in the position sets S2 and S2+S3."""
     bar, evaluator, variants = Bar.of(case.artefact), ProcedureEvaluator(case), identification_variants(case.options)
     cases = [(name, tilt) for name in SETS for tilt in TILTS_DEG]
     trials = [ProcedureVariant.of(case, bar.with_(tilt_deg=tilt), case.positions(name)) for name, tilt in cases]
@@ -48,10 +48,10 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def saving(rows: Verdicts, variant: int) -> float | None:
-    """Return the share by which the largest tilt reduces the VCE, after the best-fitting rigid motion is removed,
-    compared to a straight bar.
+    """Return the share by which the VCE with the largest tilt is smaller than the VCE without tilt.
 
-    Return None if the machine is not identified with one of these two bars.
+    The VCE is taken after the best-fitting rigid motion is removed. `variant` is the index of the identification
+    variant. Return None if the machine is not identified with one of the two tilts.
     """
     straight, tilted = aligned_um(rows[0][variant]), aligned_um(rows[-1][variant])
     return None if straight is None or tilted is None else 1.0 - tilted / straight

@@ -1,8 +1,9 @@
-"""Monte Carlo simulation of whole procedures. The VE and VCE of many machines are compared with the closed form.
+"""Monte Carlo simulation of whole procedures. It compares the VE and VCE of many simulated machines with the closed
+form.
 
-Each machine is drawn, measured and identified independently. Each machine is identified twice from the same
+Each machine is drawn, measured and identified independently of the others. It is identified twice from the same
 measurements. The first identification is that of a run: it estimates the scales of noise, prior and misfit, and rejects
-contradicting balls. The second uses all scales as stated, as the closed form assumes.
+contradicting balls. The second identification uses all scales as stated, as the closed form assumes.
 """
 
 from __future__ import annotations
@@ -37,8 +38,11 @@ COVERAGE_FACTOR = 2.0
 
 @dataclass(frozen=True)
 class SimulatedMachine:
-    """One simulated machine, with its t true and p estimated parameters, the normalised chi-square, and the number of
-    rejected balls."""
+    """One simulated machine and its identification.
+
+    `truth` contains the true parameters, and `estimate` the estimated parameters. `chi2_normalised` is the normalised
+    χ² of the estimate, and `rejected` is the number of rejected balls.
+    """
 
     truth: Array
     estimate: Array
@@ -48,9 +52,9 @@ class SimulatedMachine:
 
 @dataclass(frozen=True, eq=False)
 class ProcedureTask:
-    """Task that simulates the procedure on the machine with a given number.
+    """Task that draws the machine with a given number and simulates the procedure on it.
 
-    If assumptions and seed are the same, the same number gives the same machine and artefact in all procedures.
+    If assumptions and seed are the same, a given number stands for the same machine and artefact in all procedures.
     """
 
     planned: Observations
@@ -63,7 +67,8 @@ class ProcedureTask:
 
     @classmethod
     def of(cls, case: StudyCase, planned: Observations, options: Options | None = None) -> ProcedureTask:
-        """Return the task for the case's artefact and machines, by default with the case's options."""
+        """Return the task for the artefact and machines of the case. If `options` is None, the options of the case are
+        used."""
         chosen = options or case.options
         family = case.machine.family
         return cls(planned, case.artefact, family, case.assumptions, chosen, case.tool_offset, case.seed)
@@ -78,7 +83,10 @@ class ProcedureTask:
 
 @dataclass(frozen=True, eq=False)
 class ErrorSample:
-    """Volumetric errors (m,) in mm of m machines: raw, and aligned (after the best-fitting rigid motion is removed)."""
+    """Volumetric errors in mm of a sample of machines, one value per machine in each array.
+
+    `raw_mm` contains the raw errors; `aligned_mm` contains the errors after the best-fitting rigid motion is removed.
+    """
 
     raw_mm: Array
     aligned_mm: Array
@@ -93,17 +101,19 @@ class ErrorSample:
 
     @property
     def expected(self) -> VolumetricRms:
-        """Root mean square over the machines; the closed form gives the root of the expected mean square."""
+        """Root mean square of the errors over the machines. It is comparable with the closed form, which gives the root
+        of the expected mean square."""
         return VolumetricRms(*(float(np.sqrt(np.mean(values**2))) for values in (self.raw_mm, self.aligned_mm)))
 
     @property
     def standard_error(self) -> VolumetricRms:
-        """Standard error of `expected`, propagated from the standard error of the mean square."""
+        """Standard error of `expected`, propagated from the standard error of the mean square over the machines."""
         return VolumetricRms(*(_error_of_root(values) for values in (self.raw_mm, self.aligned_mm)))
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Simulate `case.machines` machines measured in the case's set and compare VE and VCE with the closed form."""
+    """Simulate `case.machines` machines, measured in the position set of the case, and compare their VE and VCE with
+    the closed form."""
     planned = case.procedure.plan(case.positions()).observations
     grid = evaluation_grid(case.machine.model.ranges_mm)
     form = FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
@@ -130,16 +140,19 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def with_stated_scales(options: Options) -> Options:
-    """Return the options with fixed scales and without outlier rejection, so that the estimate is linear in the
+    """Return the options changed to fixed scales and no outlier rejection. The estimate is then linear in the
     measurements."""
     return replace(options, estimate_scales=False, outliers="none")
 
 
 @dataclass(frozen=True, eq=False)
 class SimulationComparison:
-    """Comparison of closed form and simulation. `closed` is the VCE in closed form, and `before` the simulated VE.
-    `plain` is the simulated VCE with scales as stated, which `closed` assumes. `usual` is the simulated VCE if machines
-    are identified as in a run."""
+    """Comparison of closed form and simulation.
+
+    `closed` is the VCE in closed form, and `before` the simulated VE. `plain` is the simulated VCE if machines are
+    identified with the scales as stated, as `closed` assumes. `usual` is the simulated VCE if machines are identified
+    as in a run.
+    """
 
     closed: VolumetricRms
     before: ErrorSample
@@ -193,7 +206,8 @@ def _summary(
 
 
 def deviation(simulated_mm: float, closed_mm: float, error_mm: float) -> float | None:
-    """Return simulation minus closed form in standard errors; None if there is no standard error (one machine)."""
+    """Return the simulated value minus the closed form, in units of the standard error. Return None if the standard
+    error is zero, as for a single machine."""
     return (simulated_mm - closed_mm) / error_mm if error_mm > 0.0 else None
 
 

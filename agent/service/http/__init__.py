@@ -1,1 +1,1 @@
-"""HTTP endpoint: status, journal and events for everyone, commands for holders of the token."""
+"""HTTP endpoint. Everyone can read status, journal and events; commands are for holders of the access token."""

@@ -1,4 +1,4 @@
-"""HTTP application: routers behind the guard. The page and the metrics are added as extensions."""
+"""HTTP application. It consists of the routers behind the guard; the page and the metrics are added as extensions."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ Extension = Callable[[FastAPI, AppState], None]
 
 
 def create_app(app_state: AppState, names: Collection[str] = (), extensions: Sequence[Extension] = ()) -> FastAPI:
-    """Return the application. `names` are the host names, in addition to those of loopback, by which clients may
-    address it.
-    """
+    """Return the HTTP application. `names` are the host names by which clients may address it in addition to the
+    loopback names."""
     app = FastAPI(
         title="volcal",
         version=version("volcal"),

@@ -1,4 +1,4 @@
-"""State shared by the routes of the HTTP application, available to each of them as a dependency."""
+"""State shared by the routes of the HTTP application. Each route receives it as a dependency."""
 
 from __future__ import annotations
 

@@ -27,7 +27,8 @@ with_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED, dep
 
 @without_token.post("/abort")
 def abort(app_state: AppStateDependency, body: AbortBody | None = None) -> RequestAccepted:
-    """Stop, withdraw the probe and restore the previous table. Always accepted; without effect between runs."""
+    """Stop the machine, withdraw the probe and restore the previous table. This request is always accepted; between
+    runs it has no effect."""
     app_state.control.abort((body or AbortBody()).reason)
     return RequestAccepted()
 
@@ -46,14 +47,14 @@ def resume_run(app_state: AppStateDependency, body: ResumeRunBody | None = None)
 
 @with_token.post("/hold")
 def hold(app_state: AppStateDependency) -> RequestAccepted:
-    """Hold the run at the next safe point."""
+    """Hold the run in progress: its motion stops, and the run can be resumed."""
     app_state.control.hold()
     return RequestAccepted()
 
 
 @with_token.post("/resume")
 def resume(app_state: AppStateDependency) -> RequestAccepted:
-    """Continue after a hold."""
+    """Continue a run that is held."""
     app_state.control.resume()
     return RequestAccepted()
 
@@ -80,7 +81,8 @@ def restore_table(app_state: AppStateDependency, body: RestoreBody) -> RunStarte
 
 @with_token.post("/settings/check")
 def check_settings(app_state: AppStateDependency, body: SettingsBody) -> RequestAccepted:
-    """Validate a settings file without using it. If it is invalid, the problem names key and reason."""
+    """Validate the text of a settings file without using it. If the text is invalid, the problem document names the key
+    and the reason."""
     with translated(ConfigurationError):
         parse_settings(body.toml, "settings")
     return RequestAccepted()

@@ -1,4 +1,5 @@
-"""OpenAPI document of the HTTP interface without a running service: `python -m agent.service.http.description`."""
+"""OpenAPI document of the HTTP interface. `python -m agent.service.http.description` makes it without a running
+service."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from agent.service.http.app import add_endpoints
 
 
 def openapi_document() -> dict[str, Any]:
-    """Return the OpenAPI document. Its version is fixed, since a release alone does not change the interface."""
+    """Return the OpenAPI document. Its version number is fixed, because a release of the program alone does not change
+    the interface."""
     app = FastAPI(title="volcal", version="1", summary="Calibration service of one machine.")
     add_endpoints(app)
     return app.openapi()

@@ -1,4 +1,4 @@
-"""Download of a diagnostics archive for support, with secrets removed."""
+"""Download of a diagnostics archive for support. Secrets are removed from the archive."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED, depend
 
 @router.get("/diagnostics", response_class=Response)
 def diagnostics(app_state: AppStateDependency) -> Response:
-    """Return a ZIP with status, events, versions, settings and journal, secrets removed. Requires the token because it
-    contains everything known about the machine."""
+    """Return a ZIP file with status, events, versions, settings and journal, from which secrets are removed. The
+    request requires the token, because the file contains everything known about the machine."""
     _, events = app_state.event_log.since(0)
     content = diagnostics_zip(app_state.settings(), status_now(app_state).model_dump(mode="json"), events)
     headers = {"Content-Disposition": 'attachment; filename="volcal-diagnostics.zip"'}

@@ -1,4 +1,4 @@
-"""Diagnostics archive for failure analysis: one ZIP file with secrets removed."""
+"""Diagnostics archive for failure analysis. It is one ZIP file, from which secrets are removed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user",
 
 
 def without_secrets(document: Any) -> Any:
-    """Return the document without the values whose keys suggest a secret. Values at any depth are removed."""
+    """Return the document with the values removed whose keys suggest a secret. Nested values are also removed."""
     if isinstance(document, Mapping):
         return {
             key: REMOVED if _SECRET.search(str(key)) and value is not None else without_secrets(value)

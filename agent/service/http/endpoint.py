@@ -1,4 +1,4 @@
-"""HTTP endpoint: Uvicorn in its own thread, on a socket that is bound before the service reports readiness."""
+"""HTTP endpoint. The server is Uvicorn in its own thread; its socket is bound before the service reports readiness."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ MAX_CONCURRENCY = 64
 
 
 class HttpEndpoint:
-    """HTTP server of the service. `make_app` creates the application for a control. Port 0 means any free port."""
+    """HTTP server of the service. `make_app` is a function that creates the HTTP application for a given control. Port
+    0 means any free port."""
 
     name = "http"
 

@@ -1,6 +1,4 @@
-"""Server-sent events. The service sends the status first, then the events that follow the last one that the client has
-received.
-"""
+"""Server-sent events. The service first sends the status, then all events that the client has not yet received."""
 
 from __future__ import annotations
 
@@ -25,9 +23,11 @@ RECONNECT_AFTER_MS = 2000
 async def events(
     app_state: AppStateDependency, last_event_id: Annotated[str | None, Header()] = None
 ) -> AsyncIterator[ServerSentEvent]:
-    """Stream `status` once at the beginning (and again if events were lost), then every event with its number as id.
+    """Send the status once at the beginning, then every event with its number as id. If events were lost, send the
+    status again.
 
-    With `Last-Event-ID` the events since that number come first. A comment every 15 s keeps the connection alive.
+    If the request has the header `Last-Event-ID`, the events after that number are sent before new events. A comment
+    every 15 s keeps the connection alive.
     """
     known = last_event_id is not None and last_event_id.isdigit()
     seen = int(last_event_id or 0) if known else app_state.event_log.last_number

@@ -1,8 +1,8 @@
-"""Checks of every request before it is processed: host name, origin and size.
+"""Checks of every request before it is processed. The host name, the origin and the size are checked.
 
-A foreign page open in the panel's browser can send requests to loopback. It does not have the token, so it cannot send
-commands. A foreign `Host` header indicates DNS rebinding, and a foreign `Origin` header indicates a request of another
-page. Both are refused even if the request only reads.
+A foreign page that is open in the panel's browser can send requests to loopback. It does not have the token, so it
+cannot send commands. A foreign `Host` header indicates DNS rebinding, and a foreign `Origin` header indicates a request
+by another page. Requests with such a header are refused even if they only read.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ SECURITY_HEADERS = (
 
 
 class Guard:
-    """ASGI middleware. `names`: host names, without port, by which a browser may reach the service."""
+    """ASGI middleware that checks every request. `names` are the host names, without port, by which a browser may reach
+    the service."""
 
     def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
         self._app = app
@@ -74,7 +75,8 @@ _BEARER = HTTPBearer(auto_error=False, description="Content of the file `service
 def require_token(
     app_state: AppStateDependency, given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]
 ) -> None:
-    """Refuse requests without the valid token. All command endpoints have this function as a dependency."""
+    """Refuse a request without the valid token. This function is a dependency of all command endpoints that require the
+    token."""
     if given is None:
         raise RequestRefused(
             HTTPStatus.UNAUTHORIZED,

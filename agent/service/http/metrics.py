@@ -1,6 +1,5 @@
-"""`/metrics` for Prometheus, made from the history and the current status. Requests pass the guard but need no
-token.
-"""
+"""Route `/metrics` for Prometheus. The metrics are made from the history and the current status. The guard checks
+requests for them, but no token is required."""
 
 from __future__ import annotations
 
@@ -26,9 +25,8 @@ PATH = "/metrics"
 
 
 def mount_metrics(app: FastAPI, app_state: AppState) -> None:
-    """Add the route to the application; this function is an `agent.service.http.app.Extension`. The first request
-    imports the database client.
-    """
+    """Add the route `/metrics` to the application; this function is an `agent.service.http.app.Extension`. The database
+    client is imported only at the first request."""
     cache = _MetricsCache()
 
     @app.get(PATH, include_in_schema=False)
@@ -76,7 +74,7 @@ class _MetricsCache:
 
 
 def live_gauges(status: Status) -> dict[str, float]:
-    """Return the gauges of the current status by name."""
+    """Return the gauges that show the current status, by name."""
     return {
         "run_under_way": float(status.state not in AT_REST),
         "run_fraction": status.fraction,

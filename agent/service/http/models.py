@@ -1,4 +1,4 @@
-"""Bodies of requests and responses, as documented in the OpenAPI document."""
+"""Models of the bodies of requests and responses, from which the OpenAPI document is generated."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ class RequestBody(BaseModel):
 
 
 class StartBody(RunRequest):
-    """Request of a run. `consent`: a person at the machine has confirmed that it may move; without it the service
-    decides from permissions, hours and warm-up whether the run may start. null: as in the settings."""
+    """Request for a run. A value of null means that the value is taken from the settings.
+
+    `consent` is true if a person at the machine has confirmed that it may move. Without consent the service decides
+    from permissions, hours and warm-up whether the run may start.
+    """
 
     source: Literal["page", "command line", "timer"] = "page"
 
@@ -31,14 +34,14 @@ class AbortBody(RequestBody):
 
 
 class AnswerBody(RequestBody):
-    """Answer to the question with this `number`."""
+    """Answer to the question that has this `number`."""
 
     number: PositiveInt
     yes: bool
 
 
 class RestoreBody(RequestBody):
-    """Stored table, as listed by `/api/tables`."""
+    """Stored table to be reactivated, identified by the values that `/api/tables` lists."""
 
     run_id: str = Field(max_length=40)
     role: Literal["backup", "staged", "restored"] = "backup"
@@ -46,7 +49,7 @@ class RestoreBody(RequestBody):
 
 
 class SettingsBody(RequestBody):
-    """Text of a settings file to be validated; it is not stored."""
+    """Text of a settings file to be validated. The text is not stored."""
 
     toml: str = Field(max_length=60_000)
 
@@ -56,7 +59,7 @@ class RunStarted(BaseModel):
 
 
 class RequestAccepted(BaseModel):
-    """The request was accepted; its effect is reported by status and events."""
+    """Confirmation that the request was accepted. Its effect is reported by the status and the events."""
 
     taken: Literal[True] = True
 
@@ -75,7 +78,8 @@ class QuestionView(BaseModel):
 
 
 class StatusView(BaseModel):
-    """Status as in `agent.service.control.Status`; `event`: number of the last event that it includes."""
+    """Status of the service, with the fields of `agent.service.control.Status`. `event` is the number of the last event
+    that the status includes."""
 
     machine: str
     state: RunState
@@ -102,7 +106,7 @@ class StatusView(BaseModel):
 
 
 class RunSummary(BaseModel):
-    """Summary of a run; times in UTC. `report`: true if a report exists."""
+    """Summary of a run. The times are in UTC. `report` is true if a report exists."""
 
     run_id: str
     kind: str
@@ -117,7 +121,8 @@ class RunSummary(BaseModel):
 
 
 class RunDetails(RunSummary):
-    """Run with its request (`asked`), gates and decisions. `accepted`: its table is the reference of later nights."""
+    """Run with its request (`asked`), gates and decisions. `accepted` is true if the table of the run was accepted, so
+    that later nights refer to it."""
 
     position_set: str
     asked: dict[str, Any] | None
@@ -127,7 +132,8 @@ class RunDetails(RunSummary):
 
 
 class RunPage(BaseModel):
-    """Runs, latest first; `before`: parameter for the next page, null if there are no earlier runs."""
+    """Page of runs, the latest first. `before` is the parameter for the next page; it is null if there are no earlier
+    runs."""
 
     runs: list[RunSummary]
     before: str | None
@@ -146,7 +152,8 @@ class TableView(BaseModel):
 
 
 class TableList(BaseModel):
-    """`active_bank` and `written_not_active` as last read; `kept`: stored tables that can be restored."""
+    """Active bank and stored tables. `active_bank` and `written_not_active` are the values last read from the
+    controller; `kept` lists the stored tables that can be restored."""
 
     active_bank: int | None
     written_not_active: int | None

@@ -1,4 +1,4 @@
-"""Errors as problem documents (RFC 9457) with cause, location and remedy. They never contain a traceback."""
+"""Problem documents (RFC 9457), which report errors with cause, location and remedy. They never contain a traceback."""
 
 from __future__ import annotations
 
@@ -33,7 +33,11 @@ STATUS: dict[type[errors.VolcalError], HTTPStatus] = {
 
 
 class Problem(BaseModel):
-    """Problem document. `title`: error class; `code`: alarm number; `where`: device, step, file, key …"""
+    """Problem document, which reports one error.
+
+    `title` is the error class. `code` is the alarm number. `where` maps the kind of each known location (device, step,
+    file, key and others) to its name.
+    """
 
     title: str
     status: int
@@ -44,7 +48,7 @@ class Problem(BaseModel):
 
 
 class RequestRefused(Exception):
-    """Refusal of a request by the HTTP endpoint itself, before it reaches the control."""
+    """Error raised if the HTTP endpoint itself refuses a request, before the request reaches the control."""
 
     def __init__(self, status: HTTPStatus, detail: str, hint: str = "", headers: dict[str, str] | None = None) -> None:
         super().__init__(detail)
@@ -70,7 +74,7 @@ def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONRespo
 
 
 def install(app: FastAPI) -> None:
-    """Install handlers that answer every error of a request with a problem document."""
+    """Install the handlers that turn every error of a request into a problem document."""
 
     @app.exception_handler(errors.VolcalError)
     def volcal_error(_: Request, error: errors.VolcalError) -> JSONResponse:

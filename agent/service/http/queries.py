@@ -1,4 +1,4 @@
-"""Read-only endpoints: status, journal, machine, plan. None of them accesses the engine or a device."""
+"""Read-only endpoints for status, journal, machine and plan. They never access the engine or a device."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Limit = Annotated[int, Query(ge=1, le=1000)]
 
 @router.get("/status")
 def status(app_state: AppStateDependency) -> StatusView:
-    """Return the complete status at one instant."""
+    """Return the complete status of the service at one instant."""
     return status_now(app_state)
 
 
@@ -35,19 +35,19 @@ def runs(
 
 @router.get("/runs/{run_id}")
 def run(app_state: AppStateDependency, run_id: str) -> RunDetails:
-    """Return one run with its request, gates, decisions and end."""
+    """Return one run with its request, gates, decisions and final state."""
     return RunDetails(**app_state.archive.run(run_id))
 
 
 @router.get("/runs/{run_id}/balls")
 def balls(app_state: AppStateDependency, run_id: str) -> list[dict[str, Any]]:
-    """Return the measured ball centres in the order measured."""
+    """Return the measured ball centres of a run in the order of measurement."""
     return app_state.archive.balls(run_id)
 
 
 @router.get("/runs/{run_id}/temperatures")
 def temperatures(app_state: AppStateDependency, run_id: str) -> list[dict[str, Any]]:
-    """Return the temperature readings with machine time in minutes."""
+    """Return the temperature readings of a run. The machine time of each reading is in minutes."""
     return app_state.archive.temperatures(run_id)
 
 
@@ -55,19 +55,19 @@ def temperatures(app_state: AppStateDependency, run_id: str) -> list[dict[str, A
 def events(
     app_state: AppStateDependency, run_id: str, limit: Limit = 500, after: Annotated[int, Query(ge=0)] = 0
 ) -> list[dict[str, Any]]:
-    """Return the recorded events of a run; `after`: number of the last event already known."""
+    """Return the recorded events of a run. `after` is the number of the last event that the client already has."""
     return app_state.archive.events(run_id, limit, after)
 
 
 @router.get("/runs/{run_id}/estimate")
 def estimate(app_state: AppStateDependency, run_id: str) -> dict[str, Any]:
-    """Return the document of the estimate file."""
+    """Return the content of the estimate file of a run."""
     return app_state.archive.estimate(run_id)
 
 
 @router.get("/runs/{run_id}/report", response_class=FileResponse)
 def report(app_state: AppStateDependency, run_id: str) -> FileResponse:
-    """Return the report as self-contained HTML."""
+    """Return the report of a run as self-contained HTML."""
     return FileResponse(app_state.archive.report(run_id), media_type="text/html", filename=f"volcal-{run_id}.html")
 
 
@@ -81,7 +81,7 @@ def tables(app_state: AppStateDependency, limit: Limit = 100) -> TableList:
 
 @router.get("/machine")
 def machine(app_state: AppStateDependency) -> dict[str, Any]:
-    """Return limits, stations, artefact and the available position sets."""
+    """Return the axis limits, the stations, the artefact and the available position sets."""
     settings = app_state.settings()
     files = sorted(path.name for path in app_state.config.parent.glob("*.csv"))
     return {**machine_facts(prepare_job(settings, app_state.config.parent)), "position_files": files}
@@ -89,13 +89,19 @@ def machine(app_state: AppStateDependency) -> dict[str, Any]:
 
 @router.get("/plan")
 def plan(app_state: AppStateDependency) -> dict[str, Any]:
-    """Return the path of the run in progress from its preflight, or of the next calibration, as the document of the
-    preview (docs/reference/http.md)."""
+    """Return the path of the run in progress as computed by its preflight. Between runs, return the path of the next
+    calibration.
+
+    The document has the format of the preview (docs/reference/http.md).
+    """
     return app_state.live_view.plan(app_state.settings(), app_state.config.parent)
 
 
 def status_now(app_state: AppState) -> StatusView:
-    """Return the status with the number of the last event. The number is read before the status, so that an event in
-    between is sent to the client once more instead of being lost."""
+    """Return the status with the number of the last event.
+
+    The number is read before the status. An event that occurs between the two readings is therefore sent to the client
+    a second time and never lost.
+    """
     number = app_state.event_log.last_number
     return status_view(app_state.control.status(), number)

@@ -1,1 +1,1 @@
-"""OPC UA server. docs/reference/opc-ua.md states its scope and limits."""
+"""OPC UA server. Its scope and limits are stated in docs/reference/opc-ua.md."""

@@ -1,6 +1,5 @@
 """OPC UA address space. It consists of the nodes of `agent.service.opcua.model`, which are updated from the status, and
-of the events.
-"""
+of the events of the service."""
 
 from __future__ import annotations
 
@@ -36,7 +35,7 @@ from agent.service.opcua.model import (
 
 
 class AddressSpace:
-    """Nodes under one root object. Must be used only in the server's event loop."""
+    """OPC UA nodes under one root object. They must be used only in the server's event loop."""
 
     def __init__(self, server: Server, guarded: GuardedServer, control: Control) -> None:
         self._server = server
@@ -61,7 +60,7 @@ class AddressSpace:
         await self._add_events(root)
 
     async def show(self, status: Status) -> None:
-        """Write to the nodes all values of the status that have changed since the last call."""
+        """Update the nodes with all values of the status that have changed since the last call."""
         for variable in VARIABLES:
             await self._write(variable.path, variable.of(status))
         refusal = self._calls.last_refusal

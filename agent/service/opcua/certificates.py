@@ -1,6 +1,5 @@
-"""OPC UA certificates. They are the server's own certificate, which is generated at its first start, and the
-certificates of the trusted clients.
-"""
+"""OPC UA certificates. They comprise the server's own certificate, which is generated when the server first starts, and
+the certificates of the trusted clients."""
 
 from __future__ import annotations
 
@@ -31,8 +30,8 @@ class OwnCertificate:
 
 
 def own_certificate(directory: Path, application_uri: str, host_name: str, address: str) -> OwnCertificate:
-    """Return the server's certificate and key, which are stored in `directory`. If they are missing, generate them (the
-    key has mode 0600).
+    """Return the server's certificate and private key, which are stored in `directory`. If they are missing, generate
+    them; the key file has mode 0600.
 
     Raise ConfigurationError if they cannot be read or written, or if the certificate has expired.
     """
@@ -54,9 +53,9 @@ def own_certificate(directory: Path, application_uri: str, host_name: str, addre
 
 
 def is_trusted(certificate: bytes | None, directory: Path) -> bool:
-    """Return True if exactly this certificate (DER) is in `directory` and currently valid.
+    """Return True if `directory` contains exactly this certificate (DER) and the certificate is currently valid.
 
-    The directory is read each time, so that a client can be admitted or excluded without a restart.
+    The directory is read at each call, so that a client can be admitted or excluded without a restart.
     """
     if certificate is None:
         return False

@@ -1,4 +1,4 @@
-"""OPC UA endpoint of the service. asyncua is an optional dependency, imported when the endpoint is opened."""
+"""OPC UA endpoint of the service. The optional dependency asyncua is imported when the endpoint is opened."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ log = structlog.get_logger()
 
 
 class OpcUaEndpoint:
-    """Endpoint that runs the server's loop in one thread. `token` is the access token of the service; clients send it
-    as their password.
-    """
+    """OPC UA endpoint, which runs the server's event loop in a thread of its own. `token` is the access token of the
+    service; clients send it as their password."""
 
     def __init__(self, settings: OpcUaSettings, state_directory: Path, token: str) -> None:
         self._settings = settings
@@ -62,7 +61,7 @@ class OpcUaEndpoint:
         log.info("OPC UA open", address="{}:{}".format(*self.address), trusted_clients=str(self.trusted_clients))
 
     def stop(self) -> None:
-        """Close the endpoint; idempotent."""
+        """Close the endpoint. Do nothing if it is already closed."""
         if self._loop is not None and self._stop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._stop.set)
         if self._thread is not None:

@@ -1,8 +1,9 @@
-"""Access control of the OPC UA server. The session enforces it because asyncua does not.
+"""Access control of the OPC UA server. The session object of each client enforces it, because asyncua does not.
 
 asyncua does not pass the user to a method, so the session checks each call. asyncua also binds a session to any channel
-that names the session's authentication token, which is a small number. It binds the session before it checks the user,
-and the binding remains if the check fails. With this module only the channel that created a session can use it.
+that names the session's authentication token, which is a small and therefore guessable number. It binds the session
+before it checks the user, and the binding remains if the check fails. With this module only the channel that created a
+session can use it.
 """
 
 from __future__ import annotations
@@ -29,14 +30,13 @@ log = structlog.get_logger()
 
 
 def refusal_result(code: int) -> ua.CallMethodResult:
-    """Return the result with status `code` for a method that was not executed."""
+    """Return the call result with the status `code` for a method that was refused."""
     return ua.CallMethodResult(StatusCode=ua.StatusCode(ua.UInt32(code)))
 
 
 class ClientAuthentication(UserManager):
-    """Authentication of clients. The certificate must be trusted. The token is required, except for anonymous
-    reading.
-    """
+    """Authentication of clients. The certificate of the client must be trusted. The token is also required, except for
+    anonymous reading."""
 
     def __init__(self, token: str, trusted_clients: Path, *, anonymous_reading: bool) -> None:
         self._token = token.encode()
@@ -50,8 +50,10 @@ class ClientAuthentication(UserManager):
         password: str | None = None,
         certificate: bytes | None = None,
     ) -> User | None:
-        """Return the user, or None if the client is refused. `certificate` is that of the secure channel, for which the
-        client has already proved that it holds the private key.
+        """Return the user, or None if the client is refused.
+
+        `certificate` is the client's certificate of the secure channel. The client has already proved that it holds the
+        private key of this certificate.
         """
         if not is_trusted(certificate, self._trusted_clients):
             log.warning("OPC UA client refused", reason="certificate not trusted")
@@ -65,16 +67,17 @@ class ClientAuthentication(UserManager):
 
 
 class GuardedSession(InternalSession):
-    """Session of a client. Methods that move the machine or write require the token; nodes cannot be written."""
+    """Session of a client. A method that moves the machine or writes requires the token. Clients cannot write to
+    nodes."""
 
     iserver: GuardedServer
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Execute the requests in order; a request that is not allowed is refused without affecting the others."""
+        """Execute the requests in order. A request that is not allowed is refused without any effect on the others."""
         return [await self._call(request) for request in params]
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
-        """Refuse every write, including to nodes of the standard address space that are marked as writable."""
+        """Refuse every write, even to a node of the standard address space that is marked as writable."""
         return [ua.StatusCode(ua.UInt32(StatusCodes.BadUserAccessDenied)) for _ in params.NodesToWrite]
 
     async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
@@ -87,9 +90,8 @@ class GuardedSession(InternalSession):
 
 
 class GuardedServer(InternalServer):
-    """Server whose sessions are `GuardedSession` objects. `free_methods` maps each method id to True if the method
-    needs no token.
-    """
+    """Server whose sessions are `GuardedSession` objects. `free_methods` maps the id of each method to True if the
+    method can be called without the token."""
 
     def __init__(self, users: ClientAuthentication) -> None:
         super().__init__(user_manager=users)
@@ -102,5 +104,5 @@ class GuardedServer(InternalServer):
         return kind(self, self.aspace, self.subscription_service, name, user=user or nobody, external=external)
 
     def lookup_external_session(self, auth_token: Any) -> InternalSession | None:
-        """Return None, so that a client must create a new session after it has lost its connection."""
+        """Return None. A client that has lost its connection must therefore create a new session."""
         return None

@@ -1,4 +1,4 @@
-"""Execution of OPC UA methods on the control, and conversion of its errors to OPC UA results."""
+"""Execution of OPC UA methods. Each method calls the control, and the errors of the control become OPC UA results."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ log = structlog.get_logger()
 
 
 class MethodCalls:
-    """OPC UA methods by name. They may be called from any thread except that of the server's loop.
+    """OPC UA methods by name. Any thread except the thread of the server's event loop may call them.
 
-    `last_refusal` is the reason for the most recent refusal of a method; OPC UA itself transmits only a number.
+    `last_refusal` is the alarm that describes the most recent refusal of a method; OPC UA itself transmits only a
+    status code.
     """
 
     def __init__(self, control: Control) -> None:
@@ -47,8 +48,10 @@ class MethodCalls:
             return self._last_refusal
 
     def call(self, name: str, arguments: Sequence[ua.Variant]) -> Any:
-        """Execute the method. Return its output arguments or, if it is refused, the refusal, in the form that asyncua
-        sends.
+        """Execute the method `name`. Return its output arguments or, if it is refused, a call result with the status
+        code of the refusal.
+
+        Both have the form that asyncua sends.
         """
         try:
             result = self._methods[name](*_values(name, arguments))

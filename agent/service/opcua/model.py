@@ -1,8 +1,8 @@
-"""OPC UA nodes, methods and events as data. docs/reference/opc-ua.md shows the same tables.
+"""OPC UA nodes, methods and events as data; docs/reference/opc-ua.md shows the same tables.
 
-If OPC 40210 (GMSType, but not its CorrectionType) or OPC 40501-1 (ProductionType, MonitoringType, NotificationType)
-defines a name, the model uses that name; names are in the order of these specifications. The nodes belong to this
-program's own namespace and have only base types of OPC UA. None is an instance of a type of those two specifications.
+Names are taken, if possible, from OPC 40210 (GMSType, but not its CorrectionType). Other names are taken, if possible,
+from OPC 40501-1 (ProductionType, MonitoringType, NotificationType). The nodes belong to this program's own namespace
+and have only base types of OPC UA; they are not instances of the types of these two specifications.
 """
 
 from __future__ import annotations
@@ -44,9 +44,8 @@ PROGRAM_STATES: Final = {
 
 @dataclass(frozen=True)
 class Variable:
-    """Readable node. `path` is relative to the root object. `form` is the name of the built-in type, followed by [] for
-    an array.
-    """
+    """Readable node. `path` is the path of the node relative to the root object. `form` is the name of the built-in OPC
+    UA type, followed by [] if the value is an array."""
 
     path: str
     form: str
@@ -63,7 +62,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Method:
-    """OPC UA method. `free` is True if no token is needed, because the method can only stop motion."""
+    """OPC UA method. `free` is True if the method can be called without the token, because it can only stop motion."""
 
     name: str
     inputs: tuple[Argument, ...]

@@ -1,4 +1,4 @@
-"""Start of the OPC UA server, its updates from the status and the events, and its stop."""
+"""OPC UA server. It is started, updated from the status and the events of the service, and stopped."""
 
 from __future__ import annotations
 
@@ -28,7 +28,11 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class ServerFiles:
-    """Directory of the server's certificate, directory of the trusted clients' certificates, and the access token."""
+    """Directories and access token of the server.
+
+    `directory` contains the server's certificate. `trusted_clients` is the directory of the trusted clients'
+    certificates.
+    """
 
     directory: Path
     trusted_clients: Path
@@ -36,7 +40,7 @@ class ServerFiles:
 
 
 class OpcUaServer:
-    """OPC UA server for a `Control`, whose status it shows and whose methods it offers to clients."""
+    """OPC UA server for a `Control`. The server shows the status of the control and offers its methods to clients."""
 
     def __init__(self, settings: OpcUaSettings, files: ServerFiles, control: Control) -> None:
         self._settings = settings
@@ -44,8 +48,8 @@ class OpcUaServer:
         self._control = control
 
     async def serve(self, stop: asyncio.Event, opened: Callable[[], None]) -> None:
-        """Serve until `stop` is set; call `opened` once the server listens. Raise ConfigurationError if it cannot be
-        opened."""
+        """Serve clients until `stop` is set, and call `opened` once the server listens. Raise ConfigurationError if the
+        server cannot be opened."""
         server, space = await self._open()
         try:
             opened()

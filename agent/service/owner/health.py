@@ -1,8 +1,9 @@
-"""Liveness of the thread of a run, on which the feeding of systemd's watchdog depends.
+"""Monitor of the thread that carries out a run. systemd's watchdog is fed only while this thread is considered alive.
 
-Every wait of a driver and every step gives a beat. While the machine can move, the thread is considered hung after
-some seconds without a beat. While the thread computes (preflight, identification, writing results after the final
-state), it gives no beats and is considered hung only after some minutes. Between runs nothing can hang.
+Every wait of a driver and every step gives a beat, that is, a sign that the thread is alive. While the machine can
+move, the thread is considered hung after some seconds without a beat. While the thread computes (preflight,
+identification, writing results after the final state), it gives no beats and is considered hung only after some
+minutes. Between runs the thread is never considered hung.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ COMPUTING = frozenset({RunState.PREFLIGHT, RunState.IDENTIFYING})
 
 
 class Health:
-    """Monitor of the time since the last beat. `now` is a function that returns the time in s; its clock is independent
-    of the engine.
+    """Monitor of the time since the last beat, that is, since the last sign of the run's thread that it is alive.
+
+    `now` is a function that returns the time in s from a clock that is independent of the engine.
     """
 
     def __init__(self, now: Callable[[], float], *, hang_timeout_s: float, computing_s: float) -> None:
@@ -28,13 +30,14 @@ class Health:
         self._concluding = False
 
     def begin_run(self) -> None:
-        """Start to monitor a run."""
+        """Start to monitor the thread of a run."""
         self._concluding = False
         self.beat()
 
     def begin_conclusion(self) -> None:
-        """Allow the longer time between beats from now on. The run is in its final state, so nothing moves while its
-        results are written.
+        """Allow a longer time between beats from now on.
+
+        The run has reached its final state, and nothing moves while its results are written.
         """
         self._concluding = True
         self.beat()

@@ -1,6 +1,5 @@
-"""Short accesses to the machine between runs, and the devices for a run. The questions of a run are sent to the
-endpoints.
-"""
+"""Access to the machine: short connections between runs, and the devices of a run. The endpoints show the questions of
+a run."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ instead.
 
 @dataclass(frozen=True)
 class MachineAccess:
-    """Access to the machine through its `devices`."""
+    """Access to the machine through `devices`, which creates the clock and the rig."""
 
     devices: Devices = field(default_factory=Devices)
 
@@ -36,7 +35,8 @@ class MachineAccess:
             return rig.machine.status()
 
     def reconcile(self, settings: Settings, base: Path) -> Reconciliation:
-        """Compare the compensation in the controller with the journal of the last run, and undo an unverified table.
+        """Compare the compensation in the controller with the journal. If an unproved table is active, reactivate the
+        table that was active before it.
 
         Nothing moves.
         """
@@ -54,10 +54,10 @@ class MachineAccess:
                 rig.close()
 
     def devices_for_run(self, clock_settings: ClockSettings, questions: Questions, *, attended: bool) -> Devices:
-        """Return the devices of one run. These are its clock and the rig of `devices`, in which the endpoints replace
-        the console.
+        """Return the devices of one run: its clock and its rig.
 
-        The clock is created in this call. Raise ConfigurationError if it cannot be created.
+        If the settings let the operator answer at the console, the rig asks its questions at the endpoints instead. The
+        clock is created by this call. Raise ConfigurationError if it cannot be created.
         """
         clock = self.devices.make_clock(clock_settings)
 

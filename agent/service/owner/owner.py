@@ -37,7 +37,7 @@ log = structlog.get_logger()
 
 
 class Owner:
-    """Owner of the machine; implements `Control`."""
+    """Owner of the machine, which implements `Control`."""
 
     def __init__(self, settings: Settings, parts: OwnerParts) -> None:
         self.settings = settings
@@ -129,8 +129,9 @@ class Owner:
     # ------------------------------------------------------------------ for the service itself
 
     def reload(self, settings: Settings) -> None:
-        """Use `settings` for the next runs. Raise Busy while a run is in progress, and UserError if `state_directory`
-        differs from that of the current settings.
+        """Use `settings` for the next runs.
+
+        Raise Busy while a run is in progress, and UserError if the new settings have another `state_directory`.
         """
         with self._changed:
             self._require_nothing_runs()
@@ -142,8 +143,10 @@ class Owner:
             self.settings = settings
 
     def close(self, within_s: float) -> bool:
-        """Accept no more runs; hold the run in progress, withdraw the probe and end it. Return True if it ended in
-        time."""
+        """Refuse new runs from now on, hold the run in progress, withdraw the probe and end the run.
+
+        Wait at most `within_s` for the end of the run. Return True if the run ended in time or none was in progress.
+        """
         with self._changed:
             self._closing = True
             if self._running is not None:
@@ -152,16 +155,17 @@ class Owner:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def wait(self, within_s: float) -> bool:
-        """Wait at most `within_s` until no run is in progress. Return True if that happened in time."""
+        """Wait at most `within_s` until no run is in progress. Return True if no run is in progress any longer."""
         with self._changed:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def reconcile(self) -> None:
-        """Compare the compensation in the controller with the journal of the last run, and undo an unverified table.
+        """Compare the compensation in the controller with the journal. If an unproved table is active, reactivate the
+        table that was active before it.
 
         The comparison is made once after the start of the service, and again after every run that ended aborted or
-        faulted. Any further call does nothing. Raise DeviceError if the machine cannot be reached; the comparison is
-        then made before the next run.
+        faulted. Otherwise this method does nothing. Raise DeviceError if the machine cannot be reached; the comparison
+        is then made before the next run.
         """
         if not self._reconciled:
             found = self._parts.machine.reconcile(self.settings, self._parts.config.parent)
@@ -169,8 +173,10 @@ class Owner:
             self._board.show_reconciliation(found)
 
     def reconcile_if_reached(self) -> None:
-        """Call `reconcile`, and log its error instead of raising it. The machine may still be off, and the next run
-        calls `reconcile` first anyway.
+        """Call `reconcile`, and log any error instead of raising it.
+
+        The error is not raised because the machine may still be off, and because the next run calls `reconcile` first
+        anyway.
         """
         try:
             self.reconcile()

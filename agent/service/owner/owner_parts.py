@@ -23,14 +23,17 @@ from twin.units import S_PER_MIN
 
 
 def current_circumstances() -> Circumstances:
-    """Return the local time, and the time since switch-on as given by the monotonic clock of Linux."""
+    """Return the local time, and the time since this computer was switched on according to the monotonic clock of
+    Linux."""
     return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
 
 
 @dataclass(frozen=True)
 class OwnerParts:
-    """Components of the owner. `config` is the settings file, which is needed for messages and relative paths.
-    `carry_out` is a function as in `agent.runs.session`, `resume` a function as in `agent.runs.resume`.
+    """Components of the owner of the machine.
+
+    `config` is the path of the settings file, which is needed for messages and relative paths. `carry_out` and `resume`
+    are functions with the signatures of `agent.runs.session.carry_out` and `agent.runs.resume.resume.resume`.
     """
 
     config: Path

@@ -38,7 +38,8 @@ class Questions:
         return question
 
     def answer(self, number: int, yes: bool) -> None:
-        """Answer question `number`. Raise UserError if it is not open or has already been answered."""
+        """Answer the question with the number `number`. Raise UserError if this question is not open or has already
+        been answered."""
         with self._lock:
             question = self._open
             if question is None or question.number != number:
@@ -59,9 +60,9 @@ class Questions:
 
 @dataclass(frozen=True)
 class ServiceOperator:
-    """Device in the role Operator that asks its questions at the endpoints. It waits by the run's clock, so that the
-    run can be held or aborted while a question is open.
+    """Device in the role of the operator. It asks the questions of a run at the endpoints.
 
+    While a question is open, the device waits with the clock of the run, so that the run can be held or aborted.
     `attended` is True if a person at the machine has consented to the start and can answer.
     """
 
@@ -71,8 +72,9 @@ class ServiceOperator:
     attended: bool
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Ask the question, and return True if the answer is yes. Raise PermissionMissing if the run is unattended or
-        if no answer arrives in time.
+        """Ask the question and wait for the answer. Return True if the answer is yes.
+
+        Raise PermissionMissing if the run is unattended or if no answer arrives in time.
         """
         if not self.attended:
             raise PermissionMissing(

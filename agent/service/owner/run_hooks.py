@@ -33,8 +33,10 @@ class RunHooksFactory:
     def hooks(
         self, run: RunMailbox, clock: ClockSettings, *, attended: bool, slot_minutes: float | None = None
     ) -> RunHooks:
-        """Return the hooks of `run`. `attended` is True if a person can answer questions. `slot_minutes` limits the
-        machine time; if it is None, there is no limit. Raise ConfigurationError if the clock cannot be created.
+        """Return the hooks of `run`.
+
+        `attended` is True if a person can answer questions. `slot_minutes` limits the machine time in min; if it is
+        None, there is no limit. Raise ConfigurationError if the clock cannot be created.
         """
         parts = self.parts
 
@@ -64,9 +66,8 @@ class RunHooksFactory:
 
 
 def require_within(preflight: PreflightResult, slot_minutes: float | None) -> None:
-    """Raise PlanRefused if the run takes longer than `slot_minutes`, the available machine time in min. None means no
-    limit.
-    """
+    """Raise PlanRefused if the run takes longer than `slot_minutes`, the available machine time in min. If
+    `slot_minutes` is None, there is no limit."""
     needed = preflight.machine_minutes
     if slot_minutes is not None and needed > slot_minutes:
         raise PlanRefused(
@@ -76,8 +77,10 @@ def require_within(preflight: PreflightResult, slot_minutes: float | None) -> No
 
 
 def night_slot(request: RunRequest, nightly: NightlySettings, available_minutes: float | None) -> float:
-    """Return the machine time of a night in min. It is taken from the request or, if the request has none, from the
-    settings; it is never more than the time available.
+    """Return the machine time for a nightly run in min.
+
+    The machine time is taken from the request or, if the request does not state it, from the settings. It is limited to
+    `available_minutes`.
     """
     slot = nightly.slot_minutes if request.slot_minutes is None else request.slot_minutes
     return slot if available_minutes is None else min(slot, available_minutes)

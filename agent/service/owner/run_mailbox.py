@@ -1,4 +1,5 @@
-"""Mailbox of one run of the service. It accepts requests to the run from the reservation of the run until its end."""
+"""Mailbox for requests to one run of the service. It accepts requests from the moment at which the owner is reserved
+for the run until the end of the run."""
 
 from __future__ import annotations
 
@@ -9,8 +10,11 @@ from agent.execution.supervisor import Supervisor
 
 
 class RunMailbox:
-    """Mailbox of requests to one run. A request to abort or interrupt it that comes before the run has a supervisor is
-    delivered when the supervisor is attached."""
+    """Mailbox for requests to one run.
+
+    A request to abort or interrupt the run may come before the run has a supervisor; it is delivered when the
+    supervisor is attached.
+    """
 
     def __init__(self, run_id: str, alive: Callable[[], None]) -> None:
         self.run_id = run_id
@@ -20,9 +24,8 @@ class RunMailbox:
         self._end_request: Callable[[Supervisor], None] | None = None
 
     def attach(self, supervisor: Supervisor) -> None:
-        """Connect the supervisor of the run. This method is used as the hook
-        `agent.runs.run_context.RunHooks.attach`.
-        """
+        """Connect the supervisor of the run with this mailbox. This method is passed to the run as the hook
+        `agent.runs.run_context.RunHooks.attach`."""
         with self._lock:
             supervisor.heartbeat = self._alive
             self._supervisor = supervisor
@@ -30,13 +33,14 @@ class RunMailbox:
                 self._end_request(supervisor)
 
     def abort(self, reason: str) -> None:
-        """Abort the run. An earlier request to abort or interrupt it remains in force with its reason."""
+        """Abort the run. If an earlier request has already aborted or interrupted it, that request and its reason
+        remain in force."""
         self._end(lambda supervisor: supervisor.request_abort(reason))
 
     def interrupt(self, reason: str) -> None:
         """Interrupt the run because the service must stop; the run can be resumed.
 
-        An earlier request to abort or interrupt it remains in force with its reason.
+        If an earlier request has already aborted or interrupted the run, that request and its reason remain in force.
         """
         self._end(lambda supervisor: supervisor.request_interruption(reason))
 

@@ -1,7 +1,9 @@
-"""Conditions for starting a run without the consent of a person at the machine: hour, warm-up, permissions.
+"""Conditions for starting a run without the consent of a person at the machine. They concern the hour, the warm-up and
+the permissions of the controller.
 
-A timer only sends requests. A request is refused before anything moves if the hour is wrong, if the machine has just
-been switched on, or if it does not permit motion. A refusal is not a fault, so the next night is not affected.
+A timer only sends requests to start. Such a request is refused before anything moves if the hour is not permitted, if
+the machine has just been switched on, or if the controller does not permit motion. A refusal is not a fault, so the
+next night is not affected.
 """
 
 from __future__ import annotations
@@ -19,16 +21,15 @@ MINUTES_A_DAY = 1440.0
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Time of a start. `now` is the local time; `up_minutes` is the time in min since the computer at the machine was
-    switched on.
-    """
+    """Time at which a run is to be started. `now` is the local time; `up_minutes` is the time in min since the computer
+    at the machine was switched on."""
 
     now: datetime
     up_minutes: float
 
 
 def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
-    """Raise GateRefused if the machine has not been on for long enough."""
+    """Raise GateRefused if the machine has been on for less than `warm_up_minutes`."""
     missing = warm_up_minutes - circumstances.up_minutes
     if missing > 0.0:
         raise GateRefused(
@@ -39,9 +40,8 @@ def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
 
 
 def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> float | None:
-    """Return the minutes until the permitted hours end, or None if no hours are set. Raise GateRefused outside the
-    permitted hours.
-    """
+    """Return the time in min until the permitted hours end, or None if no hours are set. Raise GateRefused if the
+    present time is outside the permitted hours."""
     if not hours:
         return None
     now = 60.0 * circumstances.now.hour + circumstances.now.minute + circumstances.now.second / 60.0

@@ -1,4 +1,5 @@
-"""Read-only HTTP routes of the engineer view: curves, maps, trends, value of the position set, tables, reports.
+"""Read-only HTTP routes of the page's view for engineers. They provide curves, maps, trends, the value of the position
+set, tables and reports.
 
 The routes belong to the page and may change with it; they are not part of the documented interface.
 """
@@ -28,7 +29,8 @@ REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
 
 
 def page_router() -> APIRouter:
-    """Return the router, which caches results because the results of a run that has ended never change."""
+    """Return the router with the routes of the page. The router caches the results of runs that have ended, because
+    these results never change."""
     router = APIRouter(prefix="/api/page", include_in_schema=False, responses=DOCUMENTED)
     results, set_values = ResultCache(), SetValueCache()
     trends = cache(_trend_cache)

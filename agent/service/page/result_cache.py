@@ -1,6 +1,5 @@
-"""Results of a run as numbers for figures. They are the error functions with uncertainty bands, and maps of the
-workspace.
-"""
+"""Results of a run as numbers for figures. They comprise the geometric errors with their uncertainty bands, and maps of
+the workspace."""
 
 from __future__ import annotations
 
@@ -26,18 +25,19 @@ MAX_CACHED = 16
 
 
 class ResultCache:
-    """Cache of the results of the latest runs. It is safe to use from any thread."""
+    """Cache of the results of the runs that were requested last. It is safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: dict[tuple[str, str, str], Document] = {}
 
     def curves(self, directory: Path, run_id: str) -> Document:
-        """Return the error functions of a run. Raise InputError if the run has no estimate."""
+        """Return the curves of the geometric errors of a run. Raise InputError if the run has no estimate."""
         return self._of("curves", directory, run_id, _curves)
 
     def maps(self, directory: Path, run_id: str) -> Document:
-        """Return the maps of a run. Raise InputError if the run has no estimate."""
+        """Return the maps of the deviation and of its uncertainty for a run. Raise InputError if the run has no
+        estimate."""
         return self._of("maps", directory, run_id, _maps)
 
     def _of(

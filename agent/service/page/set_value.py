@@ -1,4 +1,5 @@
-"""Expected benefit of the position set, and the loss of accuracy if any one of its positions were left out."""
+"""Expected benefit of the position set. It is stated for the whole set and, as a loss, for each position that could be
+left out."""
 
 from __future__ import annotations
 
@@ -19,14 +20,14 @@ Document = dict[str, Any]
 
 
 class SetValueCache:
-    """Cache of the document that was computed last. It is safe to use from any thread."""
+    """Cache of the document that `set_value_document` computed last. It is safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: tuple[str, Document] | None = None
 
     def document(self, job: Job) -> Document:
-        """Return the document of `set_value_document`. Raise ConfigurationError if no position of the set is
+        """Return the document of `set_value_document` for `job`. Raise ConfigurationError if no position of the set is
         reachable."""
         key = job.settings.model_dump_json()
         with self._lock:
@@ -36,12 +37,11 @@ class SetValueCache:
 
 
 def set_value_document(job: Job) -> Document:
-    """Return the volumetric errors expected for the machine family before and after the position set has been measured.
+    """Return a document with the expected benefit of the position set.
 
-    They are in µm, after the best-fitting rigid motion is removed.
-
-    `lost_um` of a position is the amount by which the error after the measurement would be larger without this
-    position.
+    `before_um` and `after_um` are the volumetric errors expected for the machine family before and after the set has
+    been measured. They are in µm, after the best-fitting rigid motion is removed. `lost_um` of a position is the
+    amount, in µm, by which `after_um` would be larger without this position.
     """
     with translated(ConfigurationError, key="procedure.position_set"):
         candidates = build_candidates(

@@ -1,6 +1,5 @@
-"""Static files of the page: document, assets, and drawing scripts of the preview. Requests for them pass the guard of
-the HTTP endpoint.
-"""
+"""Static files of the page. They are the HTML document, its assets, and the drawing scripts of the preview. The guard
+of the HTTP endpoint checks the requests for these files."""
 
 from __future__ import annotations
 
@@ -32,9 +31,8 @@ CONTENT_SECURITY_POLICY = "; ".join(
 
 
 def mount_page(app: FastAPI, _: AppState) -> None:
-    """Add the routes `/`, `/assets/…`, `/drawing/…` and `/api/page/…`. Browsers must revalidate the files each time,
-    since the file names contain no version.
-    """
+    """Add the routes `/`, `/assets/…`, `/drawing/…` and `/api/page/…` to the application. Browsers must revalidate the
+    files at each request, because the file names contain no version."""
     own, drawing = _directory("agent.service.page") / "assets", _directory("agent.planning.preview")
     scripts = {path.name: path for path in drawing.glob("*.js")}
 

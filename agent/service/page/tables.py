@@ -1,4 +1,4 @@
-"""Stored tables as files, and the difference of two tables."""
+"""Stored compensation tables as CSV files, and the difference between two tables."""
 
 from __future__ import annotations
 
@@ -19,20 +19,18 @@ Document = dict[str, Any]
 
 
 def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role: str) -> str:
-    """Return the table as CSV. Raise InputError if `image` is None, which means that the run stored the fact that no
-    table was active.
-    """
+    """Return a stored table as CSV text. Raise InputError if `image` is None, which means that bank 0, without a table,
+    was active when the run stored this entry."""
     if image is None:
         raise InputError(f"run {run_id} stored no table as {role}", hint="bank 0 contains no table")
     return format_table(table_of(image, tool_offset_mm))
 
 
 def table_difference(one: TableImage | None, other: TableImage | None) -> Document:
-    """Return the difference `other` minus `one` over all nodes, in µm.
+    """Return a document with the difference `other` minus `one` over all nodes of the grid, in µm.
 
-    For each axis the document contains the largest difference with its location, and the rms.
-
-    A missing table counts as zero. Raise InputError if the tables have different grids.
+    For each axis the document contains the largest difference, its location and the rms difference. A table that is
+    None counts as zero. Raise InputError if the tables have different grids.
     """
     image = other if one is None else one
     if image is None:

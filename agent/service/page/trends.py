@@ -1,6 +1,5 @@
-"""Trends over the nights for the page. They cover the volumetric errors and the 21 geometric errors, or the parameters
-of one of these errors.
-"""
+"""Trends over the nights, for the page. They show either the volumetric errors and the geometric errors, or the
+parameters of one geometric error."""
 
 from __future__ import annotations
 
@@ -24,17 +23,16 @@ Document = dict[str, Any]
 
 
 class TrendCache:
-    """Cache of the trends, which are computed again only if the runs or the history settings have changed. It is safe
-    to use from any thread.
-    """
+    """Cache of the trends. They are computed again only if the runs or the history settings have changed. The cache is
+    safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._cached: dict[str | None, tuple[object, Document]] = {}
 
     def document(self, settings: Settings, of: str | None) -> Document:
-        """Return the trends of the parameters of the error `of`; if `of` is None, those of the volumetric errors and of
-        the 21 geometric errors.
+        """Return the trends of all parameters of the geometric error `of`. If `of` is None, return the trends of the
+        volumetric errors and of the geometric errors.
 
         Raise LinkLost or ConfigurationError if the history cannot be read.
         """

@@ -1,4 +1,5 @@
-"""Content of the journal as plain documents for the endpoints, read through connections that never delay a run."""
+"""Content of the journal as plain documents for the endpoints. It is read through separate connections, which never
+delay a run."""
 
 from __future__ import annotations
 
@@ -18,13 +19,15 @@ Document = dict[str, Any]
 
 
 class UnknownRun(InputError):
-    """The journal has no run with the requested identity, or the run does not have the requested document."""
+    """Error raised if the journal has no run with the requested identity, or if the run does not have the requested
+    document."""
 
 
 @dataclass(frozen=True)
 class Archive:
-    """Runs, balls, events and tables of the journal in the state directory `directory`. `reports` is a function that
-    returns the path of a report and renders the report if necessary.
+    """Runs, balls, events and tables of the journal in the state directory `directory`.
+
+    `reports` is a function that returns the path of the report of a run; it renders the report if necessary.
     """
 
     directory: Path
@@ -62,28 +65,26 @@ class Archive:
         }
 
     def balls(self, run_id: str) -> list[Document]:
-        """Return the records of the measured balls, in the order of measurement."""
+        """Return the records of the measured balls of a run, in the order of measurement."""
         with self._reading() as reader:
             return [{"key": ball.key, **ball.record} for ball in reader.balls(_run(reader, run_id).run)]
 
     def temperatures(self, run_id: str) -> list[Document]:
-        """Return the temperature readings of a run. `minutes` of a reading is the machine time in min since the first
-        step of the run.
-        """
+        """Return the temperature readings of a run. The field `minutes` of a reading is the machine time in min since
+        the first step of the run."""
         with self._reading() as reader:
             rows = reader.temperatures(_run(reader, run_id).run)
         return [{"minutes": row.minutes, "celsius": row.record} for row in rows]
 
     def events(self, run_id: str, limit: int, after: int = 0) -> list[Document]:
-        """Return at most `limit` events of the run in the order written. `after` is the number of the last event that
-        the caller already has.
-        """
+        """Return at most `limit` events of a run, in the order in which they were written. `after` is the number of the
+        last event that the caller already has."""
         with self._reading() as reader:
             rows = reader.events(_run(reader, run_id).run, after=after, limit=limit)
         return [{"number": row.number, "at": row.at, "kind": row.kind, "record": row.record} for row in rows]
 
     def estimate(self, run_id: str) -> Document:
-        """Return the content of the estimate file. Raise UnknownRun if the run has no estimate."""
+        """Return the content of the estimate file of a run. Raise UnknownRun if the run has no estimate."""
         with self._reading() as reader:
             text = reader.last_estimate(_run(reader, run_id).run)
         if text is None:
@@ -92,9 +93,8 @@ class Archive:
         return document
 
     def report(self, run_id: str) -> Path:
-        """Return the path of the report. Raise UnknownRun if the run has not ended, and InputError if the report cannot
-        be rendered.
-        """
+        """Return the path of the report of a run. Raise UnknownRun if the run has not ended, and InputError if the
+        report cannot be rendered."""
         with self._reading() as reader:
             ended = _run(reader, run_id).ended
         if ended is None:
@@ -102,7 +102,8 @@ class Archive:
         return self.reports(run_id)
 
     def tables(self, limit: int) -> list[Document]:
-        """Return at most `limit` stored tables (backups, staged and restored tables), the latest first."""
+        """Return at most `limit` stored tables, the latest first. They comprise backups, staged tables and restored
+        tables."""
         if not has_journal(self.directory):
             return []
         with self._reading() as reader:

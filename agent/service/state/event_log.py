@@ -1,6 +1,5 @@
-"""Events of the service, numbered without gaps. A ring buffer contains the latest events, and each subscriber has a
-queue.
-"""
+"""Numbered events of the service. A ring buffer contains the latest events, and each subscriber has a queue of its
+own."""
 
 from __future__ import annotations
 
@@ -34,7 +33,7 @@ class EventLog:
         self.closed = False
 
     def close(self) -> None:
-        """Close the log and wake all readers, which then see `closed`."""
+        """Close the log and wake all readers. They then find that the attribute `closed` is True."""
         self.closed = True
         with self._lock:
             callbacks = tuple(self._callbacks)
@@ -42,7 +41,7 @@ class EventLog:
             callback()
 
     def publish(self, kind: str, text: str, data: Mapping[str, Any] | None = None) -> Event:
-        """Append an event and return it. `data` is converted to JSON values in the same way as in the journal."""
+        """Append an event to the log and return it. `data` is converted to JSON values as for the journal."""
         plain = json.loads(to_json(data or {}))
         with self._lock:
             self._number += 1
@@ -61,10 +60,11 @@ class EventLog:
             return self._number
 
     def since(self, number: int) -> tuple[bool, tuple[Event, ...]]:
-        """Return the pair (lost, events after `number`).
+        """Return `lost` and the events with a number above `number`.
 
-        `lost` is True if some of these events are no longer retained, or if `number` dates from before a restart of the
-        service. All retained events are then returned, and the reader must fetch the status again.
+        `lost` is True if some of these events are no longer in the ring buffer, or if `number` dates from before a
+        restart of the service. In both cases all events in the buffer are returned, and the reader must fetch the
+        status again.
         """
         with self._lock:
             first = self._ring[0].number if self._ring else self._number + 1
@@ -73,7 +73,7 @@ class EventLog:
 
     @contextmanager
     def subscribe(self) -> Iterator[Queue[Event]]:
-        """Yield a queue that receives all events until the block ends."""
+        """Yield a queue that receives all events until the `with` block ends."""
         queue: Queue[Event] = Queue()
         with self._lock:
             self._queues.append(queue)
@@ -85,8 +85,9 @@ class EventLog:
 
     @contextmanager
     def call_on_event(self, callback: Callable[[], object]) -> Iterator[None]:
-        """Call `callback` after every event and on `close`, during the block. It is called in the thread that publishes
-        the event or closes the log, and must return at once.
+        """Call `callback` after every event and on `close`, for the duration of the `with` block.
+
+        `callback` is called in the thread that publishes the event or closes the log, and must return at once.
         """
         with self._lock:
             self._callbacks.append(callback)

@@ -1,4 +1,5 @@
-"""State between two runs, read from the journal. It comprises the state of the machine and the end of the last run."""
+"""State of the service between two runs, read from the journal. It comprises the state of the machine and the end of
+the last run."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ FAULT_CODE = 100
 
 @dataclass(frozen=True)
 class UnacknowledgedEnd:
-    """A run whose end has not been acknowledged yet."""
+    """End of a run that no reset has acknowledged yet."""
 
     state: RunState
     run_id: str
@@ -40,14 +41,14 @@ class UnacknowledgedEnd:
 
 @dataclass(frozen=True)
 class JournalState:
-    """Reader of the state between two runs. It has connections of its own, which never delay a run that is writing."""
+    """Reader of the journal for the state between two runs. It has its own connections, which never delay a run that is
+    writing."""
 
     directory: Path
 
     def unacknowledged_end(self) -> UnacknowledgedEnd | None:
-        """Return the end of the last run if it was aborted, faulted or interrupted and no reset has acknowledged this.
-        Otherwise return None.
-        """
+        """Return the end of the last run if it was aborted, faulted or interrupted and no reset has acknowledged it.
+        Otherwise return None."""
         if not has_journal(self.directory):
             return None
         with open_journal(self.directory, JournalFailed) as reader:
@@ -65,7 +66,7 @@ class JournalState:
         return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, Alarm(INTERRUPTED_CODE, text, hint))
 
     def acknowledge(self, run_id: str | None) -> None:
-        """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if this cannot be
+        """Record in the journal that the end of a run is acknowledged. Raise JournalFailed if the record cannot be
         written."""
         if run_id is None or not has_journal(self.directory):
             return
@@ -76,7 +77,7 @@ class JournalState:
             journal.close()
 
     def idle_status(self, settings: Settings, base: Path) -> IdleStatus:
-        """Return the state of the machine as far as the journal shows it. If it cannot be read, log the error and
+        """Return the state of the machine as recorded in the journal. If the journal cannot be read, log the error and
         return an empty state."""
         try:
             active_bank, unfinished = self._active_bank(), unfinished_run(self.directory)

@@ -26,7 +26,8 @@ Document = dict[str, Any]
 
 
 class LiveView:
-    """Cache of the document of the live view, which is computed once per plan. It is safe to use from any thread."""
+    """Cache of the document of the live view. The document is computed once per plan. The cache is safe to use from any
+    thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -34,11 +35,11 @@ class LiveView:
         self._cached: tuple[tuple[object, ...], Document] | None = None
 
     def preflight_passed(self, run_id: str, job: Job, preflight: PreflightResult) -> None:
-        """Show the run `run_id`, whose preflight has passed."""
+        """Show the plan of the run `run_id`, whose preflight has passed."""
         self._current = (run_id, job, preflight)
 
     def end_run(self) -> None:
-        """Show the plan of the settings again, because the run has ended."""
+        """Show the plan that is made from the settings again, because the run has ended."""
         self._current = None
 
     def plan(self, settings: Settings, base: Path) -> Document:
@@ -58,7 +59,8 @@ class LiveView:
 
 
 def machine_facts(job: Job) -> Document:
-    """Return limits, tool, stations and position set of the machine, for drawings and for the start dialog."""
+    """Return the axis limits, the tool, the stations and the position set as a document for drawings and for the start
+    dialog."""
     machine, settings = job.machine, job.settings
     return {
         "machine": machine.name,

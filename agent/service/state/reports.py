@@ -1,4 +1,5 @@
-"""Queue of the reports of runs. They are rendered one after the other in subprocesses once the machine is free."""
+"""Queue of the reports of runs. The reports are rendered one after the other in subprocesses while no run uses the
+machine."""
 
 from __future__ import annotations
 
@@ -19,14 +20,13 @@ REPORT = "report.html"
 
 
 def no_report_yet(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
-    """Return no files. This is the `ReportRenderer` for runs that must not wait for their reports."""
+    """Return no files. This function is the `ReportRenderer` of a run whose report is rendered only after its end."""
     return {}
 
 
 class ReportQueue:
-    """Queue of reports, which a background thread renders. A report that is missing when the service stops is rendered
-    on request.
-    """
+    """Queue of reports, which a background thread renders. If the service stops before a report is rendered, the report
+    is rendered when it is next requested."""
 
     def __init__(
         self, directory: Path, make: Callable[[Path, str], Mapping[str, str | bytes]] = render_html_in_subprocess
@@ -43,8 +43,8 @@ class ReportQueue:
     def request(self, run_id: str) -> None:
         """Queue the report of a run that has ended, and return at once.
 
-        An older report, written before the run was resumed, is removed first. Otherwise, if this process died now, the
-        older report would be taken for the current one.
+        An older report, written before the run was resumed, is removed first. Otherwise the older report would be taken
+        for the current one if this process ended now.
         """
         with self._asking:
             self._outdated.add(run_id)
@@ -57,9 +57,10 @@ class ReportQueue:
                 self._thread.start()
 
     def path(self, run_id: str) -> Path:
-        """Return the path of the report; render it first if it is missing or outdated.
+        """Return the path of the report of a run. If the report is missing or outdated, render it first.
 
-        Raise the errors of the renderer, by default `render_html_in_subprocess`.
+        Raise the errors of the function that renders the report; by default this function is
+        `render_html_in_subprocess`.
         """
         path = self._directory / run_id / REPORT
         with self._making:
@@ -73,9 +74,8 @@ class ReportQueue:
         return path
 
     def close(self, within_s: float) -> bool:
-        """Start no further report, and wait at most `within_s` for the one in progress. Return True if it was finished
-        in time.
-        """
+        """Start no further report, and wait at most `within_s` for the report in progress. Return True if no report is
+        in progress any longer."""
         with self._asking:
             self._closed = True
             self._queue.put(None)

@@ -1,4 +1,4 @@
-"""Status of the service, assembled from the announcements and the steps of the run."""
+"""Status of the service. It is assembled from the announcements and the steps of the run."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class IdleStatus:
-    """State of the machine between runs, read from the journal. The volumetric errors (VE) are those of the last
-    accepted night, in µm, rigidly aligned.
+    """State of the machine between runs, read from the journal.
+
+    `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according to
+    the last accepted night. They are in µm and rigidly aligned.
     """
 
     ve_before_um: float | None = None
@@ -40,7 +42,8 @@ class IdleStatus:
 
 @dataclass
 class StatusBoard:
-    """Board with the status of the service, which any thread may read. Every change of the state is published."""
+    """Board with the current status of the service. Any thread may read it. Every change of the state is published as
+    an event."""
 
     machine: str
     event_log: EventLog
@@ -69,9 +72,8 @@ class StatusBoard:
         self._change(**vars(idle))
 
     def show_unacknowledged_end(self, state: RunState, run_id: str, kind: str, alarm: Alarm) -> None:
-        """Show the end state of a run that ended before the service was last started, unless a reset has acknowledged
-        that end.
-        """
+        """Show the final state of a run that ended before the service was last started and that no reset has
+        acknowledged."""
         self._change(run_id=run_id, kind=kind, alarms=(alarm,))
         self.enter(state, alarm.text)
 
@@ -81,7 +83,8 @@ class StatusBoard:
         self.enter(RunState.IDLE, "reset")
 
     def show_reconciliation(self, result: Reconciliation) -> None:
-        """Show the bank that is active according to the controller. An instruction to a person is shown as an alarm."""
+        """Show the bank that is active according to the controller. If a person must act, show the instruction as an
+        alarm."""
         self._change(active_bank=result.active_bank, written_not_active=result.waiting_bank)
         self.event_log.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
         log.info("reconciled", text=result.text)
@@ -138,7 +141,7 @@ class StatusBoard:
                 self._change(step=step.key)
 
     def show_question(self, question: Question | None, text: str) -> None:
-        """Show an open question. If `question` is None, the question is closed and `text` states the outcome."""
+        """Show an open question. If `question` is None, remove the question; `text` then states the outcome."""
         self._change(question=question)
         data = {} if question is None else {"number": question.number, "station": question.station}
         self.event_log.publish("question", text, {"open": question is not None, **data})
@@ -149,9 +152,8 @@ class StatusBoard:
         self.event_log.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
 
     def alarm(self, alarm: Alarm) -> None:
-        """Add an alarm to the end of the list of open alarms. The first alarm in the list is the cause of the
-        others.
-        """
+        """Add an alarm to the end of the list of open alarms. The first alarm in the list states the cause of the
+        others."""
         self._change(alarms=(*self._status.alarms, alarm))
         data = {"code": alarm.code, "hint": alarm.hint, "where": dict(alarm.where)}
         self.event_log.publish("alarm", alarm.text, data)

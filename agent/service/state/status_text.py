@@ -1,4 +1,5 @@
-"""Description of the current activity in plain words, from the state of the run and the key of its step."""
+"""Description of the current activity in plain words. It is derived from the state of the run and the key of the
+current step."""
 
 from __future__ import annotations
 
