@@ -1,1 +1,1 @@
-"""Reports of runs, rendered from the journal alone: the same run always gives the same page."""
+"""Reports of runs. A report is rendered from the journal alone; the journal of one run always gives the same page."""

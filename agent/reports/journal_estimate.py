@@ -14,9 +14,9 @@ from twin.machine.error_model import ErrorModel
 
 @dataclass(frozen=True, eq=False)
 class JournalEstimate:
-    """Estimate from the journal; implements `agent.reports.page.ReportedEstimate`.
+    """Estimate that was read from the journal; it implements `agent.reports.page.ReportedEstimate`.
 
-    `misfit` is None if no misfit was estimated.
+    `misfit` is None if the run did not estimate a misfit.
     """
 
     model: ErrorModel
@@ -35,15 +35,15 @@ class JournalEstimate:
 
     @property
     def standard_uncertainty(self) -> Array:
-        """Standard uncertainty of each parameter, (p,) in mm or rad."""
+        """Standard uncertainties (p,) of the p parameters, each in mm or rad."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
 
 def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEstimate:
-    """Return the estimate.
+    """Return the estimate `stored` in the journal, in the form that a report shows.
 
-    `unresolved_mm2` is the variance in mm², per direction, of the part of the misfit that varies over distances too
-    short for the misfit modes.
+    `unresolved_mm2` is the variance, in mm² for each direction, of a part of the misfit. This part varies over
+    distances that are too short for the misfit modes.
     """
     document = stored.document
     return JournalEstimate(

@@ -1,4 +1,4 @@
-"""Result of a night or verification as rows of a report."""
+"""Result of a nightly run or a verification, as rows of a report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GOOD = (Decision.WITHIN, Decision.FUSED, Decision.WRITTEN, Decision.FULL_DONE)
 
 
 def night_of(record: RunRecord) -> Mapping[str, Any] | None:
-    """Return the recorded result of the night or verification; None if the run has none."""
+    """Return the recorded result of the nightly run or verification; None if the run has no such result."""
     outcome = record.decision(OUTCOME) or {}
     found: Mapping[str, Any] | None = outcome.get("night") or record.decision("night") or record.decision("verify")
     return found

@@ -1,4 +1,4 @@
-"""Rendering of the report of a run from the journal, with the trend of all runs up to that run."""
+"""Rendering of the report of a run from the journal. The report contains the trend of all runs up to that run."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ _MOST_TRENDS = 4
 
 
 def render_from_journal(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
-    """Return the report of a run in the state directory `directory` as `report.html` and, if `pdf`, `report.pdf`.
+    """Return the files of the report of the run `run_id`: `report.html` and, if `pdf` is set, `report.pdf`.
 
-    Raise InputError if there is no such run or its record is not sufficient for a report.
+    `directory` is the state directory with the journal. Raises InputError if there is no such run, or if its record
+    does not suffice for a report.
     """
     record = read_record(directory, run_id)
     page = render_report(report_of(record, _trend_figure(directory, record)))

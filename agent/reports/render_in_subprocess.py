@@ -23,9 +23,10 @@ TEXT_SUFFIXES = frozenset({".html"})
 
 
 def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str, str | bytes]:
-    """Return the files of `agent.reports.render_from_journal.render_from_journal`, rendered in a subprocess.
+    """Return the files that `agent.reports.render_from_journal.render_from_journal` returns, but render them in a
+    subprocess.
 
-    Raise InputError if that fails.
+    Raises InputError if the rendering fails.
     """
     with tempfile.TemporaryDirectory(prefix="volcal-report-") as folder:
         command = [sys.executable, "-P", "-m", "agent.reports.render_in_subprocess", str(directory), run_id, folder]

@@ -1,4 +1,4 @@
-"""Interface of functions that render the files of a report, and the function used by default."""
+"""Interface of the functions that render the files of a report, and the function that is used by default."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ReportRenderer = Callable[[Path, str], Mapping[str, str | bytes]]
 
 
 def render_in_process(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
-    """Return the HTML report, rendered in this process, which keeps the drawing libraries loaded afterwards."""
+    """Return the HTML report of a run, rendered in this process. The drawing libraries remain loaded afterwards."""
     from agent.reports.render_from_journal import render_from_journal  # noqa: PLC0415  drawing libraries are loaded only when needed
 
     return render_from_journal(directory, run_id, pdf=False)

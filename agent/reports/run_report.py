@@ -1,7 +1,7 @@
-"""Report data of a run, from its record in the journal.
+"""Report data of a run, taken from the run's record in the journal.
 
-Values on which decisions were based are not recomputed. The estimate, the residuals and the summary values are taken
-from the record.
+Values on which decisions were based are not computed again. The estimate, the residuals and the summary values are
+taken from the record.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Nigh
 def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> ReportData:
     """Return the report data of a run that has ended or was interrupted.
 
-    `trend` is an SVG of the trends of all runs up to this one. Raise InputError if the run did not record its inputs.
+    `trend` is an SVG with the trends of all runs up to this run. Raises InputError if the run did not record its
+    inputs.
     """
     inputs = record.decision(INPUTS)
     if inputs is None:
@@ -107,7 +108,8 @@ def _found(record: RunRecord) -> IdentificationData | None:
 
 
 def measured_positions(record: RunRecord) -> tuple[Position, ...]:
-    """Return the positions to which the position numbers in the run's estimate refer; empty if it has no estimate."""
+    """Return the positions to which the position numbers in the run's estimate refer; empty if the run has no
+    estimate."""
     return tuple(Position(*place) for place in (record.decision(IDENTIFIED) or {"positions": ()})["positions"])
 
 

@@ -1,7 +1,7 @@
-"""Selection and wording of the events in a report.
+"""Selection of the events that a report shows, and their wording.
 
-The displacements of the first ball, which are recorded in every position, are summarised in one line if they are within
-their limit. Every event that required a decision is listed.
+The displacement of the first ball is recorded in every position. The report summarises these displacements in one line
+and lists only those above their limit. It lists every event that required a decision.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
 
 
 def drifts_um(record: RunRecord) -> tuple[float, ...]:
-    """Return, for each position in the order measured, the displacement of its first ball at the end in µm."""
+    """Return the drift of each position in µm, in the order of measurement. The drift is the displacement of the
+    position's first ball when it is measured again at the end of the position."""
     found = (_drift_um(note) for note in record.events)
     return tuple(one for one in found if one is not None)
 
@@ -58,7 +59,8 @@ def _line(note: EventRow) -> str:
 
 
 def record_in_words(record: Mapping[str, Any]) -> str:
-    """Return a record as `name value, name value`, with floats to four significant digits and without empty values."""
+    """Return a journal record as a text of the form `name value, name value`. Floats have four significant digits, and
+    empty values are left out."""
     return ", ".join(f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None))
 
 

@@ -1,1 +1,1 @@
-"""Results of measured balls: estimate, gates, compensation table and outcome of a run."""
+"""Results computed from measured balls: the estimate, the gates, the compensation table and the outcome of a run."""

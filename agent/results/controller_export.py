@@ -1,4 +1,5 @@
-"""Export of a compensation table for a controller; its files are written completely or not at all."""
+"""Export of a compensation table in the format of a controller. Either all files of an export are written completely,
+or no file is written."""
 
 from __future__ import annotations
 
@@ -33,11 +34,12 @@ RECORD = "export.json"
 
 @dataclass(frozen=True, eq=False)
 class TableToExport:
-    """Table with its origin.
+    """Compensation table to be exported, with its origin.
 
-    `origin` is the name of its bank or file, for people. `estimate_file` contains the estimate of the machine; if None,
-    the machine is assumed to have exactly the errors that the table corrects. `resolution_mm` is the resolution of the
-    counts in which a controller stored the table; it is 0 for a table from a file.
+    `origin` is the name of the table's bank or file, as it is shown to people. `estimate_file` contains the estimate of
+    the machine. If it is None, the machine is assumed to have exactly the errors that the table corrects.
+    `resolution_mm` is the resolution of the integers in which a controller stored the table; it is 0 for a table from a
+    file.
     """
 
     table: CompensationTable
@@ -50,8 +52,8 @@ class TableToExport:
 class TableExportRequest:
     """Format, folder and options of an export.
 
-    `points` contains the numbers of grid points along X, Y and Z; if None, the grid of the table is used. `largest_um`
-    is the largest correction allowed in µm.
+    `points` contains the numbers of grid points along X, Y and Z; if it is None, the grid of the table is used.
+    `largest_um` is the largest correction in µm that is allowed.
     """
 
     format: str
@@ -65,7 +67,8 @@ class TableExportRequest:
 class TableExportResult:
     """Result of an export.
 
-    `check` contains the axis position (3,) of the largest correction and that correction (3,), in mm.
+    `check` contains two values in mm: the axis positions (3,) at which the correction is largest, and that correction
+    (3,).
     """
 
     request: TableExportRequest
@@ -76,7 +79,8 @@ class TableExportResult:
     table_crc32: str
 
     def as_json(self) -> dict[str, Any]:
-        """Return the object that `--json` prints; `export.json` has the same keys and `software`."""
+        """Return the JSON object that `--json` prints. The file `export.json` has the keys of this object and the key
+        `software`."""
         table, loss = self.source.table, self.loss
         points = self.request.points or table.corrections.shape[:3]
         return {
@@ -106,9 +110,10 @@ class TableExportResult:
 
 
 def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
-    """Return the table of a run's folder or of a CSV file, with an estimate of the machine.
+    """Return the table from the folder of a run or from a CSV file, with the path of an estimate of the machine.
 
-    If `estimate` is None, the `estimate.json` beside the table is used if it exists. Raises InputError.
+    If `estimate` is None, the file `estimate.json` beside the table is used if it exists. Raises InputError if the
+    table cannot be read.
     """
     if path.is_dir():
         path = path / "table.csv"
@@ -121,7 +126,8 @@ def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
 
 
 def export_table(source: TableToExport, request: TableExportRequest) -> TableExportResult:
-    """Write the files of the format and `export.json` into `request.out`. No file is written if it raises UserError."""
+    """Write the files of the requested format and `export.json` into `request.out`. If UserError is raised, no file has
+    been written."""
     with translated(InputError, file=source.origin):
         full = ExportSource(source.table, _load_estimate(source.estimate_file))
         require_small_corrections(full.table, 1e-3 * request.largest_um)

@@ -1,6 +1,7 @@
-"""Names that the journal uses for the kinds of decision that record the results of a run.
+"""Names of the kinds of decision with which the journal records the results of a run.
 
-This module is separate so that the history can import it without the mathematics that computes the results.
+The names are in a module of their own. The history can therefore import them without loading the modules that compute
+the results.
 """
 
 from __future__ import annotations

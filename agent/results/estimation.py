@@ -1,6 +1,7 @@
-"""Estimation from measured balls.
+"""Estimation of the machine's errors from measured balls.
 
-It gives the estimate, the predicted accuracy, the compensation table, and the proof of the table by held-out balls.
+The module computes the estimate, the predicted accuracy and the compensation table. It also proves the table with
+held-out balls.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class EstimationResult:
-    """Estimate from `observations`, with the compensation table made from it.
+    """Estimate from `observations`, and the compensation table made from the estimate.
 
-    The result also contains the estimated volumetric error (VE) of the bare machine and the predicted volumetric error
+    `volumetric` contains the estimated volumetric error (VE) of the bare machine and the predicted volumetric error
     (VCE) of the compensated machine.
     """
 
@@ -54,7 +55,8 @@ def estimate_with_table(
     table: TableSettings,
     order: Order,
 ) -> EstimationResult:
-    """Identify the machine and build the compensation table for `tool`. Raises TwinError."""
+    """Identify the machine's errors and build the compensation table for `tool`. Raises TwinError if this is not
+    possible."""
     offset = machine.tool(tool)
     estimate = estimate_machine(machine, artefact, observations, options, order)
     model = estimate.model
@@ -73,10 +75,12 @@ def estimate_with_table(
 def estimate_machine(
     machine: MachineDescription, artefact: Artefact, observations: Observations, options: Options, order: Order
 ) -> Estimate:
-    """Identify the machine with Legendre series of the requested `order`. Raises TwinError.
+    """Identify the machine's errors, modelled by Legendre series of the requested `order`. Raises TwinError if this is
+    not possible.
 
-    If an earlier estimate is carried over, its order is used. Without the prior population, the evidence of the orders
-    cannot be compared; the order of the machine file is then used instead.
+    If `order` is "evidence", the order with the largest Bayesian evidence is used. Evidence can only be compared with
+    the prior population; without the prior population, the order of the machine file is used instead. If an earlier
+    estimate is carried over, the order of that estimate is used in any case.
     """
     if options.carried_over is not None:
         machine = machine.with_model(options.carried_over.unknowns.model)
@@ -88,7 +92,8 @@ def estimate_machine(
 
 
 def order_text(estimate: Estimate) -> str:
-    """Return a text with the Legendre order of an estimate, and the evidence of all orders if they were compared."""
+    """Return a text that states the Legendre order of `estimate`. If several orders were compared, the text also states
+    their evidence."""
     used = sorted(set(estimate.model.orders.values()))
     text = " and ".join(str(order) for order in used)
     if not estimate.order_evidence:
@@ -98,14 +103,15 @@ def order_text(estimate: Estimate) -> str:
 
 
 def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
-    """Return warnings about variance scales that have reached their bounds."""
+    """Return one warning for each estimated variance scale that has reached a bound."""
     return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
 
 
 def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> EstimationResult:
-    """Return the estimate from the balls of a run, and its table. Raises TwinError.
+    """Return the estimate from the balls of a run, and the compensation table made from the estimate. Raises TwinError
+    if the balls do not allow an estimate.
 
-    `correction` is the correction that the table active during the measurement added.
+    `correction` is the correction that the active table added during the measurement.
     """
     settings = job.settings
     observations, order = observations_with_drift(job, balls, correction), settings.identification.order
@@ -116,8 +122,8 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
 def prove(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
-    """Compare the held-out balls measured with the new table active (`after`) with those measured `before` and with
-    the prediction.
+    """Return the proof of a new table at the held-out balls. The balls `after` were measured with the new table active.
+    They are compared with the balls `before`, measured without it, and with the prediction.
 
     Raises MeasurementFault if too few balls were found for a comparison.
     """
@@ -151,7 +157,8 @@ def prove(
 
 
 def provenance(job: Job, run_id: str) -> dict[str, str]:
-    """Return the run, software, machine, artefact and options of an estimate, for its file and the journal."""
+    """Return the origin of an estimate for its file and for the journal: run, time, software, machine, artefact and
+    options."""
     chosen = job.settings.identification
     return {
         "run_id": run_id,

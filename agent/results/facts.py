@@ -1,4 +1,4 @@
-"""Data of a run that the journal stores and reports show, as frozen values."""
+"""Data of a run that the journal stores and reports show, as immutable values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Quantity:
-    """Length in µm with its standard uncertainty, which is None if it is not known."""
+    """Length in µm with its standard uncertainty. The standard uncertainty is None if it is not known."""
 
     value_um: float
     standard_uncertainty_um: float | None = None
@@ -23,9 +23,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class VolumetricSummary:
-    """Estimated VE of the bare machine (`before_…`) and predicted VCE (`after_…`).
+    """Estimated VE of the bare machine (`before_raw`, `before_aligned`) and predicted VCE (`after_raw`,
+    `after_aligned`).
 
-    Each is given without alignment (`…_raw`) and after removal of the best-fitting rigid motion (`…_aligned`).
+    The values ending in `_raw` contain the rigid motion of the workspace. The values ending in `_aligned` are computed
+    after removal of the best-fitting rigid motion.
     """
 
     before_raw: Quantity
@@ -44,7 +46,7 @@ class VolumetricSummary:
 
 @dataclass(frozen=True)
 class ArtefactFacts:
-    """Artefact as stated by its certificate. `balls` is the number of its balls."""
+    """Properties of the artefact according to its certificate. `balls` is the number of balls."""
 
     name: str
     certificate: str
@@ -72,8 +74,8 @@ class TableFacts:
     """Summary of a compensation table.
 
     `nodes` contains the numbers of nodes along X, Y and Z. `largest_um` contains the largest absolute correction of
-    each axis. `extrapolated` is the number of nodes outside the measured region. `crc32` is the CRC-32 of the CSV file
-    of the table.
+    each axis. `extrapolated` is the number of nodes outside the measured region. `crc32` is the CRC-32 checksum of the
+    table's CSV file.
     """
 
     nodes: tuple[int, int, int]
@@ -112,10 +114,12 @@ def triple(values: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class ProbeRing:
-    """Touches of the qualification at one latitude (90° is the pole), and the pretravel map at that latitude.
+    """Touches of the stylus qualification at one latitude of the ball, and the pretravel map at that latitude. The pole
+    has the latitude 90°.
 
-    `angle_deg` and `residual_um` contain the angle about the stylus and the residual of each of the k touches.
-    `map_angle_deg` and `map_um` contain m angles and the pretravel at them; both are empty if there is no map.
+    `angle_deg` (k,) and `residual_um` (k,) contain the angle about the stylus and the residual of each of the k
+    touches. `map_angle_deg` (m,) contains m angles, and `map_um` (m,) contains the pretravel at these angles. Both are
+    empty if there is no map.
     """
 
     latitude_deg: float
@@ -129,8 +133,8 @@ class ProbeRing:
 class ProbeFacts:
     """Results of the checks of probe and stylus before the run.
 
-    `rows` contains the name and the result text of each check. `rings` contains the touches of the qualification by
-    latitude.
+    `rows` contains the name and the result of each check as texts. `rings` contains the touches of the stylus
+    qualification, grouped by latitude.
     """
 
     rows: tuple[tuple[str, str], ...]

@@ -1,4 +1,5 @@
-"""Gates that an estimate and its table must pass before the table is written. All functions are pure."""
+"""Gates that an estimate and its table must pass before the table is written. All functions are free of side
+effects."""
 
 from __future__ import annotations
 
@@ -21,9 +22,9 @@ collision, and must then be calibrated again."""
 
 @dataclass(frozen=True)
 class Gate:
-    """Condition on a result.
+    """Condition that a result must meet before a table is written.
 
-    `passed` is True if `value` meets `limit`. `text` is an explanation with the unit of `value` and `limit`.
+    `passed` is True if `value` meets `limit`. `text` explains the condition and states the unit of `value` and `limit`.
     """
 
     name: str
@@ -36,11 +37,12 @@ class Gate:
 def estimate_gates(
     estimate: Estimate, expected: VolumetricRms, before: VolumetricRms, limits: GateSettings
 ) -> tuple[Gate, ...]:
-    """Return the gates on the estimate itself, which concern fit, redundancy and gain.
+    """Return the three gates on the estimate: the fit of the residuals, the number of redundant measurements, and the
+    gain in accuracy.
 
     `before` is the estimated volumetric error of the bare machine, without a contribution of its uncertainty.
-    `expected` is the predicted volumetric error with the table active. The values after removal of the best-fitting
-    rigid motion are compared, because a rigid motion of the workspace is not an error of the machine.
+    `expected` is the predicted volumetric error with the table active. The aligned values of both are compared, because
+    a rigid motion of the workspace is not an error of the machine.
     """
     share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")
     return (
@@ -73,7 +75,7 @@ def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> G
     """Return the gate on the change of the machine's error field since the last accepted night.
 
     `change_um` is the rms of the change over the workspace after removal of the best-fitting rigid motion.
-    `expected_um` is the rms expected from the uncertainties and from the drift in the nights since then.
+    `expected_um` is the rms that is expected from the uncertainties and from the drift since that night.
     """
     share = change_um / expected_um if expected_um > 0.0 else float("inf")
     return Gate(
@@ -86,12 +88,13 @@ def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> G
 
 
 def table_gates(table: CompensationTable, store: StoreLimits, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the gates that a table must pass before it is written."""
+    """Return the gates that `table` must pass before it is written to the controller."""
     return (*shape_gates(table, store, limits), extrapolation_gate(table, limits))
 
 
 def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the gates on the values of the table: largest correction and steepest slope."""
+    """Return the two gates on the values of the table: one limits the largest correction, the other the steepest
+    slope."""
     largest_um = float(np.abs(table.corrections).max()) * 1e3
     allowed_um = min(limits.max_correction_um, store.max_correction_mm * 1e3)
     slope = _largest_slope_um_per_mm(table)
@@ -114,7 +117,7 @@ def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateSettin
 
 
 def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
-    """Return the gate on the share of nodes outside the measured region."""
+    """Return the gate on the fraction of nodes that lie outside the measured region."""
     outside = float(np.mean(table.extrapolated))
     return Gate(
         "extrapolation",
@@ -126,7 +129,8 @@ def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
 
 
 def with_consent(gates: Sequence[Gate]) -> list[Gate]:
-    """Return the gates with the gate `CHANGE` passed, because the operator has consented."""
+    """Return `gates` as they count after the operator has consented to the change of the machine: the gate `CHANGE` is
+    passed."""
     return [
         replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
         for gate in gates
@@ -134,7 +138,7 @@ def with_consent(gates: Sequence[Gate]) -> list[Gate]:
 
 
 def require_passed(gates: Sequence[Gate]) -> None:
-    """Raise GateRefused naming every gate that did not pass."""
+    """Raise GateRefused if a gate did not pass. The message names every such gate."""
     failed = [gate for gate in gates if not gate.passed]
     if failed:
         reasons = "; ".join(

@@ -1,7 +1,8 @@
-"""Journal entries of a run in addition to its steps, so that a report or comparison needs only the journal.
+"""Journal entries that a run makes in addition to its steps. With them, a report or a comparison of runs needs only the
+journal.
 
-The files named in the settings may change or be deleted. The data of machine, artefact and result that a report shows
-are therefore stored in the journal.
+The files that are named in the settings may be changed or deleted later. For this reason, the journal stores all data
+of the machine, the artefact and the result that a report shows.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ _NAMED_FILES = ("grid", "covariance_file")
 
 
 def inputs_of(job: Job) -> dict[str, Any]:
-    """Return the machine, the artefact and the input files as they were at the start of a run.
+    """Return the data of the machine, the artefact and the input files at the start of a run, for the journal.
 
-    Raise ConfigurationError if a file is missing.
+    Raises ConfigurationError if a file is missing.
     """
     return {
         "machine": job.machine.name,
@@ -56,7 +57,7 @@ def inputs_of(job: Job) -> dict[str, Any]:
 
 
 def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
-    """Journal the results of the checks of probe and stylus, as a report shows them."""
+    """Write the results of the checks of probe and stylus to the journal, in the form that a report shows."""
     facts = probe_facts(prepared)
     if facts is not None:
         warnings = () if prepared.reversal is None else prepared.reversal.warnings
@@ -64,18 +65,19 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
 
 
 def observations_record(observations: Observations) -> dict[str, object]:
-    """Return the journaled form of observations, with the keys of journal version 2."""
+    """Return the journal record of `observations`, with the keys of version 2 of the journal."""
     return {STORED_KEYS.get(name, name): value for name, value in vars(observations).items()}
 
 
 def observations_from(record: Mapping[str, Any]) -> Observations:
-    """Return the observations of a journaled record. Records written by earlier program versions can be read, too."""
+    """Return the observations of a journal record. The record may have been written by an earlier version of the
+    program."""
     names = {stored: name for name, stored in STORED_KEYS.items()}
     return Observations(**{names.get(key, key): value for key, value in record.items()})
 
 
 def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
-    """Journal the parts of the result that the estimate file does not contain.
+    """Write those parts of an estimation to the journal that the estimate file does not contain.
 
     `balls` contains the measured balls in the order of the observations.
     """
@@ -98,10 +100,11 @@ def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estima
 def record_held_out(
     journal: RunJournal, job: Job, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> None:
-    """Journal the rms residual of each held-out position before and after activation of the table, in µm.
+    """Write the rms residual of each held-out position before and after activation of the table to the journal, in µm.
 
-    Residuals are taken at displayed axis positions. A position is omitted if too few balls for a pose were found after
-    activation. If too few were found before activation, only its rms before activation is None.
+    Residuals are computed at displayed axis positions. A position is left out if too few balls were found after
+    activation to determine its pose. If too few balls were found before activation, the rms residual before activation
+    is None.
     """
     rows = []
     for position in job.held_out:
@@ -127,12 +130,13 @@ def _rms_um(job: Job, balls: Sequence[MeasuredBall]) -> float | None:
 
 
 def record_outcome(journal: RunJournal, outcome: Outcome) -> None:
-    """Journal the outcome of the run as the object that `--json` prints, without the path of the report."""
+    """Write the outcome of the run to the journal. The entry is the JSON object that `--json` prints, without the path
+    of the report."""
     journal.decision(OUTCOME, {name: value for name, value in outcome.as_json().items() if name != "report"})
 
 
 def input_files(machine: Path, artefact: Path) -> Iterator[Path]:
-    """Yield the machine file, the artefact file, and the files that they name."""
+    """Yield the machine file, the artefact file, and each file that is named in one of these two."""
     for path in (machine, artefact):
         yield path
         document = tomllib.loads(read_text(path, error=ConfigurationError))

@@ -22,10 +22,11 @@ def observations_of(
     correction: Correction,
     thermal_regressors: Array | None = None,
 ) -> Observations:
-    """Return observations at bare axis positions, which are displayed positions plus corrections of the active table.
+    """Return observations at the axis positions of the bare machine: displayed positions plus corrections of the active
+    table.
 
-    `correction` maps displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
-    `thermal_regressors` contains (n, w) values in K for w regressors; it is None if the machine did not drift.
+    `correction` maps n displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
+    `thermal_regressors` (n, w) contains the values of w regressors in K; it is None if the machine did not drift.
     """
     displayed = np.array([ball.found.centre_mm for ball in balls])
     return Observations(
@@ -42,7 +43,7 @@ def observations_of(
 
 
 def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
-    """Return the residuals of the artefact's balls at displayed axis positions, which contain the effect of the table
+    """Return the residuals of the artefact's balls at displayed axis positions. They contain the effect of the table
     that was active during the measurement."""
     displayed = observations_of(balls, tool_offset_mm, no_correction)
     return held_out_residuals(displayed, displayed.axis_positions + tool_offset_mm, artefact)

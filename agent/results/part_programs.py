@@ -1,4 +1,4 @@
-"""Correction of part program files with a table file. The output file is written completely or not at all."""
+"""Correction of part programs by a table from a file. The corrected program is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from twin.compensation.table_file import checksum, parse_table
 
 
 def load_table(path: Path) -> tuple[CompensationTable, str]:
-    """Return the table stored in a CSV file and the JSON file beside it, and the CRC-32 of the CSV file."""
+    """Return two values: the table stored in a CSV file and in the JSON file beside it, and the CRC-32 of the CSV
+    file."""
     side = path.with_suffix(".json")
     text = read_text(path)
     with translated(InputError, file=str(path)):
@@ -36,11 +37,10 @@ def load_part_setup(path: Path) -> PartSetup:
 def correct_file(
     part: Path, out: Path | None, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
 ) -> CorrectionSummary:
-    """Correct the program and write it to `out`; if `out` is None, only compute the summary.
+    """Correct the part program `part` and write the result to `out`. If `out` is None, only compute the summary.
 
-    `name` is the name of the table; it is written into the corrected program.
-
-    Raises InputError, naming file and line, if a block cannot be corrected; `out` is then unchanged.
+    `name` is the name of the table; it is written into the corrected program. Raises InputError if a block cannot be
+    corrected, with the file and the line; in this case, `out` is not changed.
     """
     if out is not None and out.resolve() == part.resolve():
         message = "the corrected program would replace the original program"
@@ -55,9 +55,10 @@ def correct_file(
 def correct_to(
     stream: BinaryIO, part: Path, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
 ) -> CorrectionSummary:
-    """Correct the program and write it to `stream`; nothing is written before the whole program is corrected.
+    """Correct the part program `part` and write the result to `stream`. Writing starts only after the whole program has
+    been corrected.
 
-    Raises the errors of `correct_file`.
+    Raises the errors that `correct_file` raises.
     """
     with tempfile.TemporaryDirectory() as folder:
         corrected = Path(folder) / "corrected"

@@ -1,6 +1,7 @@
-"""Prediction of the accuracy of a procedure from the ball positions of its preflight.
+"""Prediction of the accuracy of a run from the ball positions of its preflight.
 
-The covariance of the estimate depends on the positions, not on the measured values.
+The prediction is possible because the covariance of the estimate depends on the ball positions, but not on the measured
+values.
 """
 
 from __future__ import annotations
@@ -24,11 +25,9 @@ class PredictedAccuracy:
 
 
 def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy:
-    """Return the rank and the predicted volumetric error for the positions `measured` in a preflight.
+    """Return the rank of the estimate and the VCE that are predicted for the positions `measured` in a preflight.
 
-    The held-out positions are not used.
-
-    Raises ConfigurationError if these positions cannot identify the machine.
+    The held-out positions are not used. Raises ConfigurationError if the other positions cannot identify the machine.
     """
     estimate = preflight_estimate(job, measured)
     grid = evaluation_grid(job.machine.model.ranges_mm)
@@ -37,7 +36,7 @@ def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy
 
 
 def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
-    """Return the estimate from the balls of a preflight; its covariance is the one predicted for the run.
+    """Return the estimate from the balls of a preflight. Its covariance is the covariance predicted for the run.
 
     Raises ConfigurationError if the position set cannot identify the machine.
     """

@@ -1,4 +1,4 @@
-"""Results of the checks of probe and stylus, for a report."""
+"""Results of the checks of probe and stylus, in the form that a report shows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAP_STEP_DEG = 3.0
 
 
 def probe_facts(prepared: PreparationResult | None) -> ProbeFacts | None:
-    """Return the results of the checks before the run; None if nothing was checked."""
+    """Return the results of the checks before the run; None if no check was made."""
     if prepared is None:
         return None
     checks = (

@@ -12,7 +12,7 @@ from agent.probing.reversal import AxisReversal
 
 @dataclass(frozen=True)
 class Proof:
-    """Proof of a new table at held-out positions.
+    """Result of the proof of a new table at held-out positions.
 
     `before_um` and `after_um` are the rms residuals per ball before and after activation of the table. `predicted_um`
     is the prediction of `after_um`. `chi2_normalised` compares the residuals after activation with their prediction.
@@ -27,7 +27,7 @@ class Proof:
 
 
 class Decision(Enum):
-    """Outcome of a nightly run or of a verification."""
+    """Decision that ends a nightly run or a verification."""
 
     WITHIN = "within limits"
     OUT = "out of limits"
@@ -40,10 +40,10 @@ class Decision(Enum):
 
 @dataclass(frozen=True)
 class SuspectedError:
-    """Machine error that may have jumped.
+    """Error motion or squareness of the machine that may have changed suddenly (jumped).
 
-    `error` is its ISO 230-1 name. `change` is the size of the jump in `unit`. `evidence` is the natural logarithm of
-    the likelihood ratio in favour of the jump.
+    `error` is its name according to ISO 230-1. `change` is the size of the jump in `unit`. `evidence` is the natural
+    logarithm of the likelihood ratio in favour of the jump.
     """
 
     error: str
@@ -60,14 +60,17 @@ class SuspectedError:
 class NightReport:
     """Comparison of the machine with the last accepted night, and the decision of this nightly run or verification.
 
-    `since` is the identity of the run of the last accepted night, and `nights` the number of nights since then.
-    `ve_before_um`, `ve_now_um` and `ve_after_um` are expected volumetric errors after removal of the best-fitting rigid
-    motion: `ve_before_um` with the active table at the end of the last accepted night, `ve_now_um` with the active
-    table now, and `ve_after_um` with a table from the present estimate. `held_out_um` is the rms residual of the
-    held-out balls at displayed axis positions, and `held_out_predicted_um` is its prediction. `chi2_normalised`
-    compares all ball centres with their prediction. `jumped` lists the errors whose jump is established by sufficient
-    evidence. `likeliest` lists the errors whose jump would best explain the measurement, the likeliest first, whether
-    or not any has jumped.
+    `since` is the identity of the run of the last accepted night, and `nights` is the number of nights since then.
+
+    Three values are expected volumetric errors after removal of the best-fitting rigid motion. `ve_before_um` is valid
+    for the active table at the end of the last accepted night. `ve_now_um` is valid for the active table now.
+    `ve_after_um` is valid for a table made from the present estimate.
+
+    `held_out_um` is the rms residual of the held-out balls at displayed axis positions, and `held_out_predicted_um` is
+    its prediction. `chi2_normalised` compares all ball centres with their prediction.
+
+    `jumped` lists the errors for which there is sufficient evidence of a jump. `likeliest` lists the errors whose jump
+    would best explain the measurement, the likeliest first; it is filled even if there is no sufficient evidence.
     """
 
     decision: Decision
@@ -86,7 +89,7 @@ class NightReport:
     likeliest: tuple[SuspectedError, ...] = ()
 
     def as_json(self) -> dict[str, object]:
-        """Return the object documented in docs/reference/json.md."""
+        """Return this comparison as the JSON object that docs/reference/json.md describes."""
         return {
             **{name: value for name, value in vars(self).items() if name not in ("decision", "jumped", "likeliest")},
             "decision": self.decision.value,
@@ -97,7 +100,7 @@ class NightReport:
 
 @dataclass(frozen=True)
 class Outcome:
-    """State, results and report of a run. A field is None if the run did not get far enough to set it."""
+    """State, results and report of a run. A field is None if the run ended before the field was set."""
 
     state: RunState
     run_id: str
@@ -123,7 +126,8 @@ class Outcome:
     reason: str = ""
 
     def as_json(self) -> dict[str, object]:
-        """Return the object documented in docs/reference/json.md. `verified` is null if there was no proof."""
+        """Return this outcome as the JSON object that docs/reference/json.md describes. `verified` is null if there was
+        no proof."""
         return {
             "kind": self.kind,
             "state": self.state.value,

@@ -1,4 +1,5 @@
-"""Thermal drift of the machine during a run: selection of the balls, thermal regressors and options of the fit."""
+"""Treatment of the machine's thermal drift during a run: selection of the balls, thermal regressors and options of the
+fit."""
 
 from __future__ import annotations
 
@@ -21,27 +22,30 @@ from twin.identification import CarriedOverPrior, Options
 
 
 def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBall]:
-    """Return all balls except those of held-out positions.
+    """Return the measured balls for the estimate. These are all balls except those of held-out positions.
 
-    If the machine drifted, they include the second measurement of each position's first ball, made at the end of that
-    position.
+    The first ball of each position is measured again at the end of the position. If the machine drifted, these repeated
+    measurements are included.
     """
     balls = job.balls_of(measured, held_out=False)
     return job.balls_of(measured, held_out=False, again=True) if is_drifting(job.settings.temperature, balls) else balls
 
 
 def is_drifting(temperature: TemperatureSettings, balls: Sequence[MeasuredBall]) -> bool:
-    """Return True if drift is to be fitted and the machine's temperature has changed by at least `min_change_k`."""
+    """Return True if the settings ask for a fit of the drift and the machine's temperature has changed by at least
+    `temperature.min_change_k`."""
     return temperature.fit_machine_drift and change_k(temperature, balls) >= temperature.min_change_k
 
 
 def change_k(temperature: TemperatureSettings, balls: Sequence[MeasuredBall]) -> float:
-    """Return the temperature change of the machine during these measurements, in K."""
+    """Return the change in K of the machine's temperature during the measurement of `balls`. If the machine has no
+    thermometer, the change that the settings declare is returned."""
     return machine_change_k([ball.conditions for ball in balls], temperature.declared_change_k)
 
 
 def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Observations:
-    """Return the observations; if the machine drifted, with thermal regressors and smoothed artefact temperatures."""
+    """Return the observations of the bare machine. If the machine drifted, they contain thermal regressors and smoothed
+    temperatures of the artefact."""
     if not is_drifting(job.settings.temperature, balls):
         return observations_of(balls, job.tool_offset_mm, correction)
     instants_s = np.array([ball.conditions.instant_s for ball in balls])
@@ -56,9 +60,9 @@ def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction:
 def identification_options(
     identification: IdentificationSettings, temperature: TemperatureSettings, observations: Observations
 ) -> Options:
-    """Return the options for an identification that carries nothing over from earlier nights.
+    """Return the options for an identification without a prior from earlier nights.
 
-    If the machine drifted, the estimate describes the machine at the instant of the last observation.
+    If the machine drifted, the estimate describes the machine at the time of the last observation.
     """
     return replace(
         _drift_options(temperature, observations),
@@ -69,7 +73,8 @@ def identification_options(
 
 
 def fusion_options(temperature: TemperatureSettings, observations: Observations, known: CarriedOverPrior) -> Options:
-    """Return the options for the fusion of a night's observations with the prior `known` from earlier nights."""
+    """Return the options for an identification that combines the observations of a night with the prior `known` from
+    earlier nights."""
     return replace(_drift_options(temperature, observations), carried_over=known)
 
 

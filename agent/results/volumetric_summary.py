@@ -1,4 +1,5 @@
-"""Estimated volumetric error (VE) of the bare machine, and predicted error (VCE) of the compensated machine."""
+"""Estimated volumetric error (VE) of the bare machine, and predicted volumetric error (VCE) of the compensated
+machine."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from twin.machine.volumetric import QuadraticForm, evaluation_grid
 def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:
     """Return the estimated VE of the bare machine and the VCE expected after compensation.
 
-    Both are in µm and computed over the standard grid.
+    Both are computed over the standard grid of the workspace, in µm.
     """
     grid = evaluation_grid(estimate.model.ranges_mm)
     form = QuadraticForm.build(estimate.model, grid, tool_offset)

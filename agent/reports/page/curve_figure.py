@@ -1,6 +1,7 @@
 """Figures of the geometric error functions and of the cross-effect.
 
-The geometric error functions are shown with one row per axis and one column for each of the six errors of ISO 230-1.
+The figure of the geometric error functions has a row for each axis and a column for each of the six errors of ISO
+230-1.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ DISPLACEMENTS = 3
 
 
 def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
-    """Return an SVG of the 18 error functions; an error that is not in the model gets an empty panel."""
+    """Return an SVG of the 18 geometric error functions. An error that is not in the model gets an empty panel."""
     by_name = {curve.name: curve for curve in curves}
     drawing = Drawing("error-curves", 10.4, 4.9)
     with drawing as figure:
@@ -38,7 +39,8 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
 
 
 def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
-    """Return an SVG of the cross-effect terms of ram and column at full overhang as functions of height."""
+    """Return an SVG of the cross-effect of ram and column at full overhang. Each contribution is drawn as a function of
+    the height."""
     drawing = Drawing("cross-effect", 5.6, 1.9)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.35)

@@ -1,7 +1,7 @@
-"""Data of a report.
+"""Data that a report shows.
 
-An identification from files leaves `ReportData.run` empty; a run on a machine adds decisions, verification and events.
-Sections whose value is None or empty are omitted from the page.
+If the data come from an identification of files, `ReportData.run` is empty. A run on a machine adds decisions, the
+verification and events. The page omits every section whose value is None or empty.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from twin.identification import Estimate, FieldKnowledge, Scales
 
 
 class ReportedEstimate(FieldKnowledge, Protocol):
-    """Part of an estimate that a report shows; the estimate is new or read from the journal."""
+    """Interface of an estimate with the properties that a report shows. The estimate comes from an identification that
+    has just been made, or from the journal."""
 
     @property
     def formulation(self) -> str: ...
@@ -58,10 +59,10 @@ class Header:
 
 @dataclass(frozen=True)
 class VerifiedPosition:
-    """Held-out position.
+    """Held-out position with its rms residuals in µm.
 
-    Its values are the rms residuals of its balls before and after activation of the table, and the predicted rms, in
-    µm.
+    `before_um` and `after_um` are the rms residuals of the position's balls before and after activation of the table.
+    `predicted_um` is the predicted rms residual after activation.
     """
 
     label: str
@@ -72,9 +73,10 @@ class VerifiedPosition:
 
 @dataclass(frozen=True)
 class VerificationFacts:
-    """Verification by held-out positions before and after activation of the new table.
+    """Result of the verification by held-out positions, before and after activation of the new table.
 
-    `before` and `after` are the rms residuals per ball. `predicted_um` is the predicted rms after activation.
+    `before` and `after` are the rms residuals per ball; `before` is None if it was not measured. `predicted_um` is the
+    prediction of `after`.
     """
 
     accepted: bool
@@ -87,9 +89,10 @@ class VerificationFacts:
 
 @dataclass(frozen=True)
 class TemperatureTrace:
-    """Readings of one sensor.
+    """Readings of one temperature sensor.
 
-    They consist of n times in minutes since the start of the run and n temperatures in °C.
+    `minutes` (n,) holds the times of the n readings in minutes since the start of the run. `temperature_c` (n,) holds
+    the temperatures in °C.
     """
 
     name: str
@@ -106,10 +109,10 @@ class EventLine:
 
 @dataclass(frozen=True)
 class QuestionFacts:
-    """Question to the operator.
+    """Question that the run asked the operator.
 
-    `minute` is the machine time in minutes since the start of the run. `yes` is the answer; it is None if there was
-    none.
+    `minute` is the machine time of the question in minutes since the start of the run. `yes` is the operator's answer;
+    it is None if there was no answer.
     """
 
     minute: float
@@ -120,10 +123,10 @@ class QuestionFacts:
 
 @dataclass(frozen=True)
 class NightFacts:
-    """Decision of a night or verification.
+    """Decision of a nightly run or a verification.
 
-    `since` is the run of the last accepted night. `rows` contains the name and the text of each value on which the
-    decision is based.
+    `since` is the identity of the run of the last accepted night. `rows` contains the name and the text of each value
+    on which the decision is based.
     """
 
     decision: str
@@ -150,9 +153,10 @@ class Provenance:
 class RunFacts:
     """Data of a run on a machine.
 
-    `times` contains rows on the start and the end. `banks` contains rows on the former table, the table written and the
-    bank active at the end. `trend` is an SVG of the trends of all runs up to this one. `drifts_um` contains, for each
-    position, the displacement of its first ball in µm at the end of the position.
+    `times` contains table rows about the start and the end of the run. `banks` contains table rows about the former
+    table, the table that was written, and the bank that is active at the end. `trend` is an SVG with the trends of all
+    runs up to this run. `drifts_um` contains one value in µm for each position: the displacement of the position's
+    first ball when it was measured again at the end of the position.
     """
 
     touches: int | None = None
@@ -174,10 +178,10 @@ class RunFacts:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationData:
-    """Result of an identification.
+    """Result of an identification, as a report shows it.
 
-    `positions` contains the poses to which the indices in `observations.position` refer. `residuals_mm` has the shape
-    (n, 3) and the order of the observations.
+    `positions` contains the poses to which the indices in `observations.position` refer. `residuals_mm` (n, 3) holds
+    the residuals of the n observations, in the order of the observations.
     """
 
     observations: Observations
@@ -203,8 +207,8 @@ class IdentificationData:
 class ReportData:
     """Complete data of a report.
 
-    `tool_offset` is the offset (3,) in mm to which the table and all volumetric errors refer. `identification` is None
-    if the run has no estimate. `gates_enforced` is False if the gates are informative only.
+    `tool_offset` (3,) is the tool offset in mm to which the table and all volumetric errors refer. `identification` is
+    None if the run has no estimate. `gates_enforced` is False if the gates were only computed for information.
     """
 
     header: Header

@@ -1,4 +1,5 @@
-"""Error functions with their uncertainty, from the parameters and the covariance of an estimate."""
+"""Curves of the error functions and their uncertainty, computed from the parameters and the covariance of an
+estimate."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ SAMPLES = 81
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """Error function and its standard uncertainty at n axis positions. `unit` is µm or µrad."""
+    """Values of an error function and their standard uncertainties at n axis positions. `unit` is µm or µrad."""
 
     name: str
     argument: str
@@ -27,14 +28,14 @@ class ErrorCurve:
 
     @property
     def reach(self) -> float:
-        """Largest absolute value of the ±2σ band, in `unit`."""
+        """Largest absolute value in the band of ±2 standard uncertainties (2σ) about the curve, in `unit`."""
         return float(np.max(np.abs(self.value) + 2.0 * self.sigma))
 
 
 def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """Return the error motions of X, then those of Y, then those of Z.
+    """Return the curves of the error motions: first all error motions of X, then all of Y, then all of Z.
 
-    Error motions without a coefficient in the model are omitted.
+    Error motions that have no coefficient in the model are left out.
     """
     curves = []
     for axis, limits in zip("XYZ", model.ranges_mm, strict=True):
@@ -61,9 +62,9 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
 
 
 def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """Return the contributions of the cross-effect to EYZ and EAZ at full overhang, as functions of Z.
+    """Return the curves of the contributions of the cross-effect to EYZ and EAZ at full overhang, as functions of Z.
 
-    Empty if the model has no cross-effect.
+    The result is empty if the model has no cross-effect.
     """
     place = np.linspace(*model.ranges_mm[2], SAMPLES)
     w = (place - place[0]) / (place[-1] - place[0])

@@ -16,7 +16,8 @@ from twin.arrays import Array
 
 
 def report_figures(data: ReportData) -> dict[str, str]:
-    """Return the SVG of each figure by its name in the template. The SVG is empty if there is nothing to draw."""
+    """Return a mapping from the name of each figure in the template to its SVG. The SVG is an empty text if there is
+    nothing to draw."""
     traces, probe, identification = data.run.temperatures, data.run.probe, data.identification
     figures = {
         "qualification": draw_qualification(probe) if probe and probe.rings else "",
@@ -48,7 +49,8 @@ def _of_estimate(identification: IdentificationData, tool_offset: Array) -> dict
 
 
 def ball_residuals(identification: IdentificationData) -> BallResiduals:
-    """Return the residuals of all balls, with the positions of the identification."""
+    """Return the residuals of all balls of `identification`, in the form in which the figures of the residuals need
+    them."""
     seen, estimate = identification.observations, identification.estimate
     rejected = set(estimate.rejected)
     keys = zip(seen.position.tolist(), seen.ball.tolist(), seen.tool.tolist(), strict=True)

@@ -1,4 +1,5 @@
-"""Report sections on the identification: summary, squareness, residuals, fit, null space, table, parameters."""
+"""Sections of the report about the identification: summary, squareness, residuals, fit, null directions, table and
+parameters."""
 
 from __future__ import annotations
 
@@ -109,7 +110,8 @@ def table_rows(identification: IdentificationData) -> Rows | None:
 
 
 def parameters(identification: IdentificationData) -> list[list[tuple[str, str, str, str]]]:
-    """Return the parameters in three columns; each row has name, value, σ and unit."""
+    """Return the parameters in three columns of rows. Each row contains the name, the value, the standard uncertainty
+    and the unit of a parameter."""
     estimate = identification.estimate
     sigma = estimate.standard_uncertainty
     rows = []

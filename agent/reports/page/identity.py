@@ -1,4 +1,5 @@
-"""Head of the report: identity, tiles with the main results, and the validity of the result."""
+"""Head of the report: the identity of the run, the main results as tiles, and statements on the validity of the
+result."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from agent.results.facts import Quantity
 
 
 def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
-    """Return the tiles with the four main numbers at the top."""
+    """Return the tiles at the top of the report, each with the name and the value of one main result."""
     identification, night = data.identification, data.run.night
     if identification is not None:
         shown = _of_estimate(data, identification, t)
@@ -96,7 +97,7 @@ def _machine(identification: IdentificationData) -> Rows:
 
 
 def validity(data: ReportData, identification: IdentificationData) -> list[str]:
-    """Return statements on the tool offset and the region for which the result is valid."""
+    """Return statements about the tool offset and about the region of the workspace for which the result is valid."""
     seen = identification.observations
     used = [seen.tool_offsets[tool] for tool in np.unique(seen.tool)]
     lengths = " and ".join(point(offset) for offset in used)

@@ -20,8 +20,8 @@ MINUS = "\N{MINUS SIGN}"
 class Table:
     """Table of formatted texts.
 
-    Columns are identified by their headings: `numeric` lists the columns with numbers, `fine` the columns in fine
-    print, and `code` the columns without line breaks.
+    Columns are identified by their headings. `numeric` lists the columns with numbers, `fine` lists the columns in
+    small print, and `code` lists the columns without line breaks.
     """
 
     heads: tuple[str, ...]
@@ -32,7 +32,7 @@ class Table:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return the text of the value with `digits` significant digits and a typographic minus sign.
+    """Return `value` as a text with `digits` significant digits and a typographic minus sign.
 
     An exponent is used only for very small values.
     """
@@ -49,7 +49,8 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def micrometres(quantity: Quantity | None) -> str:
-    """Return a text such as `12.3 ± 0.8 µm` with the expanded uncertainty; a dash if `quantity` is None."""
+    """Return a text such as `12.3 ± 0.8 µm`, in which the second number is the expanded uncertainty. The text is a dash
+    if `quantity` is None."""
     if quantity is None:
         return "–"
     decimals = 1 if quantity.value_um >= 10.0 else 2

@@ -1,4 +1,4 @@
-"""Values of the report template, section by section."""
+"""Values that the report template needs, section by section."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GOOD_STATES = ("complete", "idle", "held")
 
 
 def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
-    """Return all values used by the template except the figures."""
+    """Return all values that the template uses, except the figures."""
     failed = [gate for gate in data.gates if not gate.passed] if data.gates_enforced else []
     proof, night, header = data.run.verification, data.run.night, data.header
     good = header.state in GOOD_STATES and not failed and (proof is None or proof.accepted)

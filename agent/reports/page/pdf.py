@@ -1,7 +1,7 @@
-"""PDF of the report: the same page on A4, with running header and page numbers.
+"""PDF of the report. It shows the content of the HTML page on A4 paper, with a running header and page numbers.
 
-WeasyPrint renders SVG figures without the CSS variables and the `currentColor` of the page; both are therefore replaced
-by print colours.
+WeasyPrint cannot use the page's CSS variables and `currentColor` in SVG figures. Both are therefore replaced by print
+colours.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
 
 
 def render_pdf(page: str) -> bytes:
-    """Return the PDF of `page`, the HTML of `render_report`.
+    """Return the PDF of `page`, the HTML text that `render_report` returns.
 
-    The same page gives the same bytes: no date is written, and the file identifier is a hash of the text. Nothing is
-    fetched from the network. Raise InputError if a part of the page could not be drawn.
+    Equal pages give equal bytes, because no date is written and the file identifier is a hash of the text. The network
+    is not used. Raises InputError if a part of the page could not be drawn.
     """
     # import takes about 0.5 s, needed only for a PDF
     from weasyprint import HTML  # type: ignore[import-untyped]  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Naming of a list of positions by the standard position sets of which it consists."""
+"""Naming of a list of positions by the standard position sets that it consists of."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ SAME_ANGLE_DEG = 0.01
 
 
 def name_of_positions(positions: Sequence[Position]) -> str:
-    """Return a name of the positions.
+    """Return a name for a list of positions.
 
-    The name is, for example, `S3, 4 stations` if every station has the orientations of the standard set S3. Several
-    sets may be combined. If no combination fits, the name states the number of positions.
+    The name is, for example, `S3, 4 stations` if every station has the orientations of the standard set S3. The name
+    may combine several sets. If no combination fits, the name states the number of positions.
     """
     stations: dict[int, set[tuple[float, float]]] = {}
     for position in positions:

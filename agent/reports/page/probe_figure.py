@@ -1,4 +1,5 @@
-"""Figure of the probe qualification: residuals of all touches over the angle about the stylus, and pretravel map."""
+"""Figure of the stylus qualification. It shows the residuals of all touches and the pretravel map over the angle about
+the stylus."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ RING_LOOK = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
 
 
 def draw_qualification(probe: ProbeFacts) -> str:
-    """Return an SVG with one colour per latitude: points for touches, lines for the pretravel map subtracted."""
+    """Return an SVG of the stylus qualification with one colour for each latitude on the ball. Points are the residuals
+    of the touches. Lines are the pretravel map, which is subtracted from the touches of the run."""
     drawing = Drawing("qualification", 10.4, 2.4, Margins(right=1.9))
     with drawing as figure:
         panel = figure.subplots()

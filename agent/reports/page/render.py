@@ -14,7 +14,8 @@ from agent.reports.page.texts import ENGLISH, Texts
 
 
 def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
-    """Return the HTML of the whole report; takes a few seconds at most. The same data always give the same bytes."""
+    """Return the HTML text of the whole report. Equal data always give equal bytes. Rendering takes a few seconds at
+    most."""
     environment = Environment(
         loader=PackageLoader("agent.reports.page", package_path=""),
         autoescape=select_autoescape(["html"]),

@@ -22,9 +22,9 @@ COMPONENTS = (("x", BLUE, "o"), ("y", ORANGE, "s"), ("z", GREEN, "^"))
 class BallResiduals:
     """Residuals of n measured balls.
 
-    `position` and `ball` are indices (n,) counted from 0. `residual_um` has the shape (n, 3); `standardised` (n, 3)
-    gives the residuals in standard deviations. `accepted` (n,) is False for rejected balls. `station_starts` contains
-    the first position of each station except the first.
+    `position` (n,) and `ball` (n,) are indices counted from 0. `residual_um` (n, 3) holds the residuals in µm, and
+    `standardised` (n, 3) holds them divided by their standard deviations. `accepted` (n,) is False for rejected balls.
+    `station_starts` contains the index of the first position of each station, except that of the first station.
     """
 
     position: Indices
@@ -36,15 +36,16 @@ class BallResiduals:
 
     @property
     def rms_per_ball(self) -> tuple[Indices, Array]:
-        """Indices (b,) of the balls accepted at least once, and the rms (b, 3) of their residual components in µm."""
+        """Indices (b,) of the b balls that were accepted at least once, and the rms (b, 3) of the three components of
+        their residuals in µm."""
         balls = np.unique(self.ball[self.accepted])
         rows = [self.residual_um[self.accepted & (self.ball == ball)] for ball in balls]
         return balls, np.array([np.sqrt(np.mean(row**2, axis=0)) for row in rows]).reshape(-1, 3)
 
 
 def draw_by_position(residuals: BallResiduals) -> str:
-    """Return an SVG of the residuals over the positions, with the balls of a position side by side and rejected balls
-    circled."""
+    """Return an SVG of the residuals over the positions. The balls of a position are drawn side by side, and rejected
+    balls are circled."""
     drawing = Drawing("residuals-by-position", 10.4, 2.9)
     with drawing as figure:
         panel = figure.subplots()
@@ -62,7 +63,8 @@ def draw_by_position(residuals: BallResiduals) -> str:
 
 
 def draw_distribution(residuals: BallResiduals) -> str:
-    """Return an SVG of the rms per ball and a normal probability plot of the standardised residuals."""
+    """Return an SVG with two panels: the rms residual of each ball, and a normal probability plot of the standardised
+    residuals."""
     drawing = Drawing("residual-distribution", 10.4, 2.7)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.13)

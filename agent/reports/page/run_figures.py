@@ -1,4 +1,5 @@
-"""Figures of a run on a machine: temperatures over time and the held-out positions before and after."""
+"""Figures of a run on a machine: the temperatures over time, and the residuals at the held-out positions before and
+after activation of the new table."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
 
 def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[float] = ()) -> str:
-    """Return an SVG of the temperatures and, if known, of the displacement of the first ball of each position."""
+    """Return an SVG of the temperatures over time. If `drifts_um` is not empty, the SVG also shows the displacement of
+    the first ball of each position."""
     drawing = Drawing("temperatures", 10.4, 2.2)
     with drawing as figure:
         if len(drifts_um):
@@ -36,7 +38,7 @@ def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[fl
 
 
 def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) -> str:
-    """Return an SVG of the artefact's temperature at each ball, for measurements without time stamps."""
+    """Return an SVG of the artefact's temperature at each ball, for measurements that have no time stamps."""
     drawing = Drawing("temperatures", 10.4, 1.9)
     with drawing as figure:
         panel = figure.subplots()
@@ -49,7 +51,8 @@ def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) 
 
 
 def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
-    """Return an SVG with the rms of each held-out position before and after, and twice its predicted rms."""
+    """Return an SVG with three values for each held-out position: the rms residual before and after activation of the
+    table, and twice the predicted rms residual."""
     drawing = Drawing("verification", 10.4, 2.6, Margins(bottom=0.72, left=0.7))
     with drawing as figure:
         panel = figure.subplots()

@@ -1,4 +1,5 @@
-"""Report sections on a run on a machine: verification, night, gates, questions, inputs, events, signatures."""
+"""Sections of the report about a run on a machine: verification, night, gates, questions, inputs, events and
+signatures."""
 
 from __future__ import annotations
 

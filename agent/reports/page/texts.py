@@ -1,6 +1,8 @@
-"""Texts of the report by key. For another language, another mapping is passed.
+"""Texts of the report, as a mapping from keys to English texts. A report in another language is rendered with another
+mapping.
 
-Values in braces are filled in by the section that shows the text. Units, ISO names and numbers are not included.
+Values in braces are filled in by the section that shows the text. Units, ISO names and numbers are not part of the
+mapping.
 """
 
 from __future__ import annotations

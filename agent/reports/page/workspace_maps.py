@@ -1,4 +1,5 @@
-"""Deviation and its uncertainty over XY planes of the workspace, after removal of the best rigid motion."""
+"""Maps of the deviation and of its uncertainty over XY planes of the workspace, after removal of the best rigid
+motion."""
 
 from __future__ import annotations
 
@@ -17,10 +18,11 @@ PLANE_SHAPE = (49, 25)
 
 @dataclass(frozen=True)
 class PlaneMap:
-    """Map of an XY plane.
+    """Map of lengths in µm over an XY plane at the height `z_mm`.
 
-    `length_um` (nx, ny) contains the lengths at the points of the grid `x_mm` by `y_mm`. `measured` (m, 2) contains x
-    and y in mm of the balls nearest to this plane.
+    `length_um` (nx, ny) contains the length at each point of the grid with the nx coordinates `x_mm` and the ny
+    coordinates `y_mm`. `measured` (m, 2) contains X and Y in mm of the m balls that are nearer to this plane than to
+    the other planes.
     """
 
     z_mm: float
@@ -37,9 +39,9 @@ class WorkspaceMaps:
 
 
 def workspace_maps(estimate: ReportedEstimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
-    """Return maps at the lower end, the middle and the upper end of Z.
+    """Return maps of the deviation and of its uncertainty at the lower end, the middle and the upper end of Z.
 
-    `measured` contains the axis positions (n, 3) in mm of the balls. Each ball is shown on the nearest plane.
+    `measured` (n, 3) contains the axis positions of the n balls in mm. Each ball is shown on the nearest plane.
     """
     heights = np.linspace(*estimate.model.ranges_mm[2], 3)
     planes = [_plane(estimate, float(height)) for height in heights]
