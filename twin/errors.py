@@ -3,13 +3,13 @@
 ::
 
     TwinError (ValueError)
-    ├── ModelError     chain, ranges, orders, axis positions outside a grid
+    ├── ModelError     invalid chain, range or order, or an axis position outside a grid
     ├── DataError      measured or calibrated values that cannot be used
-    ├── FormatError    text of a neutral file; names file, key or row and column
-    └── SingularSet    the measurements do not determine the requested quantities
+    ├── FormatError    invalid text of a file; the error names the file, and the key or the row and column
+    └── SingularSet    measurements that do not determine the requested quantities
 
-The errors of device drivers have the same attributes (message, named locations, hint) but a base class of their own, so
-that `twin` does not depend on the drivers.
+The errors of the device drivers have the same attributes (message, named locations, hint), but another base class.
+`twin` therefore does not depend on the drivers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from typing import Self
 class TwinError(ValueError):
     """Base class of the errors of `twin`.
 
-    `where` maps the kind of a location (file, key, row, column, axis) to its value; `hint` tells the user what to do.
+    `where` maps each kind of location (file, key, row, column, axis) to its value, for example `row` to 3. `hint` tells
+    the user what to do.
     """
 
     def __init__(self, message: str, *, hint: str = "", **where: str | int) -> None:

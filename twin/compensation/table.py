@@ -1,6 +1,5 @@
-"""Compensation table: corrections added to the commanded axis position so that the tool reaches its nominal
-position.
-"""
+"""Compensation table: corrections on a grid that are added to the commanded axis positions. With the corrections, the
+tool reaches its nominal position."""
 
 from __future__ import annotations
 
@@ -27,11 +26,13 @@ _HALF_BALL_PITCH_MM = 75.0
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Six constraints that determine the rigid motion of the corrections, which a free artefact cannot measure.
+    """Anchor of a compensation table: six constraints on its corrections.
 
-    The correction is zero at the axis position `point_mm` (3,), which gives three constraints. The best-fit straight
-    line along the `primary` axis through that point keeps its direction (two constraints). The best-fit line along the
-    `secondary` axis stays in the plane of both axes (one constraint).
+    A free artefact cannot measure a rigid motion of the whole workspace. The six constraints determine this rigid
+    motion. At the axis position `point_mm` (3,), the three components of the correction are zero (three constraints).
+    On the line through this point along the `primary` axis, the straight line fitted to the corrections has zero slope
+    in both perpendicular directions (two constraints). On the line through the point along the `secondary` axis, the
+    straight line fitted to the corrections has zero slope in the direction perpendicular to both axes (one constraint).
     """
 
     point_mm: Array
@@ -49,11 +50,12 @@ class Anchor:
 
 @dataclass(frozen=True, eq=False)
 class CompensationTable:
-    """Table of `corrections` (nx, ny, nz, 3) mm at the nodes, interpolated trilinearly between them.
+    """Corrections at the nodes of a grid, interpolated trilinearly between the nodes.
 
-    The corrections are ADDED to the commanded axis position. The table is valid only for the tool offset `tool_offset`
-    (3,) mm. `extrapolated` (nx, ny, nz): True for nodes outside the measured region. Raises DataError if shapes do not
-    match, nodes are not in order or values are not finite.
+    `x`, `y` and `z` contain the node positions of the three axes in mm. `corrections` (nx, ny, nz, 3) contains the
+    corrections in mm, which are ADDED to the commanded axis position. The table is valid only for the tool offset
+    `tool_offset` (3,) in mm. `extrapolated` (nx, ny, nz) is True for nodes outside the measured region. Raises
+    DataError if an array has the wrong shape, if node positions are not in ascending order or if a value is not finite.
     """
 
     x: Array
@@ -79,9 +81,8 @@ class CompensationTable:
         return self.x, self.y, self.z
 
     def at(self, axis_positions: ArrayLike) -> Array:
-        """Return corrections (n, 3) mm at axis positions (n, 3): trilinear inside the grid, constant beyond its
-        border.
-        """
+        """Return the corrections (n, 3) in mm at axis positions (n, 3) in mm. Inside the grid the corrections are
+        interpolated trilinearly; outside they are those of the nearest point on the border of the grid."""
         points = as_points(axis_positions, "axis positions")
         cells, shares = zip(*(_cell(nodes, points[:, k]) for k, nodes in enumerate(self.nodes)), strict=True)
         total = np.zeros_like(points)
@@ -96,10 +97,10 @@ class CompensationTable:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRegion:
-    """Convex measured region as half-spaces.
+    """Convex region of axis positions that counts as measured.
 
-    `walls` (m, 4): normal vector and offset of each wall. An axis position X is inside if normal · X + offset <= margin
-    for all walls.
+    The region is bounded by m plane walls. `walls` (m, 4) contains the outward unit normal vector and the offset in mm
+    of each wall. An axis position X is inside the region if normal · X + offset <= `margin_mm` for all walls.
     """
 
     walls: Array
@@ -107,9 +108,10 @@ class MeasuredRegion:
 
     @classmethod
     def around(cls, axis_positions: ArrayLike, margin_mm: float = _HALF_BALL_PITCH_MM) -> MeasuredRegion:
-        """Return the region around measured axis positions (n, 3) mm.
+        """Return the region around measured axis positions (n, 3) in mm.
 
-        It is their convex hull, or their bounding box if they are coplanar.
+        The region is the convex hull of the axis positions or, if they are coplanar, their bounding box. Axis positions
+        up to `margin_mm` beyond its walls also count as inside.
         """
         points = as_points(axis_positions, "measured axis positions")
         try:
@@ -121,13 +123,14 @@ class MeasuredRegion:
             )
 
     def contains(self, axis_positions: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Return (n,) bool: True for each of the axis positions (n, 3) that is inside the region."""
+        """Return a mask (n,) that is True for each of the axis positions (n, 3) inside the region."""
         distance = axis_positions @ self.walls[:, :3].T + self.walls[:, 3]
         return np.asarray((distance <= self.margin_mm).all(axis=1))
 
 
 def regular_nodes(ranges_mm: Ranges, step_mm: tuple[float, float, float]) -> Nodes:
-    """Return evenly spaced nodes over the ranges, ends included, at most `step_mm` apart."""
+    """Return the node positions of each axis in mm. They are spaced evenly over the axis range, include both of its
+    ends, and are at most `step_mm` apart."""
     nodes = []
     for axis, (low, high), step in zip(AXES, ranges_mm, step_mm, strict=True):
         if not step > 0.0:
@@ -146,17 +149,20 @@ def build_table(
     anchor: Anchor,
     measured: MeasuredRegion | ArrayLike,
 ) -> CompensationTable:
-    """Build the table of a model with parameters (p,) for a tool offset (3,).
+    """Build the compensation table of a model with the parameters (p,) for a tool offset (3,) in mm.
 
     At every node X, the correction c and the deviation d of the model satisfy c(X) + d(X + c(X)) = r(X) to 1e-12 mm.
-    Here r is the small rigid motion that the anchor determines, so the compensated model deviates from nominal only by
-    r. If one estimate is compensated with two different anchors, the compensated machines therefore differ only by a
-    small rigid motion, linear in its rotation φ (a true rotation differs from it by φ²/2 times the distance, which is
-    nanometres). The two tables differ by the same rigid motion up to some ten nanometres, the slope of d times the
-    difference of the tables.
+    Here r is the small rigid motion that the anchor determines. The compensated model therefore deviates from its
+    nominal positions only by r.
 
-    `measured`: the measured region, or the measured axis positions (n, 3). Raises ModelError if the anchor is outside
-    the range of the nodes.
+    Let two tables be built from the same estimate with different anchors. The two compensated machines then differ only
+    by a small rigid motion that is linear in its rotation angle φ. A true rotation differs from this linear motion by
+    φ²/2 times the distance from the centre of rotation, which amounts to nanometres. The corrections of the two tables
+    differ by the same rigid motion up to some ten nanometres. This remainder is the slope of d times the difference of
+    the corrections.
+
+    `measured` is the measured region, or the measured axis positions (n, 3) in mm from which the region is built.
+    Raises ModelError if the anchor is outside the range of the nodes.
     """
     values = as_vector(parameters, model.size, "parameters")
     offset = as_vector(tool_offset, 3, "tool offset")

@@ -1,8 +1,9 @@
-"""Compensation table as CSV with a JSON side file.
+"""Compensation table as a CSV file with a JSON side file.
 
-The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and contains the full grid, x slowest, z fastest. Its
-corrections are ADDED to the commanded position. The side file contains grid, tool offset, anchor, extrapolated nodes,
-and the CRC-32 (IEEE 802.3, as in zlib) of the bytes of the CSV file.
+The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and one row for each node of the grid. From row to row,
+z varies fastest and x slowest. The corrections in the last three columns are ADDED to the commanded position. The side
+file contains the grid, the tool offset, the anchor, the extrapolated nodes, and the CRC-32 checksum (IEEE 802.3, as in
+zlib) of the bytes of the CSV file.
 """
 
 from __future__ import annotations
@@ -43,9 +44,10 @@ class GridSection(StrictModel):
 
 
 class SideFile(StrictModel):
-    """JSON side file of a table.
+    """JSON side file of a compensation table.
 
-    `extrapolated_nodes`: indices of the nodes outside the measured region, counted from 0 in the order of the CSV rows.
+    `extrapolated_nodes` contains the indices of the nodes outside the measured region. Nodes are counted from 0 in the
+    order of the CSV rows.
     """
 
     format: Literal["volcal compensation table 1"]
@@ -68,7 +70,8 @@ def format_table(table: CompensationTable) -> str:
 
 
 def format_side_file(table: CompensationTable) -> str:
-    """Return the JSON text of the side file that belongs to the CSV text `format_table(table)`."""
+    """Return the JSON text of the side file of a table. The checksum in the side file is that of the CSV text returned
+    by `format_table` for this table."""
     x, y, z = (_rounded(nodes) for nodes in table.nodes)
     document = {
         "format": "volcal compensation table 1",
@@ -92,9 +95,10 @@ def checksum(text: str) -> str:
 
 
 def parse_table(text: str, side_text: str, source: str, side_source: str) -> CompensationTable:
-    """Parse a table from the texts of its CSV file and its side file; the CRC-32 is checked first.
+    """Parse a table from the texts of its CSV file and its side file.
 
-    Raises FormatError naming file and row, column or key.
+    The CRC-32 checksum is compared before the CSV rows are read. Raises FormatError, which names the file and the row,
+    column or key, if the checksum differs or a text is invalid.
     """
     side = read_json(side_text, side_source, SideFile)
     found = checksum(text)

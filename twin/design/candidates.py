@@ -1,4 +1,4 @@
-"""Candidate positions, each reduced to the information it gives about the shared unknowns."""
+"""Candidate positions, each reduced to the information that it gives about the unknowns shared by all positions."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ _MIN_INFORMATION = 1e-13  # of the largest information of a position: below it t
 class CandidatePositions:
     """N candidate positions, sorted by station, azimuth, elevation and tool.
 
-    `balls` (N,) is the number of measurable balls of each. `factors` (N, r, P) contains a matrix W for each candidate,
-    padded with zero rows to r rows. WᵀW is the information that the candidate gives about the P shared unknowns z after
-    its pose has been projected out. `precision` (P, P) is the prior precision of z, and `form` the design criterion.
+    `balls` (N,) is the number of measurable balls of each candidate. The vector z contains the P unknowns that all
+    positions share. `factors` (N, r, P) contains one matrix W (r, P) for each candidate, filled up with zero rows. The
+    product WᵀW is the information about z that the candidate gives after its pose has been projected out. `precision`
+    (P, P) is the prior precision of z, and `form` is the design criterion.
     """
 
     positions: tuple[Position, ...]
@@ -46,25 +47,27 @@ class CandidatePositions:
         return len(self.positions)
 
     def covariance(self, chosen: Sequence[int] | Indices) -> Array:
-        """Return the covariance (P, P) of z after measuring the `chosen` candidates."""
+        """Return the posterior covariance (P, P) of the shared unknowns z after the `chosen` candidates have been
+        measured."""
         rows = self.factors[np.asarray(chosen, dtype=np.intp)].reshape(-1, self.factors.shape[2])
         inverse = np.linalg.inv(self.precision + rows.T @ rows)  # C = (D + Σ WᵀW)⁻¹
         return np.asarray(0.5 * (inverse + inverse.T))
 
     def vce(self, chosen: Sequence[int] | Indices) -> VolumetricRms:
-        """Return the expected volumetric compensated error after measuring the `chosen` candidates.
+        """Return the expected volumetric compensated error after the `chosen` candidates have been measured.
 
-        If none is chosen, the value is the one expected under the prior.
+        If no candidate is chosen, the value is the error expected from the prior alone.
         """
         return self.form.expected(self.covariance(chosen))
 
 
 def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
-    """Return all (azimuth, elevation) pairs in degrees on a full grid, with elevations from -90° to 90°.
+    """Return all pairs (azimuth, elevation) in degrees on a grid with the step `step_deg`. Azimuths cover the full
+    circle; elevations run from -90° to 90°.
 
-    Raise DataError if the step does not divide 90°. No two orientations are equivalent, because the ball holders make
-    the artefact asymmetric: if the bar is turned by 180° in azimuth and mirrored in elevation, it lies along the same
-    line, but its balls are on the other side of the mount.
+    No two pairs describe the same placement of the artefact. If the bar is rotated by 180° in azimuth and the sign of
+    its elevation is changed, it lies along the same line. Its balls are then on the other side of the mount, because
+    the ball holders make the artefact asymmetric. Raise DataError if 90° is not a multiple of the step.
     """
     steps = 90.0 / step_deg if step_deg > 0.0 else 0.0
     if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
@@ -91,8 +94,8 @@ def build_candidates(
     omitted.
 
     `grid` (n, 3) in mm and `tool_offset` (3,) in mm define the error field to be minimised. The formulation and the
-    scales in `options` have no effect: ball centres are always used, with the stated noise, prior and misfit. Raise
-    DataError if no position can be measured.
+    scales in `options` have no effect: the equations are always those of the ball centres, and noise, prior and misfit
+    always have their stated standard deviations. Raise DataError if no position can be measured.
     """
     planned = procedure.plan(sorted(set(positions), key=_order))
     problem = build_problem(family, planned.observations, procedure.artefact, options)

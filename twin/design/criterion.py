@@ -1,4 +1,5 @@
-"""Design criterion: expected mean square of the residual error field, as a quadratic form of all shared unknowns z."""
+"""Design criterion: expected mean square of the error field that remains after compensation. It is a quadratic form of
+the unknowns z that all positions share."""
 
 from __future__ import annotations
 
@@ -20,12 +21,13 @@ _CROSS_DEGREE = 3
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """Design criterion as two quadratic forms (P, P) in mm² of the P shared unknowns z.
+    """Design criterion as two quadratic forms, `raw` and `aligned`, each (P, P) in mm², of the P shared unknowns z.
 
-    If the error of z has mean zero and the covariance C, trace(`raw` · C) is the expected mean square of the error
-    field over a grid. For `aligned`, the best-fitting rigid motion is first removed from the field. Certificate and
-    strain are unknowns that do not contribute to the field. `unresolved_mm2` is the mean square of the part of the
-    misfit whose wavelength is too short for the modes. It is the same for every position set.
+    Let the error of z have mean zero and the covariance C. The expected mean square of the error field over a grid is
+    then trace(`raw` · C). The form `aligned` gives the expected mean square after the best-fitting rigid motion has
+    been removed from the field. The unknowns of the certificate and of the thermal strain do not contribute to the
+    field. `unresolved_mm2` is the mean square of the part of the misfit whose wavelength is too short for the modes;
+    this part is the same for every position set.
     """
 
     raw: Array
@@ -58,8 +60,8 @@ class Criterion:
         )
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Return the roots of the expected mean squares if the error of z has `covariance` (P, P). The unresolved
-        misfit is included."""
+        """Return the raw and the aligned error in mm if the error of the unknowns z has `covariance` (P, P). Each value
+        is the root of the expected mean square, including the unresolved misfit."""
         raw, aligned = (float(np.vdot(form, covariance)) + self.unresolved_mm2 for form in (self.raw, self.aligned))
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 

@@ -1,4 +1,4 @@
-"""Goals of a design: a number of positions, a time slot, or a volumetric compensated error."""
+"""Goals of a design: a number of positions, a limit of machine time, or a limit of the volumetric compensated error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ MIN_POSITIONS = 2
 
 @dataclass(frozen=True)
 class PositionCountGoal:
-    """Select `count` positions regardless of time. Raise DataError if `count` is less than two."""
+    """Goal of selecting `count` positions, whatever machine time they take. Raises DataError if `count` is less than
+    two."""
 
     count: int
 
@@ -31,7 +32,8 @@ class PositionCountGoal:
             )
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the chosen candidates. Raise DataError if there are not enough candidates."""
+        """Return the indices of the selected candidates. Raise DataError if fewer than `count` candidates can be
+        measured."""
         if self.count > search.candidates.count:
             raise _too_few(search.candidates.count, self.count)
         room = _count_limit(self.count, search.candidates.count)
@@ -43,14 +45,14 @@ class PositionCountGoal:
 
 @dataclass(frozen=True)
 class TimeSlotGoal:
-    """Minimise the expected VCE within `minutes` of machine time."""
+    """Goal of the smallest expected VCE that can be reached within `minutes` of machine time."""
 
     minutes: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the chosen candidates.
+        """Return the indices of the selected candidates.
 
-        Raise DataError, stating the shortest possible time, if two positions do not fit into the slot.
+        Raise DataError if `minutes` is too short for any two positions. The message states the shortest possible time.
         """
         shortest = search.costs.cheapest_pairs()
         if self.minutes < shortest.min():
@@ -71,15 +73,16 @@ class TimeSlotGoal:
 
 @dataclass(frozen=True)
 class TargetErrorGoal:
-    """Minimise the machine time subject to an expected VCE of at most `vce_mm`, after the best-fitting rigid motion has
-    been removed."""
+    """Goal of the shortest machine time in which the expected VCE falls to `vce_mm` or less. The VCE is taken after the
+    best-fitting rigid motion has been removed."""
 
     vce_mm: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the chosen candidates.
+        """Return the indices of the selected candidates.
 
-        Raise DataError, stating the best possible VCE, if even all candidates together do not reach the target.
+        Raise DataError if even all candidates together do not reach the target. The message states the smallest
+        possible VCE.
         """
         candidates = search.candidates
         wanted = self.vce_mm**2 - candidates.form.unresolved_mm2

@@ -1,10 +1,10 @@
-"""Selection of held-out positions for the verification: those whose measurement would improve the estimate most.
+"""Selection of held-out positions for the verification: positions whose measurement would improve the estimate most.
 
-The verification should be able to fail. If a position set leaves part of the error field uncertain and this part
-matters for the volumetric error, a wrong estimate shows most clearly at the position whose measurement would lower the
-expected VCE² most. Held-out positions are therefore chosen by the same criterion as the set itself. The gain of each
-group of positions is computed as if everything chosen before, including the groups already held out, had been measured,
-so that two groups do not test the same error.
+A verification must be able to reveal a wrong estimate. Assume that a position set leaves a part of the error field
+uncertain and that this part matters for the volumetric error. A wrong estimate then shows most clearly at the position
+whose measurement would lower the expected VCE² most. Held-out positions are therefore selected by the same criterion as
+the position set itself. The gain of a group of positions is computed as if all positions selected before had been
+measured, including the groups already held out. Two groups therefore do not test the same error.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from twin.errors import DataError
 def most_informative_groups(
     candidates: CandidatePositions, chosen: Sequence[int], groups: Sequence[Sequence[int]], count: int
 ) -> list[list[int]]:
-    """Return the `count` most informative of `groups`, chosen one after another.
+    """Return the `count` groups among `groups` whose measurement would improve the estimate most. They are selected one
+    after another.
 
-    A group contains the indices of positions that are measured together, such as one orientation at all stations.
-    Groups that share a position with `chosen` are skipped. Raise DataError if fewer than `count` groups remain.
+    A group contains the indices of candidates that are measured together, such as one orientation at all stations. A
+    group is skipped if it contains a candidate of the position set `chosen`. Raise DataError if fewer than `count`
+    groups remain.
     """
     taken = set(chosen)
     left = [list(group) for group in groups if not taken & set(group)]

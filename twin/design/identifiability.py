@@ -1,18 +1,19 @@
 """Identifiability of a machine by a planned set-up, and the part of the error field that remains hidden from this
 set-up.
 
-The p parameters are collected in a vector z in units of their prior standard deviations, so that a priori z has mean
-zero and covariance 1. Let C (p, p) be the posterior covariance of z, marginal over certificate, thermal strain and
-misfit. For a machine with the parameters z, the mean of the estimate over all noise is (1 - C) z. The estimate does not
-follow the remaining part C z, either because the measurements do not depend on it or because noise hides it. The part
-of C z that lies in the null space of the measurements remains, no matter how often they are repeated. If the columns of
-N are an orthonormal basis of this null space, the two parts have these covariances over the prior:
+The vector z contains the p parameters in units of their prior standard deviations. A priori, z has mean zero and the
+unit matrix as covariance. Let C (p, p) be the posterior covariance of z, marginal over certificate, thermal strain and
+misfit. For a machine with the parameters z, the mean of the estimate over all noise is (1 - C) z. The remaining part C
+z is missing from the estimate, either because the measurements do not depend on this part or because noise hides it.
+The part of z in the null space of the measurements remains missing, no matter how often the measurements are repeated.
+Let the columns of a matrix N be an orthonormal basis of this null space. The two missing parts cause two error fields.
+Over the prior, the parts have these covariances:
 
     unseen field   covariance C C,     tends to the blind field as the noise tends to zero
     blind field    covariance N Nᵀ
 
-The mean square of each field over the workspace is a quadratic form of the parameters. It is computed for the measuring
-tools and for any other tool.
+The mean square of each field over the workspace is a quadratic form of the parameters. It is computed for the tools
+used in the measurement and for other tools.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from twin.machine.volumetric import QuadraticForm
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedTool:
-    """Tool for which the field over a grid is evaluated.
+    """Tool for which the error field over a grid is evaluated.
 
-    `form` is the quadratic form of the mean square field of the tool. `measured` is True if the position set is
-    measured with this tool.
+    `form` is the quadratic form that gives the mean square of the error field for this tool. `measured` is True if the
+    position set is measured with this tool.
     """
 
     name: str
@@ -47,10 +48,10 @@ class UnseenField:
     """Rms values in mm of error fields over the workspace for one tool, after the best-fitting rigid motion has been
     removed.
 
-    `tool_offset` (3,) is in mm; `measured` is True if the position set is measured with this tool. `prior_mm` is the
-    rms of the field of the family of machines without compensation. `unseen_mm` is the rms of the part of the field
-    that the estimate will not follow. `blind_mm` is the rms of the part that no repetition of the measurements can
-    reveal.
+    `tool_offset` (3,) is the offset of the tool in mm; `measured` is True if the position set is measured with this
+    tool. `prior_mm` is the rms of the error field of the family of machines without compensation. `unseen_mm` is the
+    rms of the part of the field that is missing from the estimate. `blind_mm` is the rms of the part of the field that
+    no repetition of the measurements can reveal.
     """
 
     tool: str
@@ -65,8 +66,8 @@ class UnseenField:
 class Identifiability:
     """Identifiability of the p parameters by a set-up.
 
-    `rank`, `null_directions` and `conditioning` describe the measurements alone. `prior_sigma` (p,) and
-    `posterior_sigma` (p,) are the standard deviations of the parameters, in mm or rad, before and after the
+    `rank`, `null_directions` and `conditioning` describe the measurements alone, without the prior. `prior_sigma` (p,)
+    and `posterior_sigma` (p,) are the standard deviations of the parameters, in mm or rad, before and after the
     measurement. `fields` contains the unseen field of each evaluated tool.
     """
 
@@ -80,7 +81,7 @@ class Identifiability:
 
     @property
     def null_summary(self) -> tuple[str, ...]:
-        """One line for each kind of null direction."""
+        """Description of the null directions, with one line for each kind of null direction."""
         return summary(self.null_directions)
 
     @property
@@ -95,11 +96,11 @@ class Identifiability:
 
 
 def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedTool]) -> Identifiability:
-    """Return the identifiability given by the measurements behind `estimate`. Only the ball positions matter, not the
-    measured values.
+    """Return the identifiability of the parameters by the measurements from which `estimate` was computed. The result
+    depends on the axis positions at which balls were measured, but not on the measured errors.
 
-    The result is valid only if the estimate has full weights and the family as prior, because the covariance of the
-    estimate is then the posterior covariance.
+    The result is valid only if the estimate has full weights and the family as prior. Only then is the covariance of
+    the estimate the posterior covariance.
     """
     return Identifiability(
         model=estimate.model,
@@ -113,10 +114,12 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
 
 
 def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
-    """Return the covariance (p, p) in mm and rad of the part of a random machine that the estimate does not follow.
+    """Return the covariance (p, p), in mm and rad, of the part of the parameters that the estimate does not follow. The
+    covariance is taken over random machines of the family.
 
-    `covariance` (p, p) is the posterior covariance; in units of `prior_scale` (p,) it is called C, and the result is C
-    C. A parameter that the family holds at zero does not contribute.
+    `covariance` (p, p) is the posterior covariance of the parameters. If C is this covariance in units of `prior_scale`
+    (p,), the result in the same units is the product C C. A parameter that the family holds at zero does not
+    contribute.
     """
     used = prior_scale > 0.0
     weights = np.zeros_like(prior_scale)
@@ -125,10 +128,10 @@ def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
 
 
 def blind_covariance(information: Array, prior_scale: Array) -> Array:
-    """Return the covariance (p, p) in mm and rad of the part of a random machine that lies in the null space of
-    `information` (p, p).
+    """Return the covariance (p, p), in mm and rad, of the part of the parameters that lies in the null space of the
+    measurements. The covariance is taken over random machines of the family.
 
-    The information matrix refers to parameters in units of `prior_scale` (p,).
+    `information` (p, p) is the information matrix of the measurements for parameters in units of `prior_scale` (p,).
     """
     hidden = prior_scale[:, None] * null_space(information)
     return np.asarray(hidden @ hidden.T)

@@ -1,13 +1,13 @@
-"""Information after measuring some positions, and the gain of each further position.
+"""Information after some positions have been measured, and the gain of each further position.
 
 Let C be the covariance of the unknowns, Q the quadratic form of the design criterion, and W the information factor of a
-position. Measuring this position lowers trace(Q C) by
+position (WᵀW is the information that the position gives). Measuring this position lowers trace(Q C) by
 
     trace((1 + W C Wᵀ)⁻¹ W C Q C Wᵀ)
 
-(Woodbury), so a search needs only two small matrices per candidate. Measuring a position subtracts from C a matrix U
-Uᵀ, whose rank is that of W. The small matrices of all candidates are then updated, without being recomputed, from one
-product of their factors with U and C Q U.
+(Woodbury). For each candidate, a search therefore needs only the two small matrices W C Wᵀ and W C Q C Wᵀ. Measuring a
+position subtracts from C a matrix U Uᵀ, whose rank is that of W. The small matrices of all candidates are then updated
+instead of being recomputed. The update takes one product of the candidates' factors with U and C Q U.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from twin.design.candidates import Indices
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """Covariance of the unknowns after a selection has been measured, and the quantities from which the gain of each
-    candidate follows.
+    """Covariance of the unknowns after a selection of positions has been measured, and the quantities from which the
+    gain of each candidate follows.
 
-    `factors` (n, r, P) contains the information factor W of each of the n candidates considered. `form` (P, P) is the
-    quadratic form Q of the design criterion in mm², and `covariance` (P, P) the covariance C of the unknowns. `spread`
-    (n, r, r) contains W C Wᵀ and `weight` (n, r, r) contains W C Q C Wᵀ of each candidate. `value` is trace(Q C), the
-    expected mean square error in mm².
+    `factors` (n, r, P) contains the information factor W of each of the n candidates considered; WᵀW is the information
+    that the candidate gives. `form` (P, P) is the quadratic form Q of the design criterion in mm², and `covariance` (P,
+    P) is the covariance C of the unknowns. `spread` (n, r, r) contains the matrix W C Wᵀ of each candidate, and
+    `weight` (n, r, r) contains the matrix W C Q C Wᵀ of each candidate. `value` is trace(Q C), the expected mean square
+    error in mm².
     """
 
     factors: Array
@@ -58,19 +59,21 @@ class InformationState:
         )
 
     def gains(self) -> Array:
-        """Return the gains (n,) in mm²: the decrease of the value if the candidate is measured once, or once more."""
+        """Return the gain (n,) in mm² of each candidate: the decrease of `value` if the candidate is measured one more
+        time."""
         return _ratios(np.eye(self.spread.shape[1]) + self.spread, self.weight)
 
     def losses(self, measured: Indices) -> Array:
-        """Return the losses (m,) in mm²: the increase of the value if one of the m `measured` positions is removed."""
+        """Return the loss (m,) in mm² of each of the m `measured` candidates: the increase of `value` if one
+        measurement of the candidate is removed."""
         return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
 
     def after_adding(self, factor: Array) -> InformationState:
-        """Return the state after measuring a position with `factor` (r, P)."""
+        """Return the state after one more position has been measured. Its information factor is `factor` (r, P)."""
         return self._changed(factor, -1.0)
 
     def after_removing(self, factor: Array) -> InformationState:
-        """Return the state after removing a measured position with `factor` (r, P)."""
+        """Return the state after a measured position has been removed. Its information factor is `factor` (r, P)."""
         return self._changed(factor, 1.0)
 
     def _changed(self, factor: Array, sign: float) -> InformationState:

@@ -1,4 +1,4 @@
-"""Mathematical description of a planned measurement: tools, artefact, positions and identification options."""
+"""Mathematical description of a planned measurement: tools, artefact, positions and options of the identification."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ AS_STATED = Options(estimate_scales=False, outliers="none")
 
 @dataclass(frozen=True, eq=False)
 class SetUp:
-    """Planned measurement.
+    """Planned measurement of a machine.
 
-    Each of `positions` names its tool; if the name is None, the position is measured with the first tool of the
-    procedure.
+    Each position in `positions` names its tool. If the name is None, the position is measured with the first tool of
+    the procedure.
     """
 
     model: ErrorModel
@@ -41,8 +41,8 @@ class SetUp:
 
     @property
     def tool_axis(self) -> int:
-        """Index of the machine axis along which the first tool is longest. If the offset of the tool is zero, it is the
-        index of the axis that carries the tool."""
+        """Index of the machine axis along which the offset of the first tool is largest. If this offset is zero, the
+        result is the index of the axis that carries the tool."""
         offset = np.abs(self.procedure.layout().tool_offset_mm)
         if offset.any():
             return int(offset.argmax())
@@ -53,10 +53,10 @@ class SetUp:
         return self.procedure.plan(self.positions)
 
     def estimate(self) -> Estimate:
-        """Return the estimate expected from the planned ball positions. Its covariance is that of the estimate from the
-        future measurement.
+        """Return the estimate that would follow from the planned ball centres on a machine without errors. Its
+        covariance predicts the covariance of the estimate from the real measurement.
 
-        Raise DataError if no position can be measured, and SingularSet if the set determines nothing.
+        Raise DataError if no position can be measured, and SingularSet if the position set determines nothing.
         """
         return identify(self.model, self.plan().observations, self.procedure.artefact, self.family, self.options)
 
@@ -65,23 +65,23 @@ class SetUp:
         return tuple(p for p in self.positions if p.tool in (None, self.first_tool))
 
     def with_positions(self, positions: Iterable[Position]) -> SetUp:
-        """Return the set-up with additional positions."""
+        """Return the set-up with the given positions added."""
         return replace(self, positions=(*self.positions, *positions))
 
     def with_tool(self, name: str, tool_offset: Array) -> SetUp:
-        """Return the set-up in which the positions of the first tool are also measured with another tool. Their layout
-        is planned for the offset (3,) in mm of that tool."""
+        """Return the set-up with a further tool called `name`, with which the positions of the first tool are measured
+        again. The measuring layout of the new tool is planned for its offset `tool_offset` (3,) in mm."""
         layouts = {**self.procedure.layouts, name: layout_for(self.procedure.layout(), tool_offset, self.tool_axis)}
         procedure = replace(self.procedure, layouts=layouts)
         return replace(self, procedure=procedure).with_positions(replace(p, tool=name) for p in self.first_positions())
 
 
 def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:
-    """Return the layout for another tool offset (3,) in mm. The length of the probe changes by the difference of the
-    offsets along the tool axis.
+    """Return the measuring layout for another tool with the offset `tool_offset` (3,) in mm. The length of the probe
+    changes by the difference of the two tool offsets along the tool axis.
 
-    Collisions are checked for a straight probe. It is at least as long as the stem and the body of the layout's probe
-    together.
+    The collision check assumes a straight probe. The length of this probe is at least the length of the stem and the
+    body of the probe in `layout` together.
     """
     longer = float((np.abs(tool_offset) - np.abs(layout.tool_offset_mm))[tool_axis])
     reach_mm = max(layout.probe.reach_mm + longer, shortest_reach_mm(layout.probe))
@@ -93,5 +93,6 @@ def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> M
 
 
 def shortest_reach_mm(probe: ProbeGeometry) -> float:
-    """Return the length in mm of the shortest probe that has this stem and this body."""
+    """Return the shortest possible length in mm of a probe with the stem and the body of `probe`: the length of the
+    stem plus the diameter of the body."""
     return probe.stem_length_mm + 2.0 * probe.body_radius_mm

@@ -1,4 +1,4 @@
-"""Cost of measuring in machine minutes: time for each position and for moving the mount between stations."""
+"""Cost of measuring in machine minutes: the time for each position and for moving the mount between stations."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ class MeasuringCosts:
 
     `minutes` (N,) is the time to measure each candidate if the mount is already at its station. `stations` (N,) is the
     station of each candidate. `carry_minutes` is the time to move the mount to another station. `standing_at` is the
-    initial station of the mount, or None if it is at no station.
+    initial station of the mount, or None if the mount is at no station.
 
-    A position set is measured station by station, so each of its stations other than the initial one costs one move.
+    A position set is measured station by station. The mount is therefore moved once for each station of the set, except
+    for the initial station.
     """
 
     minutes: Array
@@ -35,18 +36,20 @@ class MeasuringCosts:
             raise DataError("measuring times must be positive, and the time to move the mount must not be negative")
 
     def total(self, chosen: Sequence[int]) -> float:
-        """Return the minutes needed to measure the whole set `chosen`."""
+        """Return the minutes needed to measure the candidates with the indices `chosen`, including the moves of the
+        mount."""
         carries = {int(self.stations[index]) for index in chosen} - {self.standing_at}
         return float(self.minutes[list(chosen)].sum()) + self.carry_minutes * len(carries)
 
     def marginal(self, chosen: Sequence[int]) -> Array:
-        """Return the minutes (N,) that each candidate adds to the set `chosen`."""
+        """Return the additional minutes (N,) that each candidate would take if it were added to the candidates
+        `chosen`."""
         here = [*{int(self.stations[index]) for index in chosen}, self.standing_at or 0]
         return np.asarray(self.minutes + self.carry_minutes * ~np.isin(self.stations, here))
 
     def cheapest_pairs(self) -> Array:
-        """Return, for each candidate, the minutes (N,) needed to measure it together with whichever second candidate
-        adds least time."""
+        """Return, for each candidate, the shortest time (N,) in minutes in which it can be measured together with one
+        other candidate."""
         cheapest = np.empty(len(self.minutes))
         for index in range(len(cheapest)):
             beside = self.marginal([index])

@@ -1,4 +1,4 @@
-"""Planned measuring procedure: the balls measured in a set of positions, and the covariance of their centres."""
+"""Planned measuring procedure: the balls measured in a set of positions, and the covariance of the ball centres."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ MIN_BALLS = 3
 class PlannedMeasurement:
     """Measurement planned for a set of positions.
 
-    `observations` contains the ball centres that an error-free machine would measure; `observations.position` contains
-    indices of `positions`. `left_out` contains the positions with fewer than three measurable balls.
-    `unreachable_balls` is the number of unreachable balls over all positions.
+    `observations` contains the ball centres that an error-free machine would measure. For each ball centre,
+    `observations.position` is the index of its position in `positions`. `left_out` contains the positions with fewer
+    than three measurable balls. `unreachable_balls` is the number of unreachable balls, summed over all positions.
     """
 
     observations: Observations
@@ -39,10 +39,10 @@ class PlannedMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class Procedure:
-    """Tools and layouts of a measurement.
+    """Tools and measuring layouts of a measurement.
 
-    `layouts` contains the layout of each tool by name; the first tool is that of the run. `covariance_mm2` (3, 3) is
-    the covariance of one ball centre.
+    `layouts` contains the layout of each tool by the name of the tool. The first tool is the tool of the run.
+    `covariance_mm2` (3, 3) is the covariance of one ball centre.
     """
 
     layouts: Mapping[str, MeasuringLayout]
@@ -58,7 +58,7 @@ class Procedure:
 
     @property
     def tool_offsets(self) -> Array:
-        """Tool offsets (T, 3) in mm, in the order of `layouts`."""
+        """Tool offsets (T, 3) in mm of the T tools, in the order of `layouts`."""
         return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
 
     def layout(self, tool: str | None = None) -> MeasuringLayout:
@@ -71,12 +71,12 @@ class Procedure:
         return self.layouts[tool]
 
     def with_artefact(self, artefact: Artefact) -> Procedure:
-        """Return the procedure with another artefact, the same at all stations."""
+        """Return the procedure with another artefact. The new artefact is used at all stations."""
         layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
         return replace(self, layouts=layouts)
 
     def balls_of(self, position: Position) -> tuple[IndexArray, Array]:
-        """Return the indices (m,) and nominal axis positions (m, 3) in mm of the balls that can be measured in a
+        """Return the indices (m,) and the nominal axis positions (m, 3) in mm of the m balls that can be measured in a
         position."""
         layout = self.layout(position.tool)
         nominal = layout.nominal(position)
@@ -84,7 +84,7 @@ class Procedure:
         return balls + layout.first_ball(position.station), nominal[balls]
 
     def plan(self, positions: Sequence[Position]) -> PlannedMeasurement:
-        """Return the measurement of `positions`. Raise DataError if no position can be measured."""
+        """Return the planned measurement of `positions`. Raise DataError if no position can be measured."""
         used: list[Position] = []
         found: list[tuple[IndexArray, Array]] = []
         left_out: list[Position] = []

@@ -1,9 +1,9 @@
-"""Greedy search for a position set: add the best position again and again, then exchange positions as long as this
-lowers the expected error.
+"""Greedy search for a position set. The search adds the best position repeatedly, and then exchanges positions as long
+as an exchange lowers the expected error.
 
-Every gain is computed exactly at every step. Lazy evaluation is not used: it assumes that gains can only fall, but
-under the trace criterion one position may increase the gain of another. With `InformationState` it would also save
-little.
+Every gain is computed exactly at every step. Lazy evaluation, which reuses old gains as upper bounds, is not used. It
+assumes that gains can only fall, but under the trace criterion one position may increase the gain of another. Lazy
+evaluation would also save little time, because `InformationState` updates all gains at once.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ class Selection:
 
     @property
     def value(self) -> float:
-        """Expected mean square in mm² of the residual field after the best-fitting rigid motion has been removed.
+        """Expected mean square in mm² of the remaining error field, after the best-fitting rigid motion has been
+        removed.
 
-        The unresolved misfit is not included, since it is the same for all sets.
+        The unresolved misfit is not included, since it is the same for all position sets.
         """
         return self.information.value
 
@@ -63,8 +64,8 @@ class Selection:
         return Selection(kept, self.information.after_removing(self.information.factors[index]))
 
     def by_rising_loss(self) -> tuple[list[int], Array]:
-        """Return the chosen indices in the order of rising loss, and these losses. A loss is the increase of the value
-        in mm² if the position is removed."""
+        """Return the indices of the chosen candidates, sorted by rising loss, and the sorted losses. The loss of a
+        candidate is the increase of `value` in mm² if the candidate is removed."""
         losses = self.information.losses(np.array(self.chosen, dtype=np.intp))
         order = np.argsort(losses, kind="stable")
         return [self.chosen[rank] for rank in order], losses[order]
@@ -74,8 +75,9 @@ class Selection:
 class ExchangeSearch:
     """Greedy search with exchange over `candidates`.
 
-    `is_measurable` returns True if a candidate can really be measured; it is slow and therefore called only for the
-    best candidates. The exchange ends after a round that lowers the value by less than the fraction `min_improvement`.
+    `is_measurable` is a function that takes the index of a candidate and returns True if the candidate can really be
+    measured. The function is slow and is therefore called only for the best candidates. The exchange ends after a round
+    in which the value decreases by less than the fraction `min_improvement`.
     """
 
     candidates: CandidatePositions
@@ -84,10 +86,11 @@ class ExchangeSearch:
     min_improvement: float = 5e-3
 
     def grow(self, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Iterator[Selection]:
-        """Yield selections, each with one more position than the one before.
+        """Yield selections of growing size. Each selection has one more position than the previous selection.
 
-        The added position is the feasible one with the largest gain or, if `per_minute`, the largest gain per minute.
-        The search stops if no feasible position has a gain.
+        The added position is the feasible position with the largest gain or, if `per_minute` is True, with the largest
+        gain per minute. A position is feasible if the function `room` allows it and it can be measured. The search
+        stops if no feasible position has a gain.
         """
         while True:
             worth = selection.information.gains()
@@ -100,7 +103,8 @@ class ExchangeSearch:
             yield selection
 
     def exchange(self, selection: Selection, room: FeasibleMask) -> Selection:
-        """Replace each chosen position by the best feasible candidate if this lowers the value (Fedorov's exchange).
+        """Replace each chosen position by the best feasible candidate if the replacement lowers the value (Fedorov's
+        exchange).
 
         Positions are tried in the order of rising loss. Each round considers only the most promising candidates.
         """

@@ -12,7 +12,8 @@ _NEGLIGIBLE_UM = 0.005
 
 
 def describe_trial(trial: SetUpTrial) -> str:
-    """Return the proposed change in words, such as `the positions again with a stylus 100 mm aside along -Z`."""
+    """Return the change that a trial proposes, in words such as `the positions again with a stylus 100 mm aside along
+    -Z`."""
     tool = trial.tool
     if tool is not None and tool.lateral:
         sign = "+" if tool.by_mm > 0.0 else "-"
@@ -23,8 +24,8 @@ def describe_trial(trial: SetUpTrial) -> str:
 
 
 def describe_gain(gain: TrialGain) -> str:
-    """Return the benefit in words, such as `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm;
-    24 positions more`.
+    """Return the benefit of a trial in words such as `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to
+    1.50 µm; 24 positions more`.
 
     Values in µm are rms values over the workspace and all evaluated tools.
     """

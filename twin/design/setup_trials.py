@@ -1,5 +1,5 @@
-"""Trial changes of a set-up that could reveal more errors: another probe length, a lateral stylus, more positions, or
-repetition."""
+"""Trial changes of a set-up: another probe length, a lateral stylus, more positions, or repetition of all positions.
+Each change could reveal further errors of the machine."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _SAME_TOOL_MM = 1.0
 
 @dataclass(frozen=True, eq=False)
 class TrialTool:
-    """Hypothetical tool with `offset` (3,) in mm.
+    """Hypothetical tool with the offset `offset` (3,) in mm.
 
-    It is `by_mm` longer than the first tool or, if `lateral`, its tip is displaced by `by_mm` along the machine axis
-    `axis`.
+    If `lateral` is False, the tool is `by_mm` longer than the first tool. If `lateral` is True, its tip is displaced
+    from the tip of the first tool by `by_mm` along the machine axis with the index `axis`.
     """
 
     offset: Array
@@ -43,7 +43,8 @@ class TrialTool:
 @dataclass(frozen=True, eq=False)
 class SetUpTrial:
     """Set-up with additional measurements. If `tool` is given, the positions of the first tool are measured again with
-    this tool. If `added` names a position set, its positions are added. Otherwise all positions are measured again."""
+    `tool`. If `added` names a position set, the positions of this set are added. If neither is given, all positions are
+    measured again."""
 
     set_up: SetUp
     tool: TrialTool | None = None
@@ -51,7 +52,7 @@ class SetUpTrial:
 
     @property
     def kind(self) -> str:
-        """Key of a group of similar trials, of which only one needs to be proposed."""
+        """Key that is the same for similar trials. Only one trial of each kind needs to be proposed."""
         if self.tool is None:
             return self.added or "again"
         return f"lateral {AXES[self.tool.axis]}" if self.tool.lateral else "length"
@@ -61,8 +62,8 @@ class SetUpTrial:
 class TrialGain:
     """Comparison of the identifiability before and after a trial.
 
-    `before` is the identifiability by the set-up itself, and `after` that by the set-up of the trial. `positions` is
-    the number of added positions that can be measured.
+    `before` is the identifiability by the original set-up, and `after` is the identifiability by the set-up of the
+    trial. `positions` is the number of added positions that can be measured.
     """
 
     trial: SetUpTrial
@@ -72,13 +73,13 @@ class TrialGain:
 
     @property
     def rank(self) -> int:
-        """Number of additional parameters that the trial determines."""
+        """Number of additional parameter combinations that the measurements of the trial determine."""
         return self.after.rank - self.before.rank
 
     @property
     def revealed(self) -> tuple[str, ...]:
-        """Names of the errors (motions, squareness, cross-effect) that were in a null direction before the trial and
-        are in none after it."""
+        """Names of the errors (error motions, squareness, cross-effect) that take part in a null direction before the
+        trial, but in no null direction after it."""
         hidden = _hidden_errors(self.after)
         return tuple(name for name in _hidden_errors(self.before) if name not in hidden)
 
@@ -89,8 +90,8 @@ class TrialGain:
 
 
 def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
-    """Return tools with other probe lengths and lateral styli worth trying. Tools that exist already and probes shorter
-    than stem and body are omitted."""
+    """Return the hypothetical tools worth trying: probes of other lengths and lateral styli. A tool is omitted if the
+    set-up already has it. A probe is omitted if it is shorter than its stem and body together."""
     axis = set_up.tool_axis
     lengths = [_trial_tool(set_up, axis, by_mm, lateral=False) for by_mm in LENGTHS_MM]
     across = [k for k in range(3) if k != axis]
@@ -122,7 +123,8 @@ def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
 
 
 def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
-    """Yield every trial worth evaluating."""
+    """Yield all trials worth evaluating: each hypothetical tool, each position set with new positions, and repetition
+    of all positions."""
     for tool in other_tools(set_up):
         yield SetUpTrial(set_up.with_tool(tool.name, tool.offset), tool=tool)
     for name in POSITION_SETS:
@@ -133,10 +135,10 @@ def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
 
 
 def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[EvaluatedTool]) -> tuple[TrialGain, ...]:
-    """Return the gain of each trial, the one with the largest decrease of the unseen field first. Trials that add no
-    measurable position are omitted.
+    """Return the gains of the trials, sorted by the decrease of the unseen field, the largest decrease first. Trials
+    that add no measurable position are omitted.
 
-    `before` is the identifiability by the set-up itself, evaluated for the tools `views`.
+    `before` is the identifiability by the original set-up, evaluated for the tools `views`.
     """
     measured = len(set_up.plan().positions)
     found = []

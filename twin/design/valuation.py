@@ -1,4 +1,4 @@
-"""Valuation of a position set by one number, before anything moves."""
+"""Valuation of a position set by one number, the expected reduction of the volumetric error."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Valuation:
-    """Expected volumetric error of the family of machines.
+    """Expected volumetric error of the family of machines before and after compensation.
 
-    `before` is the expected error without compensation, including misfit. `after` is the expected volumetric
+    `before` is the expected error without compensation, including the misfit. `after` is the expected volumetric
     compensated error (VCE).
     """
 
@@ -32,10 +32,11 @@ class Valuation:
 
     @property
     def percent(self) -> float:
-        """Expected reduction of the volumetric error in percent, after the best-fitting rigid motion has been removed.
+        """Expected reduction of the volumetric error in percent. Both errors are taken after the best-fitting rigid
+        motion has been removed.
 
-        The result is 0 for a set without information, 100 if no error remains, and negative if compensation makes
-        machines worse.
+        The result is 0 for a position set without information, 100 if no error remains, and negative if compensation
+        makes machines worse.
         """
         return 100.0 * (1.0 - self.after.aligned_mm / self.before.aligned_mm)
 
@@ -48,8 +49,8 @@ def valuation(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> Valuation:
-    """Return the valuation of planned ball centres. The identification uses the prior and full weights, and all scales
-    are 1."""
+    """Return the valuation of a position set from its planned ball centres `observations`. The assumed identification
+    uses the prior and full weights, and all its scales are 1."""
     problem = build_problem(family, observations, artefact, options)
     form = Criterion.build(problem.unknowns, grid, tool_offset)
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))

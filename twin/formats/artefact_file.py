@@ -65,8 +65,9 @@ class ArtefactDocument(StrictModel):
 def parse_artefact(text: str, source: str, read_text: ReadText | None = None) -> Artefact:
     """Return the artefact described by TOML text.
 
-    Raise FormatError, naming `source` and key, for invalid text, and DataError for impossible values. `read_text` reads
-    the covariance file if the text names one.
+    Raise FormatError, which names `source` and the key, if the text is invalid. Raise DataError if a value is
+    impossible. If the text names a covariance file, the function `read_text` is called with its path and returns its
+    text.
     """
     document = read_toml(text, source, ArtefactDocument)
     balls, holder = _balls(document)

@@ -37,10 +37,12 @@ DEFAULT_TEMPERATURE_C = 20.0
 
 @dataclass(frozen=True, eq=False)
 class BallFile:
-    """Contents of a ball file.
+    """Contents of a ball file: the measured ball centres and the positions in which they were measured.
 
-    `observations` contains the rows in file order; their positions are renumbered from 0 to K-1 in ascending order of
-    their numbers in the file. `positions` contains the station and the orientation of each of the K positions.
+    `observations` contains one ball centre for each row, in the order of the file. `positions` contains the station and
+    the orientation of each of the K positions, sorted by the position number in the file. For each ball centre,
+    `observations.position` is the index of its position in `positions`, from 0 to K-1; the number in the file is not
+    kept.
     """
 
     observations: Observations
@@ -56,8 +58,9 @@ def parse_balls(
 ) -> BallFile:
     """Return the contents of a ball file given as CSV text.
 
-    `tools` contains the offsets (3,) in mm of the machine's tools by name. The defaults replace empty cells. Raise
-    FormatError naming `source`, row and column.
+    `tools` maps the names of the machine's tools to their offsets (3,) in mm. An empty cell for the standard
+    uncertainty or the temperature takes its default value. Raise FormatError, which names `source`, the row and the
+    column, if the text is invalid.
     """
     rows = list(read_rows(text, source, COLUMNS))
     if not rows:
@@ -85,10 +88,11 @@ def parse_balls(
 
 
 def format_balls(observations: Observations, positions: Sequence[Position], tool_names: Sequence[str]) -> str:
-    """Return the ball file as CSV text.
+    """Return the text of a ball file in CSV format.
 
-    The position and tool numbers in `observations` are indices of `positions` and `tool_names`. The covariance of a
-    ball is written as one standard deviation: the root of the mean variance of the three coordinates.
+    For each ball centre, `observations.position` is an index into `positions`, and `observations.tool` is an index into
+    `tool_names`. The covariance of a ball centre is written as one standard deviation, the root of the mean variance of
+    its three coordinates.
     """
     lines = [",".join(COLUMNS)]
     sigma_um = 1e3 * np.sqrt(np.einsum("nii->n", observations.covariance) / 3.0)

@@ -1,4 +1,4 @@
-"""Conversion of CSV text to rows of named cells. Errors name file, row (the header is row 1) and column."""
+"""Conversion of CSV text to rows of named cells. Errors name the file, the row (the header is row 1) and the column."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from twin.errors import FormatError
 
 @dataclass(frozen=True)
 class CsvRow:
-    """One line of a CSV file. `number` is the line number; `cells` contains the text of each cell by column name."""
+    """One row of a CSV file. `number` is its line number in the file; `cells` contains the text of each cell by column
+    name."""
 
     source: str
     number: int

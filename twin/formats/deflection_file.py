@@ -1,6 +1,7 @@
-"""Deflection file (CSV) with one line per grid node.
+"""Deflection file (CSV): the displacement of the tool point at each node of a grid, one line per node.
 
-The columns are `x_mm,y_mm,z_mm,ux_um,uy_um,uz_um`, in any order.
+The columns are `x_mm,y_mm,z_mm,ux_um,uy_um,uz_um`, in any order. The columns x, y and z contain the axis positions of
+the node; the columns ux, uy and uz contain the displacement.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ _SAME_NODE_DIGITS = 6  # coordinates equal to a nanometre are the same node: exp
 
 
 def parse_deflection(text: str, source: str) -> DeflectionGrid:
-    """Return the deflection grid given as CSV text. Raise FormatError naming `source`, row (the header is row 1) and
-    column."""
+    """Return the deflection grid given as CSV text. Raise FormatError, which names `source`, the row (the header is row
+    1) and the column, if the text is invalid."""
     table, rows = _numbers(text, source)
     nodes, node_indices = [], []
     for axis in range(3):
@@ -40,7 +41,8 @@ def parse_deflection(text: str, source: str) -> DeflectionGrid:
 
 
 def format_deflection(grid: DeflectionGrid) -> str:
-    """Return a grid as CSV text. Over the lines z varies fastest and x slowest; displacements are rounded to 0.1 nm."""
+    """Return a deflection grid as CSV text. From line to line, z varies fastest and x slowest. Displacements are
+    rounded to 0.1 nm."""
     x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
     lines = [",".join(COLUMNS)]
     for point, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):

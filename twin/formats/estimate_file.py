@@ -1,6 +1,6 @@
 """Estimate file (JSON): parameters by ISO name with their covariance, observability, and provenance.
 
-The file also contains everything that is needed to use the estimate as the prior of the next one.
+The file also contains everything that is needed to use the estimate as the prior of the next estimate.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class EstimatedModelSection(StrictModel):
 
 
 class ParameterSection(StrictModel):
-    """One parameter. `value` and `standard_uncertainty` are stated in `unit`.
+    """One parameter in an estimate file. `value` and `standard_uncertainty` are stated in `unit`.
 
     Legendre coefficients refer to the axis range normalised to [-1, 1].
     """
@@ -72,7 +72,8 @@ class RejectedBallSection(StrictModel):
 
 
 class OrderSection(StrictModel):
-    """Evidence of a Legendre order. `relative_log_evidence` is 0 for the likeliest of the orders compared."""
+    """Evidence of one Legendre order in an estimate file. `relative_log_evidence` is the log evidence of this order
+    minus the log evidence of the likeliest order that was compared."""
 
     order: int
     relative_log_evidence: float
@@ -103,8 +104,8 @@ class EstimateFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class StoredEstimate:
-    """Estimate as stored in a file. It is sufficient for building a compensation table, for comparison, and as the
-    prior of the next estimate."""
+    """Estimate as stored in a file. Its content is sufficient for building a compensation table, for comparing
+    estimates, and for use as the prior of the next estimate."""
 
     model: ErrorModel
     parameters: Array
@@ -116,16 +117,16 @@ class StoredEstimate:
     document: EstimateFile
 
     def carried_over(self) -> CarriedOverPrior:
-        """Return this estimate as the prior of a later one, without process noise. Raise DataError if the covariance is
-        singular."""
+        """Return this estimate as the prior of a later estimate, without process noise. Raise DataError if the
+        covariance is singular."""
         return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, Scales(**self.document.scales.model_dump()))
 
 
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
     """Return the estimate as JSON text.
 
-    `provenance` contains the software version, the time, and the names and checksums of the input files. All its
-    entries are stored unchanged.
+    `provenance` contains the software version, the time, and the names and checksums of the input files. All entries of
+    `provenance` are stored unchanged.
     """
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -174,7 +175,8 @@ def _text(value: object) -> str:
 
 
 def parse_estimate(text: str, source: str) -> StoredEstimate:
-    """Return the stored estimate given as JSON text. Raise FormatError, naming `source` and key, for invalid text."""
+    """Return the stored estimate given as JSON text. Raise FormatError, which names `source` and the key, if the text
+    is invalid."""
     document = read_json(text, source, EstimateFile)
     try:
         chain = parse_chain(document.model.chain)

@@ -1,4 +1,4 @@
-"""Conversion of JSON text to a validated value. Errors name file and key path."""
+"""Conversion of JSON text to a validated value. Errors name the file and the path of the key."""
 
 from __future__ import annotations
 

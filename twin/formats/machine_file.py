@@ -48,10 +48,11 @@ class ToolSection(StrictModel):
 
 
 class FamilySection(StrictModel):
-    """Half-widths of the uniform distributions of the family of machines, by kind of error.
+    """Section of a machine file with the half-widths of the uniform distributions of the family of machines, by kind of
+    error.
 
-    A list gives one half-width per Legendre order, starting with the lowest order of that kind. The defaults are the
-    amplitudes of the case study.
+    A list gives one half-width for each Legendre order, starting with the lowest order of that kind of error. The
+    defaults are the amplitudes of the simulated case study in the documentation.
     """
 
     positioning_um: HalfWidths = (8.0, 5.0, 3.0, 1.8, 1.1)
@@ -64,10 +65,10 @@ class FamilySection(StrictModel):
 
 
 class ModelSection(StrictModel):
-    """Error model.
+    """Section of a machine file that defines the error model.
 
-    `order` is one Legendre order for all error motions, or a table of orders by error motion. A motion that the table
-    does not list has order 5.
+    `order` is one Legendre order for all error motions, or a table with the order of each error motion. An error motion
+    that the table does not list has the order 5.
     """
 
     order: Order | dict[str, Order] = DEFAULT_ORDER
@@ -93,10 +94,11 @@ class MachineSection(StrictModel):
 
 
 def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> MachineDescription:
-    """Return the machine described by TOML text. `source` names the file in errors.
+    """Return the machine described by TOML text. `source` is the file name used in error messages.
 
-    `read_text` takes a path relative to the machine file and returns the text of that file; it is used for the
-    deflection grid. Raise FormatError with file, key and hint.
+    The function `read_text` takes a path relative to the machine file and returns the text of the file at this path. It
+    is used to read the deflection grid. Raise FormatError, which names the file and the key and gives a hint, if a text
+    is invalid.
     """
     section = read_toml(text, source, MachineSection)
     axes = (section.axes.X, section.axes.Y, section.axes.Z)

@@ -31,10 +31,10 @@ class _PositionDocument(StrictModel):
 
 
 def parse_positions(text: str, source: str) -> tuple[Position, ...]:
-    """Return positions from CSV text, or from TOML text (``[[positions]]``) if `source` ends in ``.toml``.
+    """Return the positions given as CSV text, or as TOML text (``[[positions]]``) if `source` ends in ``.toml``.
 
-    Raise FormatError. It names `source` and the key in TOML text, or `source`, row (the header is row 1) and column in
-    CSV text.
+    Raise FormatError if the text is invalid. For TOML text the error names `source` and the key; for CSV text it names
+    `source`, the row (the header is row 1) and the column.
     """
     positions = _from_toml(text, source) if source.endswith(".toml") else _from_csv(text, source)
     _check_listed(positions, source)

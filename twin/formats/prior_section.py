@@ -1,5 +1,5 @@
-"""Section of an estimate file that is needed to use the estimate as a prior. It contains the joint mean and covariance
-of all unknowns, and the meaning of each unknown.
+"""Section of an estimate file with the data needed to use the estimate as a prior: the joint mean and covariance of all
+unknowns, and the meaning of each unknown.
 
 The misfit modes are stored explicitly, since another computer may compute the same modes with opposite signs.
 """
@@ -27,7 +27,7 @@ KEY = "carried_over"
 class ArtefactSection(StrictModel):
     """Identity of an artefact with N balls, and its uncertainties.
 
-    `certificate_mm` is the factor of the certificate's covariance; it has 3N rows and is in mm.
+    `certificate_mm` is a matrix L in mm with 3N rows; the covariance of the certificate is the product L Lᵀ.
     """
 
     balls_mm: tuple[Triple, ...]
@@ -38,7 +38,9 @@ class ArtefactSection(StrictModel):
 
 
 class MisfitSection(StrictModel):
-    """Misfit: fields that the model cannot represent. See `twin.identification.misfit`."""
+    """Modes of the misfit, the part of the true error field that the model cannot represent. `rms_mm` is the prior rms
+    of the misfit over the workspace in mm. All other entries have the meanings of the fields of
+    `twin.identification.misfit.MisfitModes`."""
 
     rms_mm: float
     tool_offset_mm: Triple
@@ -51,9 +53,9 @@ class MisfitSection(StrictModel):
 
 
 class CarriedOverSection(StrictModel):
-    """Posterior of all unknowns.
+    """Posterior mean and covariance of all unknowns.
 
-    `mean` and `covariance` are in units of the prior standard deviations; only the lower triangle of the covariance is
+    `mean` and `covariance` are in units of the prior standard deviations. Only the lower triangle of the covariance is
     stored, row by row. `scale` contains the unit of each parameter in mm or rad.
     """
 
@@ -96,7 +98,8 @@ def _misfit_document(modes: MisfitModes, rms_mm: float) -> dict[str, Any]:
 
 
 def read_unknowns(section: CarriedOverSection, model: ErrorModel, source: str) -> Unknowns:
-    """Return the unknowns that a section describes. Raise FormatError naming `source` and key if sizes do not match."""
+    """Return the unknowns that a section describes. Raise FormatError, which names `source` and the key, if the sizes
+    in the section do not match."""
     artefact, misfit = section.artefact, section.misfit
     balls = len(artefact.balls_mm)
     width = len(artefact.certificate_mm[0]) if artefact.certificate_mm else 0
@@ -136,8 +139,8 @@ def _sizes(sizes: tuple[int, ...], count: int, source: str) -> tuple[int, ...]:
 
 
 def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[Array, Array]:
-    """Return the mean (P,) and the covariance (P, P) in a section for P = `size` unknowns. Raise FormatError if the
-    stored sizes differ."""
+    """Return the mean (P,) and the covariance (P, P) of the P unknowns from a section. `size` is the expected number P.
+    Raise FormatError if the stored sizes differ from it."""
     mean = _array(section.mean, (size,), source, "mean")
     if [len(row) for row in section.covariance] != list(range(1, size + 1)):
         message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"

@@ -1,4 +1,4 @@
-"""Conversion of TOML text to a validated pydantic model. Errors name file and key path."""
+"""Conversion of TOML text to a validated pydantic model. Errors name the file and the path of the key."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from twin.errors import FormatError
 
 
 class StrictModel(BaseModel):
-    """Base class of all models read from a file. Instances are frozen; unknown keys, NaN and infinity are errors."""
+    """Base class of all models read from a file. Instances are frozen. An unknown key, NaN or infinity in the file is
+    an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     former_keys: ClassVar[Mapping[str, str]] = {}
@@ -53,7 +54,8 @@ def read_toml(text: str, source: str, kind: type[Section]) -> Section:
 
 
 def validate_document(document: dict[str, Any], source: str, kind: type[Section]) -> Section:
-    """Return the value of type `kind` from a parsed document. Raise FormatError with file, key path and hint."""
+    """Return the value of type `kind` from a parsed document. Raise FormatError, which names the file and the path of
+    the key and gives a hint, if the document is invalid."""
     try:
         return kind.model_validate(document)
     except ValidationError as error:
@@ -61,10 +63,11 @@ def validate_document(document: dict[str, Any], source: str, kind: type[Section]
 
 
 def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
-    """Return `document` with the former keys of `kind` and of its sections replaced by the current ones.
+    """Return a copy of `document` in which former names of keys are replaced by the current names. The keys are those
+    of `kind` and of its sections.
 
-    This is meant for documents that were stored by an earlier version of this program. Files written by users are
-    refused instead.
+    The function is used for documents that an earlier version of this program stored. In a file written by a user, a
+    former key is an error instead.
     """
     former = kind.former_keys if issubclass(kind, StrictModel) else {}
     current = {former.get(key, key): value for key, value in document.items()}
