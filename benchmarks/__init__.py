@@ -1,4 +1,7 @@
-"""Benchmarks. Their results are ratios of times measured side by side in one run; no test asserts them."""
+"""Benchmarks of the library, the agent and the service.
+
+The results are ratios of times that are measured side by side in one run. No test checks them.
+"""
 
 import os
 

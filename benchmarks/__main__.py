@@ -1,4 +1,4 @@
-"""Command `make bench`: all benchmarks in one run on one machine."""
+"""Command `make bench`, which runs all benchmarks one after the other on one computer."""
 
 from __future__ import annotations
 

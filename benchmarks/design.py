@@ -1,9 +1,11 @@
 """Search for a design of 24 positions on a 15° grid at four stations, compared with direct evaluation of the criterion.
 
-For every candidate at every step, direct evaluation computes the full covariance of all unknowns with that candidate
-added, and then the criterion as a trace of that covariance. It is timed on a sample of candidates and extrapolated to
-all candidates of all steps. Search and direct evaluation start from the same information factors of the candidates;
-building these factors and computing the candidates' cycle times are timed separately.
+The criterion is the expected VCE. At every step of the search, and for every candidate position, the direct evaluation
+computes the full covariance of all unknowns with that candidate added. From that covariance it computes the criterion
+as a trace. The direct evaluation is timed on a sample of candidates and extrapolated to all candidates of all steps.
+
+Search and direct evaluation start from the same information factors of the candidates. The time for these factors and
+the time for the cycle times of the candidates are measured separately.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ def plain_value(candidates: CandidatePositions, precision: np.ndarray, index: in
 def plain_seconds(candidates: CandidatePositions, chosen: tuple[int, ...]) -> float:
     """Return the mean time in s of one direct evaluation.
 
-    Asserts that direct evaluation of the chosen set gives the same criterion value as the search.
+    The function also asserts that the direct evaluation of the chosen set gives the same criterion value as the search.
     """
     precision = candidates.precision.copy()
     sample = np.linspace(0, candidates.count - 1, SAMPLE).astype(int)

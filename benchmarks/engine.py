@@ -1,4 +1,7 @@
-"""Time that a step takes beyond the device's own time, with two durable journal commits and without a journal."""
+"""Time that the engine needs for a step, in addition to the time of the device.
+
+It is measured with two durable commits per step in the journal, and without a journal.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ STEPS = 2000
 
 
 def moves(count: int, stamps: list[float]) -> Plan[None]:
-    """Yield a plan of `count` moves. Each time a step is requested, append the time to `stamps`."""
+    """Yield the steps of a plan with `count` moves. Append the time to `stamps` whenever the next step is requested."""
     for number in range(count):
         yield MoveTo(f"station-1/az090-el045/ball-{number:04d}/touch-2/above", (1.0, 2.0, 3.0 + number))
         stamps.append(perf_counter())
@@ -32,7 +35,9 @@ def median_step_us(engine: Engine) -> float:
 
 
 def commit_us(directory: Path) -> float:
-    """Return the median time in µs of a bare durable commit on the same disk, the lower limit for the journal."""
+    """Return the median time in µs of a single minimal durable commit on the same disk. It is the lower limit for a
+    journal.
+    """
     journal = Journal(directory)
     connection = journal._connection
     connection.execute("CREATE TABLE bare (n INTEGER PRIMARY KEY, t TEXT)")

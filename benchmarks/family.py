@@ -1,12 +1,13 @@
 """Volumetric errors (VE, VCE) of 10,000 machines of the family, computed by quadratic forms and compared with a grid.
 
-The direct evaluation computes every machine on the 60×20×20 grid.
+The quadratic form is compared with two direct evaluations of every machine on a grid of 60×20×20 points. They are timed
+on a sample of the machines, and the times per machine are compared.
 
-Two direct evaluations are timed on a sample of the machines and compared per machine. `exact` multiplies the
-transforms at every point of the grid, which defines VE; `linear` starts from a precomputed basis of the field, so that
-each machine costs one product, and the quadratic form must agree with it to 1e-9. Both remove the best rigid motion
-with a basis computed once. The preparation of the quadratic form (grid, basis, rigid motions) is timed as well, and one
-of the ratios includes it.
+The direct evaluation `exact` multiplies the transforms of the axes at every point of the grid, which is the definition
+of VE. The direct evaluation `linear` starts from a precomputed basis of the field, and each machine then costs one
+matrix product. The quadratic form must agree with `linear` to 1e-9. Both direct evaluations remove the best rigid
+motion with a basis that is computed once. The preparation of the quadratic form (grid, basis, rigid motions) is timed
+as well, and one of the ratios includes it.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ ROUNDS = 5
 
 
 class PlainGrid:
-    """Raw and rigidly aligned rms errors of single machines, computed from all points of the grid."""
+    """Direct evaluation of the raw and the rigidly aligned rms error of single machines from all points of the grid."""
 
     def __init__(self) -> None:
         self.grid = evaluation_grid(RANGES)
@@ -76,9 +77,9 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the median of each figure over the rounds.
+    """Return the median over the rounds for each figure.
 
-    Every round runs all alternatives, so that other load affects all of them.
+    Every round times all alternatives, and other load on the computer therefore affects all of them.
     """
     rng = np.random.default_rng(1)
     machines = FAMILY.draw(rng, MACHINES)
@@ -114,7 +115,8 @@ def run() -> dict[str, float]:
 
 
 def largest_difference(plain: PlainGrid, form: QuadraticForm, machines: Array) -> float:
-    """Return the largest relative difference between the rms errors of the quadratic form and of the linear field.
+    """Return the largest relative difference between the rms errors by the quadratic form and by the linear grid
+    evaluation.
 
     Only a sample of the machines is compared.
     """

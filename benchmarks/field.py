@@ -1,7 +1,8 @@
 """Exact deviation field on 24,000 points, compared with a plain loop of 4x4 matrices and with the quadratic form.
 
-The loop is the obvious implementation: for each point and axis it evaluates the Legendre series, builds the transforms
-as 4x4 arrays and multiplies them with `@`. It is timed on a sample of the same points and extrapolated per point.
+The loop is the obvious implementation. For each point and axis it evaluates the Legendre series, builds the transforms
+as 4x4 arrays, and multiplies them with `@`. The loop is timed on a sample of the same points, and the times per point
+are compared.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ ROUNDS = 15
 
 
 def machine() -> Array:
-    """Return the parameters of a machine with errors of tens of µm and µrad."""
+    """Return the model parameters of a machine with errors of tens of µm and µrad."""
     sizes = [2e-2 if parameter.unit == "mm" else 2e-5 for parameter in MODEL.parameters]
     return np.random.default_rng(1).uniform(-1.0, 1.0, MODEL.size) * sizes
 
@@ -42,9 +43,9 @@ def legendre(order: int, argument: float) -> list[float]:
 def axis_transform(axis: int, point: list[float], series: Array, lean: list[float]) -> Array:
     """Return the transform of one axis as a 4x4 array.
 
-    The transform is the product Trans(q u) Trans(E) Rz Ry Rx. Here q is the axis position, u the unit vector of the
-    axis, E its translational error, and Rz, Ry and Rx are rotations by its angular errors. `lean` holds the bending
-    terms of column and ram.
+    The transform is the product Trans(q u) Trans(E) Rz Ry Rx. In this product q is the axis position, u is the unit
+    vector of the axis, and E is the translational error of the axis. Rz, Ry and Rx are the rotations by its angular
+    errors about Z, Y and X. `lean` contains the bending terms of column and ram.
     """
     low, high = RANGES[axis]
     values = legendre(series.shape[1] - 1, 2.0 * (point[axis] - low) / (high - low) - 1.0)
@@ -67,7 +68,7 @@ def axis_transform(axis: int, point: list[float], series: Array, lean: list[floa
 
 
 def plain_loop(points: Array, parameters: Array) -> Array:
-    """Return the deviations (n, 3) in mm at `points`, computed by one product of 4x4 matrices per point."""
+    """Return the deviations, shape (n, 3), in mm at n points, computed for each point by a product of 4x4 matrices."""
     series = [MODEL.coefficients(axis, parameters) for axis in range(3)]
     lean = list(MODEL.cross_terms(parameters).values())
     a0z, b0z, c0y = MODEL.squareness(parameters)
@@ -94,9 +95,9 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the median of each figure over the rounds.
+    """Return the median over the rounds for each figure.
 
-    Every round runs all alternatives, so that other load affects all of them.
+    Every round times all alternatives, and other load on the computer therefore affects all of them.
     """
     grid, parameters = evaluation_grid(RANGES), machine()
     lengths = np.array([high for _, high in RANGES])

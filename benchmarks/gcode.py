@@ -1,9 +1,8 @@
 """Time and memory needed to correct a part program of a million lines.
 
-The memory is compared with that for a program of a hundredth of the length.
-
-For comparison, the same correction is made one block at a time, as by a program that looks up the table for every line;
-this is timed on a sample and compared per line. The output ends with one line of JSON.
+The memory is compared with the memory for a program that is shorter by a factor of 100. The time is compared with that
+of a simple program, which corrects one line after another and looks up the table for every line. The simple program is
+timed on a sample, and the times per line are compared. The output ends with one line of JSON.
 """
 
 from __future__ import annotations
@@ -31,7 +30,9 @@ SAMPLE = 20_000
 
 
 def table() -> CompensationTable:
-    """Return a smooth table with corrections of some tens of µm and the node spacing of a controller's table."""
+    """Return a smooth compensation table with corrections of some tens of µm and a typical node spacing of
+    controllers.
+    """
     nodes = regular_nodes(((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0)), (100.0, 100.0, 100.0))
     x, y, z = np.meshgrid(*nodes, indexing="ij")
     waves = (np.sin(x / 900.0 + y / 700.0), np.cos(y / 500.0 - z / 800.0), np.sin(z / 600.0 + x / 1500.0))
@@ -40,7 +41,10 @@ def table() -> CompensationTable:
 
 
 def program(lines: int) -> Iterator[str]:
-    """Yield finishing passes over a wavy face: short lines, with occasional arcs and rapid moves."""
+    """Yield the lines of a part program with finishing passes over a wavy face.
+
+    Most lines are short straight moves; arcs and rapid moves occur occasionally.
+    """
     yield "G21 G90 G17 G54\nG0 X0 Y0 Z0\n"
     for number in range(lines):
         x, y = 0.8 * (number % 2000), 0.002 * number % 700.0
@@ -53,8 +57,10 @@ def program(lines: int) -> Iterator[str]:
 
 
 def from_file_to_file(lines: int) -> tuple[float, float, int, float]:
-    """Correct a program file; return wall and CPU time in s, lines written, and peak resident memory of the process in
-    MB.
+    """Correct a part program of `lines` lines from file to file, and return four figures.
+
+    These are the wall time in s, the CPU time in s, the number of lines written, and the peak resident memory of the
+    process in MB.
     """
     with tempfile.TemporaryDirectory() as folder:
         part, out = Path(folder) / "part.nc", Path(folder) / "out.nc"
@@ -73,9 +79,9 @@ def in_own_process(lines: int) -> tuple[float, float, int, float]:
 
 
 def one_by_one(lines: Iterable[str], field: CompensationTable) -> float:
-    """Return the CPU time in s for the same correction, made line by line.
+    """Return the CPU time in s for the same correction by a simple program that handles one line after another.
 
-    For every line this splits the words, looks up one point and formats the words.
+    For every line the simple program splits the words, looks up one point in the table, and formats the words again.
     """
     here, work = {"X": 0.0, "Y": 0.0, "Z": 0.0}, SETUP.work_offsets["G54"]
     start = process_time()

@@ -1,21 +1,22 @@
-"""Identification from position sets S1+S2+S3, compared with scipy's least_squares and with its own linear algebra
-alone.
+"""Identification from the sets S1+S2+S3, compared with scipy's `least_squares` and with bare linear algebra.
 
-The case has 11 balls, 4 stations and Legendre order 5. Choosing one of seven orders by evidence is timed against the
-default identification with one order.
+The case has 11 balls, 4 stations and Legendre order 5. In addition, the default identification with one order is
+compared with an identification that chooses one of seven orders by evidence.
 
-The reference solves the same maximum-a-posteriori problem (exact model, poses, prior population, no nuisance
-parameters) with `scipy.optimize.least_squares` and its own finite differences.
+The reference solves the same maximum-a-posteriori problem with `scipy.optimize.least_squares` and its own finite
+differences. The problem contains the exact model, the poses and the prior population, but no nuisance parameters.
 
-The bare core projects the poses out, forms the normal equations, factorises and solves once. It is timed twice:
-`bare_core` starts from a ready whitened Jacobian arranged by position; `core_with_basis` starts from axis positions and
-poses, evaluates the basis of the field there, whitens it and arranges it. The second is the fair baseline, since every
-identification must first build the matrix from which it projects the poses out. Neither finds the poses, evaluates the
-exact model, takes a second step, returns a covariance or checks its input; `identify` does all of that.
+The bare core is only the linear algebra: it projects the poses out, forms the normal equations, factorises them and
+solves them once. It is timed twice. The variant `bare_core` starts from a whitened Jacobian that is already arranged by
+position. The variant `core_with_basis` starts from axis positions and poses; it evaluates the basis of the field there,
+whitens it and arranges it. The variant `core_with_basis` is the fair baseline, because every identification must first
+build this matrix. Neither variant finds the poses, evaluates the exact model, takes a second step, returns a covariance
+or checks its input; `identify` does all of this.
 
 Every round times all alternatives in turn. Times are medians over the rounds, and ratios are medians of the ratios
-within a round, so that other load affects all alternatives alike. Run with OPENBLAS_NUM_THREADS=1 if other programs
-share the cores: threads that wait for a busy core cost more than these small matrices.
+within a round. Other load on the computer therefore affects all alternatives equally. If other programs use the
+processor, set OPENBLAS_NUM_THREADS=1: waiting for threads on busy cores takes longer than the work on these small
+matrices.
 """
 
 from __future__ import annotations
@@ -56,9 +57,9 @@ FIXED = Options(estimate_scales=False, outliers="none", misfit_mm=0.0)
 
 @dataclass(frozen=True)
 class Case:
-    """One simulated set of K positions.
+    """Simulated measurement of K positions.
 
-    `rotation` (K, 3, 3) and `centre` (K, 3) in mm are the poses from which the reference starts.
+    `rotation`, shape (K, 3, 3), and `centre`, shape (K, 3) in mm, are the poses from which the reference starts.
     """
 
     model: ErrorModel
@@ -105,9 +106,10 @@ def build_case(seed: int = 1) -> Case:
 
 
 def reference(case_: Case) -> Array:
-    """Return the parameters (p,) found by scipy with finite differences.
+    """Return the p model parameters, shape (p,), that scipy's `least_squares` finds with finite differences.
 
-    The unknowns are scaled: parameters by their prior standard deviations, poses in mm and rad·m.
+    The unknowns are scaled. Parameters are in units of their prior standard deviations, displacements of a pose in mm,
+    and rotations of a pose in mrad.
     """
     seen, scale, size = case_.observations, case_.family.prior_standard_deviation, case_.model.size
     balls = case_.artefact.balls[seen.ball]
@@ -126,9 +128,10 @@ def reference(case_: Case) -> Array:
 
 
 def jacobian(case_: Case) -> tuple[Array, Array]:
-    """Return the whitened Jacobians of the p parameters (K, 3 m, p) and of the poses (K, 3 m, 6).
+    """Return the whitened Jacobians of the model parameters, shape (K, 3 m, p), and of the poses, shape (K, 3 m, 6).
 
-    K is the number of positions and m the largest number of balls in a position; shorter blocks are padded with zeros.
+    K is the number of positions, m is the largest number of balls in a position, and p is the number of parameters. The
+    rows of a position with fewer than m balls are padded with zeros.
     """
     seen, counts = case_.observations, np.bincount(case_.observations.position)
     shape = (len(counts), int(counts.max()), 3)
@@ -143,9 +146,10 @@ def jacobian(case_: Case) -> tuple[Array, Array]:
 
 
 def core(design: Array, poses: Array, target: Array) -> Array:
-    """Project the poses out, factorise and solve.
+    """Solve the linearised identification once: project the poses out, factorise the normal equations and solve them.
 
-    Returns the parameters (p,) in units of their prior standard deviations.
+    Returns the p parameters, shape (p,), in units of their prior standard deviations. `design` and `poses` are the
+    results of `jacobian`, and `target` contains the whitened residuals.
     """
     q, _ = np.linalg.qr(poses)
     # Project the poses out, then solve the normal equations (JᵀJ + I) x = Jᵀ r of the prior-scaled unknowns.
@@ -155,7 +159,7 @@ def core(design: Array, poses: Array, target: Array) -> Array:
 
 
 def by_evidence(case_: Case) -> Estimate:
-    """Run the default identification, but with one of seven Legendre orders chosen by evidence."""
+    """Run the default identification, but choose one of seven Legendre orders by evidence."""
 
     def family_of(order: int) -> Family:
         return family_from_amplitudes(ErrorModel.uniform(case_.model.chain, RANGES, order), AMPLITUDES)
@@ -164,7 +168,9 @@ def by_evidence(case_: Case) -> Estimate:
 
 
 def seconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, Array]:
-    """Return the times (rounds,) in s of each alternative; every round times all of them in turn."""
+    """Return the times in s of each alternative, as an array of shape (rounds,). Every round times all alternatives in
+    turn.
+    """
     times: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
         for name, work in works.items():
@@ -175,10 +181,10 @@ def seconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, Ar
 
 
 def run() -> dict[str, float]:
-    """Return median times in ms, and ratios, all measured in this process.
+    """Return the median times in ms and the ratios of times, all measured in this process.
 
-    Figures with `fixed` in their names belong to an identification without scale estimation, outlier search and misfit
-    block.
+    A figure with `fixed` in its name belongs to an identification without the estimation of scales, without the search
+    for outliers and without the misfit.
     """
     prepared = build_case()
     everything = (prepared.model, prepared.observations, prepared.artefact, prepared.family)

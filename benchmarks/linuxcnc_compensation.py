@@ -1,10 +1,12 @@
-"""Residual errors of external offsets and of our kinematics in a stock LinuxCNC, run without a realtime kernel.
+"""Errors that remain after compensation in a stock LinuxCNC, run without a realtime kernel.
+
+The compensation is applied in two ways: by external offsets, and by the kinematics component of this project.
 
     .venv/bin/python benchmarks/linuxcnc_compensation.py
 
-Needs root, linuxcnc-uspace and linuxcnc-uspace-dev. The table has 11 × 6 × 5 nodes with corrections up to 24 µm over
-800 × 400 × 320 mm; the servo period is 1 ms. Positions come from HAL's sampler, and the table's values are computed
-here by independent arithmetic.
+The benchmark needs root, linuxcnc-uspace and linuxcnc-uspace-dev. The table has 11 × 6 × 5 nodes with corrections up to
+24 µm over 800 × 400 × 320 mm, and the servo period is 1 ms. The motor positions are recorded with the sampler component
+of HAL. The expected corrections are computed from the table by independent arithmetic.
 """
 
 from __future__ import annotations
@@ -31,8 +33,10 @@ COMPONENT = {"external-offsets": "volcal-eoffset", "kinematics": "volcal-kins"}
 
 
 def at_rest_mm(controller: Controller) -> float:
-    """Return the largest difference between the motor position and the sum of commanded position and table, at 30
-    positions.
+    """Return the largest difference in mm between the actual and the expected motor position, at 30 random positions at
+    rest.
+
+    The expected motor position is the displayed position plus the correction of the table.
     """
     worst = 0.0
     for place in np.random.default_rng(7).uniform([-50, -50, -50], [799, 399, 319], (30, 3)):
@@ -44,8 +48,8 @@ def at_rest_mm(controller: Controller) -> float:
 
 
 def in_motion_mm(controller: Controller, feed_mm_per_min: int) -> float:
-    """Return the largest distance of the motor positions from the programmed line, after subtracting the table's
-    correction.
+    """Return the largest distance in mm between the motor path, without the correction of the table, and the programmed
+    line.
     """
     controller.at(*START_MM)
     controller("mdi", "G4 P0.1")
@@ -67,7 +71,7 @@ def off_line(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def largest_table_s(store: LinuxCncStore) -> float:
-    """Return the time in s needed to write, load and read back a table of 262,144 nodes."""
+    """Return the time in s that is needed to write, load and read back a table of 262,144 nodes."""
     counts = np.random.default_rng(3).integers(-200, 200, (64, 64, 64, 3)).astype(np.int32)
     begun = time.perf_counter()
     store.stage(2, TableImage((0.0, 0.0, 0.0), (12.0, 6.0, 5.0), 1e-4, counts))

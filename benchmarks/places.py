@@ -1,4 +1,4 @@
-"""Output of benchmarks and campaigns: state directories in memory, rows in a CSV file."""
+"""Places for the output of benchmarks and campaigns: state directories in memory, and rows in a CSV file."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ SHARED_MEMORY = "/dev/shm"  # noqa: S108  each benchmark creates its own directo
 
 
 def memory_directory(name: str) -> tempfile.TemporaryDirectory[str]:
-    """Return a temporary directory in memory, so that journal commits need no disk access; durability is tested
-    elsewhere.
+    """Return a temporary directory in memory, where commits of the journal need no disk access.
+
+    The durability of the journal is tested elsewhere. If the system has no directory in memory, the directory is on
+    disk.
     """
     shared = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None
     return tempfile.TemporaryDirectory(prefix=f"volcal-{name}-", dir=shared)
 
 
 def write_csv(rows: Sequence[Mapping[str, object]], path: Path) -> None:
-    """Write `rows` as CSV to `path`, with the keys of the first row as header."""
+    """Write `rows` as CSV to `path`. The keys of the first row are the header."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()

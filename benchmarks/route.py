@@ -1,6 +1,6 @@
-"""Machine time of a plan with and without optimised paths and measuring order, and the CPU time of the optimisation.
+"""Machine time of a plan with and without optimised paths and measuring order, and CPU time of the optimisation.
 
-Writes one JSON line with `--json`.
+With the option `--json` the output is one line of JSON.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ def minutes(job: Job) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the figures of each position set.
+    """Return the figures of each position set by name.
 
-    `seeking_s` is the difference in CPU time between a first plan, which searches for the paths, and a second
-    plan, which does not search again.
+    `seeking_s` is the CPU time in s for the search for paths. It is the difference between a first plan, which searches
+    for the paths, and a second plan, which does not search again.
     """
     load_case(CASE_STUDY)
     found: dict[str, float] = {}

@@ -1,11 +1,12 @@
 """Figures of the service at real speed, as one line of JSON.
 
-They are the time from abort to stop command, the overhead per step, the CPU share and the memory.
+The figures are the time from an abort request to the stop command, the overhead per step, the CPU share and the memory.
 
-`volcal serve` and `volcal simulate` run as separate processes on the wall clock; four clients poll the status and one
-receives the events. The instant of a request is taken before its connection is made. The instant of STOP is taken when
-STOP passes between agent and controller. The overhead of a step is the time from a result to the start of the next step
-that moves; intervals that contain a reading are omitted, because the device itself takes time for a reading.
+`volcal serve` and `volcal simulate` run as separate processes on the wall clock. Four clients poll the status, and one
+client receives the events. The instant of an abort request is taken before its connection is made. The instant of the
+stop command is taken when the command STOP passes between agent and controller. The overhead of a step is the time from
+the result of the previous step to the start of the step. It is evaluated only for steps with an effect on the machine,
+and not for readings, because the device itself takes time for a reading.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def idle(running: Service, seconds: float) -> dict[str, float]:
 
 
 def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
-    """Return the time in ms from an abort request, made during a touch or a move, to STOP on the wire."""
+    """Return the time in ms from an abort request during a touch or a move until the command STOP is on the wire."""
     running.start()
     running.until(lambda now: now["state"] == "measuring" and now["step"], "a step; the axes are on their way")
     known = len(between.stops)
@@ -102,7 +103,7 @@ def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
 
 
 def early_abort_ms(running: Service) -> float:
-    """Return the time in ms from an abort during the preflight until the service's state shows the abort."""
+    """Return the time in ms from an abort request during the preflight until the service's state shows the abort."""
     running.start()
     running.until(lambda now: now["state"] == "preflight", "the preflight")
     began = ask_abort(running)
@@ -114,9 +115,9 @@ def early_abort_ms(running: Service) -> float:
 
 
 def ask_abort(running: Service) -> float:
-    """Send an abort and return the instant before the connection was made.
+    """Send an abort request and return the instant before its connection was made.
 
-    Uses a plain socket, so that the time does not include the preparations of an HTTP client.
+    The function uses a plain socket, because an HTTP client would add the time of its own preparations.
     """
     host, _, port = running.url.removeprefix("http://").partition(":")
     request = f"POST /api/abort HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
@@ -128,8 +129,9 @@ def ask_abort(running: Service) -> float:
 
 
 def measure_run(running: Service, seconds: float) -> dict[str, float]:
-    """Start a run, abort it after `seconds`, and return figures on the time between its steps, taken from its
-    journal.
+    """Start a run, abort it `seconds` s after its first touch, and return its figures.
+
+    The figures contain the times between its steps, which are taken from its journal, and its CPU share and memory.
     """
     run_id = running.start()
     running.until(lambda now: now["touches"] > 0, "a touch", FIRST_TOUCH_WITHIN_S)
@@ -155,8 +157,9 @@ def measure_run(running: Service, seconds: float) -> dict[str, float]:
 
 
 def bare_commits_s(directory: Path, count: int) -> Iterator[float]:
-    """Yield the times of minimal durable commits made during the run: the lower limit of a step's overhead on this
-    disk.
+    """Yield the times in s of `count` minimal durable commits that are made during the run.
+
+    These times are the lower limit of the overhead of a step on this disk.
     """
     journal = Journal(directory / "bare")
     connection = journal._connection
@@ -187,7 +190,10 @@ def rss_mb(process: int, name: str = "VmRSS") -> float:
 
 @contextmanager
 def polling_clients(running: Service) -> Iterator[None]:
-    """Run clients that poll the status while the context is active."""
+    """Run clients that poll the status of the service while the context is active.
+
+    One further client receives the events of the service.
+    """
     ended = threading.Event()
 
     def poll() -> None:

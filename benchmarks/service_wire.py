@@ -1,4 +1,6 @@
-"""Proxy between agent and controller that forwards Modbus TCP and records the instants at which a STOP passes."""
+"""Proxy between agent and controller that forwards Modbus TCP and records the instants at which the command STOP
+passes.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,10 @@ _COMMAND = struct.Struct(">HH")
 
 
 class RecordingProxy:
-    """Proxy that listens on `port` and forwards to `target`.
+    """Proxy that listens on `port` and forwards all data to `target`.
 
-    `stops` holds the `perf_counter` instants at which a STOP from the agent had been read but not yet forwarded.
+    `stops` contains one instant of `time.perf_counter` for each command STOP of the agent. The instant is taken after
+    the command is read and before it is forwarded.
     """
 
     def __init__(self, target: tuple[str, int]) -> None:

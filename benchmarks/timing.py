@@ -1,5 +1,7 @@
-"""Machine time of a plan by the cycle-time model for an ideal machine, compared with a preflight on simulated
-physics.
+"""Computing time of two predictions of a plan's machine time: the cycle-time model and the preflight.
+
+The cycle-time model assumes an ideal machine, and the preflight simulates the physics. The difference between the two
+predicted machine times is reported too.
 """
 
 from __future__ import annotations

@@ -1,10 +1,14 @@
 """volcal as a library: from measured ball centres to the errors of a machine tool, in a notebook or a script.
 
-Read a machine, an artefact and ball centres; `identify`; `predict` the error with its covariance; `design` positions;
-`simulate` a measurement; build a `compensation_table` and export it for a controller; draw an `error_map`. Lengths are
-in mm unless a name says otherwise; points are axis positions, given as arrays of shape (n, 3). All objects are frozen.
+The usual order of work is as follows. Read a machine, an artefact and ball centres. Identify the machine with
+`identify`, and call `predict` for the error with its covariance. Build a `compensation_table` and export it for a
+controller. Draw an `error_map`. Without measurements, `design` chooses positions, and `simulate` simulates a
+measurement.
 
-Modules are loaded on first use, so `import volcal` itself is fast.
+Lengths are in mm unless a name says otherwise. Points are axis positions, given as arrays of shape (n, 3) for n points.
+All objects are frozen.
+
+Modules are loaded on first use, and `import volcal` itself is therefore fast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compensation tables, and their export to the formats of controllers."""
+"""Compensation tables and their export to the file formats of controllers."""
 
 from __future__ import annotations
 
@@ -30,13 +30,15 @@ def compensation_table(
     anchor_mm: Sequence[float] = (0.0, 0.0, 0.0),
     tool_offset_mm: ArrayLike | None = None,
 ) -> CompensationTable:
-    """Build the table that compensates the estimated error: corrections in mm, added to the commanded axis position.
+    """Build the table that compensates the estimated error.
 
-    `balls`: the measured balls, or axis positions (n, 3) in mm; nodes within the region around them count as measured.
-    `step_mm`: largest distance between neighbouring nodes along X, Y and Z. `anchor_mm`: axis position at which the
-    correction is zero; a value outside the workspace is moved to its border. `tool_offset_mm` (3,): offset of the one
-    tool for which the table is valid; None means the tool used in the measurement. Raises ModelError or DataError for
-    invalid values.
+    The table contains corrections in mm, which the controller adds to the commanded axis position.
+
+    `balls` are the measured balls, or axis positions of shape (n, 3) in mm; nodes within the region around them are
+    marked as measured. `step_mm` is the largest distance between neighbouring nodes along X, Y and Z. `anchor_mm` is
+    the axis position at which the correction is zero; a position outside the workspace is moved to the border of the
+    workspace. `tool_offset_mm`, shape (3,), is the offset of the tool for which the table is valid. If it is None, the
+    tool used in the measurement is taken. Raises ModelError or DataError if a value is invalid.
 
     >>> table = volcal.compensation_table(estimate, balls)
     >>> table.corrections.shape
@@ -65,13 +67,15 @@ def export_table(
     opposite_sign: bool = False,
     **options: object,
 ) -> ControllerExport:
-    """Write a table into `folder` in the format of a controller and return the export.
+    """Write `table` into `folder` in the format of a controller, and return the export.
 
-    `format_name`: one of `CONTROLLER_FORMATS`. The returned export lists what the format cannot represent (`losses`)
-    and what has to be set by hand (`facts`). `estimate`: the estimate from which the table was built; some formats need
-    it. `opposite_sign`: write every value with the opposite of the documented sign. `options`: options of the format,
-    named like those of the command `volcal table export`, but with underscores instead of hyphens. Raises DataError,
-    and writes nothing, if the format or an option is unknown or if the format cannot represent the table.
+    The returned export lists what the format cannot represent (`losses`) and what has to be set by hand (`facts`).
+
+    `format_name` is one of `CONTROLLER_FORMATS`. `estimate` is the estimate from which the table was built; some
+    formats need it. If `opposite_sign` is True, every value is written with the opposite of the documented sign.
+    `options` are the options of the format. Their names are those of the command `volcal table export`, with
+    underscores instead of hyphens. Raises DataError if the format or an option is unknown, or if the format cannot
+    represent the table. In these cases no file is written.
 
     >>> table = volcal.compensation_table(estimate, balls)
     >>> export = volcal.export_table(table, "linuxcnc-comp", folder)

@@ -1,4 +1,4 @@
-"""Identification of a machine from ball centres, and predictions of its error."""
+"""Identification of a machine from measured ball centres, and prediction of its error."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ Order = int | Literal["evidence", "file"]
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Estimated error of the uncompensated machine at axis positions.
+    """Estimated error of the uncompensated machine at n axis positions, with its uncertainty.
 
-    `points_mm` (n, 3): axis positions. `error_mm` (n, 3): deviation of the tool centre point. `covariance_mm2` (3n,
-    3n): expected outer product of true minus estimated error; rows and columns run point by point, in the order x, y,
-    z. It includes errors that the model cannot represent.
+    `points_mm`, shape (n, 3), contains the axis positions. `error_mm`, shape (n, 3), contains the deviations of the
+    tool centre point. `covariance_mm2`, shape (3n, 3n), is the covariance of the difference between true and estimated
+    error. The rows and columns of the covariance are ordered by point, and for each point in the order x, y, z. The
+    covariance includes errors that the model cannot represent.
     """
 
     points_mm: Array
@@ -38,16 +39,16 @@ class Prediction:
 
     @property
     def standard_uncertainty_mm(self) -> Array:
-        """Standard uncertainty (n, 3) of the error, per direction."""
+        """Standard uncertainty of the error in mm in each direction, shape (n, 3)."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance_mm2), 0.0)).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
 class VolumetricErrors:
-    """Volumetric error over the workspace.
+    """Volumetric error over the workspace before and after compensation.
 
-    `before` is the estimated error of the uncompensated machine, and `after` the error expected after compensation by
-    the estimate.
+    `before` is the estimated error of the uncompensated machine. `after` is the error that is expected if the machine
+    is compensated with the estimate.
     """
 
     before: VolumetricRms
@@ -62,11 +63,12 @@ def identify(
     order: Order = "evidence",
     options: Options | None = None,
 ) -> Estimate:
-    """Identify the geometric errors of `machine` from ball centres measured on `artefact`.
+    """Identify the geometric errors of `machine` from the centres of the balls of `artefact`, and return the estimate.
 
-    `order`: Legendre order of the 18 error motions, given as a number; "file" uses the orders of the machine file, and
-    "evidence" the order that the measurements support best. `options`: formulation, prior, weights, outliers. Raises
-    SingularSet if the positions cannot determine anything, and DataError if a measured ball is not on the artefact.
+    `balls` are the measured ball centres. `order` is the Legendre order of the 18 error motions. It is a number, "file"
+    for the orders of the machine file, or "evidence" for the order that the measurements support best. `options` sets
+    the formulation, the prior, the weights and the treatment of outliers. Raises SingularSet if the positions cannot
+    determine any parameter, and DataError if a measured ball is not on the artefact.
 
     >>> estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
     >>> estimate.rank, estimate.model.size
@@ -82,10 +84,11 @@ def identify(
 
 
 def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike | None = None) -> Prediction:
-    """Predict the error of the uncompensated machine and its covariance at axis positions (n, 3) in mm.
+    """Predict the error of the uncompensated machine, with its covariance, at n axis positions of shape (n, 3) in mm.
 
-    `tool_offset_mm` (3,): offset of the tool for whose centre point the error is predicted; None means the tool used in
-    the measurement. Raises DataError if it is None and several tools were used.
+    The error is predicted for the centre point of the tool with the offset `tool_offset_mm`, shape (3,). If
+    `tool_offset_mm` is None, the tool used in the measurement is taken. Raises DataError if `tool_offset_mm` is None
+    and several tools were used.
 
     >>> prediction = volcal.predict(estimate, [[0.0, 0.0, 0.0], [4000.0, 1300.0, 1500.0]])
     >>> prediction.error_mm.shape, prediction.covariance_mm2.shape
@@ -103,8 +106,8 @@ def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike 
 def volumetric_errors(estimate: Estimate, tool_offset_mm: ArrayLike | None = None) -> VolumetricErrors:
     """Return the volumetric error over the workspace before and after compensation.
 
-    Each value is the root mean square of the deviation on a grid of 60 x 20 x 20 points, both raw (`raw_um`) and after
-    the best rigid motion of the workspace has been removed (`aligned_um`).
+    Each error is the root mean square of the deviation on a grid of 60 x 20 x 20 points. It is given twice: raw
+    (`raw_um`), and after the best rigid motion of the workspace has been removed (`aligned_um`).
 
     >>> errors = volcal.volumetric_errors(estimate)
     >>> errors.after.aligned_um < 0.5 * errors.before.aligned_um
@@ -117,8 +120,11 @@ def volumetric_errors(estimate: Estimate, tool_offset_mm: ArrayLike | None = Non
 
 
 def tool_offset(estimate: AnyEstimate, tool_offset_mm: ArrayLike | None) -> Array:
-    """Return the given tool offset (3,) in mm or, if it is None, that of the tool used in the measurement. Raises
-    DataError if several tools were used."""
+    """Return `tool_offset_mm`, shape (3,), or the offset of the tool used in the measurement if `tool_offset_mm` is
+    None.
+
+    Raises DataError if `tool_offset_mm` is None and several tools were used in the measurement.
+    """
     if tool_offset_mm is not None:
         return as_vector(tool_offset_mm, 3, "tool offset")
     if len(estimate.tool_offsets) != 1:

@@ -1,4 +1,4 @@
-"""Figures of an estimate. matplotlib is imported when the first figure is drawn."""
+"""Figures of an estimate. The library matplotlib is imported when the first figure is drawn."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def error_map(
 
     The upper row shows the length of the estimated deviation in µm after the best rigid motion of the workspace has
     been removed. The lower row shows the predicted length of the deviation that remains after compensation.
-    `heights_mm`: Z axis position of each plane; None means bottom, middle and top of the workspace.
+    `heights_mm` contains the Z axis position of each plane. If it is None, the planes are at the bottom, the middle and
+    the top of the workspace.
 
     >>> figure = volcal.error_map(estimate)
     >>> [axes.get_title(loc="left") for axes in figure.axes[:3]]

@@ -1,4 +1,4 @@
-"""Reading and writing of files: machine, artefact, ball centres, positions, estimate and compensation table."""
+"""Reading and writing of files: machines, artefacts, ball centres, positions, estimates and compensation tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PathName = str | PathLike[str]
 def shipped_file(name: str) -> Path:
     """Return the path of a file from the configuration that is shipped with volcal, such as `machines/case-study.toml`.
 
-    Raises FormatError, listing the files in the same folder, if there is no such file.
+    Raises FormatError if there is no such file. The error lists the files in the same folder.
 
     >>> volcal.shipped_file("machines/case-study.toml").name
     'case-study.toml'
@@ -41,11 +41,11 @@ def shipped_file(name: str) -> Path:
 
 
 def read_machine(path: PathName) -> MachineDescription:
-    """Return the machine described by a machine file (TOML): chain, travel, tools, error model, prior population,
-    deflection.
+    """Return the machine that is described by a machine file (TOML).
 
-    The deflection grid that the file names is read as well; its path is relative to the machine file. Raises
-    FormatError with file and key.
+    The file describes the kinematic chain, the travel of the axes, the tools, the error model, the prior population and
+    the deflection. If the file names a deflection grid, that grid is read as well; its path is relative to the machine
+    file. Raises FormatError, which names file and key, if the file is invalid.
 
     >>> machine = volcal.read_machine(volcal.shipped_file("machines/case-study.toml"))
     >>> machine.name, machine.model.size
@@ -57,10 +57,10 @@ def read_machine(path: PathName) -> MachineDescription:
 
 
 def read_artefact(path: PathName) -> Artefact:
-    """Return the ball artefact described by an artefact file (TOML): calibrated centres with covariance, diameter,
-    expansion.
+    """Return the ball artefact that is described by an artefact file (TOML).
 
-    Raises FormatError with file and key, and DataError for impossible values.
+    The file contains the calibrated ball centres with their covariance, the ball diameter and the thermal expansion.
+    Raises FormatError, which names file and key, if the file is invalid, and DataError if a value is impossible.
 
     >>> artefact = volcal.read_artefact(volcal.shipped_file("artefacts/ball-bar-1500.toml"))
     >>> artefact.count
@@ -72,7 +72,8 @@ def read_artefact(path: PathName) -> Artefact:
 def read_balls(path: PathName, machine: MachineDescription) -> BallFile:
     """Return the measured ball centres of a ball file (CSV).
 
-    The tool names in the file must be tools of `machine`. Raises FormatError with file, row and column.
+    Every tool named in the file must be a tool of `machine`. Raises FormatError, which names file, row and column, if
+    the file is invalid.
 
     >>> balls = volcal.read_balls(volcal.shipped_file("examples/case-study-balls.csv"), setup.machine)
     >>> balls.observations.size, len(balls.positions)
@@ -82,9 +83,10 @@ def read_balls(path: PathName, machine: MachineDescription) -> BallFile:
 
 
 def read_positions(path: PathName) -> tuple[Position, ...]:
-    """Return the positions of a position file (CSV, or TOML by its suffix), in the order of measuring.
+    """Return the positions of a position file in the order of measuring.
 
-    Raises FormatError with file and row, column or key.
+    The file is TOML if it has the suffix `.toml`, and otherwise CSV. Raises FormatError, which names the file and the
+    row, column or key, if the file is invalid.
 
     >>> volcal.read_positions(volcal.shipped_file("linuxcnc/few-positions.csv"))[0]
     Position(station=1, azimuth_deg=0.0, elevation_deg=45.0, tool=None)
@@ -93,44 +95,49 @@ def read_positions(path: PathName) -> tuple[Position, ...]:
 
 
 def read_estimate(path: PathName) -> StoredEstimate:
-    """Return a stored estimate (JSON), which was written by the command `volcal identify`, by a run or by
-    `write_estimate`.
+    """Return an estimate that is stored in a JSON file.
 
-    Raises FormatError with file and key.
+    The file was written by the command `volcal identify`, by a run, or by `write_estimate`. Raises FormatError, which
+    names file and key, if the file is invalid.
     """
     return parse_estimate(_text(path), str(path))
 
 
 def read_table(path: PathName) -> CompensationTable:
-    """Return a compensation table from its CSV file and the JSON side file of the same name.
+    """Return the compensation table that is stored in a CSV file and in a JSON side file with the same name.
 
-    Raises FormatError with file and row, column or key. It is also raised if the checksum in the side file does not
-    match the table.
+    Raises FormatError, which names the file and the row, column or key, if a file is invalid. FormatError is also
+    raised if the checksum in the side file does not match the table.
     """
     side = Path(path).with_suffix(".json")
     return parse_table(_text(path), _text(side), str(path), str(side))
 
 
 def write_balls(balls: BallFile, machine: MachineDescription, path: PathName) -> Path:
-    """Write ball centres as a ball file and return its path. The covariance of each ball is reduced to one standard
-    uncertainty."""
+    """Write ball centres to a ball file (CSV) and return its path.
+
+    The covariance of each ball centre is reduced to one standard uncertainty.
+    """
     return _write(path, format_balls(balls.observations, balls.positions, list(machine.tools)))
 
 
 def write_positions(positions: tuple[Position, ...], path: PathName) -> Path:
-    """Write a position file (CSV) and return its path."""
+    """Write positions to a position file (CSV) and return its path."""
     return _write(path, format_positions(positions))
 
 
 def write_estimate(estimate: Estimate, path: PathName, provenance: Mapping[str, str] | None = None) -> Path:
-    """Write an estimate (JSON) and return its path. `provenance`: names and texts to store with the estimate, such as
-    software version and dates."""
+    """Write an estimate to a JSON file and return its path.
+
+    `provenance` contains texts by name that are stored with the estimate, such as the software version and dates.
+    """
     return _write(path, format_estimate(estimate, provenance or {}))
 
 
 def write_table(table: CompensationTable, path: PathName) -> Path:
-    """Write a compensation table (CSV) and, next to it, a JSON side file of the same name. Return the path of the
-    table."""
+    """Write a compensation table to a CSV file and a JSON side file with the same name. Return the path of the CSV
+    file.
+    """
     _write(Path(path).with_suffix(".json"), format_side_file(table))
     return _write(path, format_table(table))
 

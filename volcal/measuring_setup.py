@@ -1,4 +1,4 @@
-"""Set-ups: a machine with an artefact at its stations, before anything is measured."""
+"""Description of a measuring set-up: a machine and an artefact at its stations, before anything is measured."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ CASE_STUDY_STATIONS_MM = (
 
 @dataclass(frozen=True, eq=False)
 class MeasuringSetup:
-    """A machine and an artefact on its mount at stations, each ball touched five times.
+    """Set-up of a machine and an artefact, whose mount stands at several stations. Each ball is touched five times.
 
-    `stations_mm` (S, 3): foot of the mount in the workpiece frame, station 1 first. `tool`: name of the tool used for
-    measuring; None means the first tool of the machine. `touch_sigma_um`: standard deviation of one touch.
-    `clearance_mm`: distance to the ends of travel that is needed for touching a ball, in addition to the radii of ball
-    and tip. Raises DataError or ModelError for invalid values.
+    `stations_mm`, shape (S, 3), contains for each of S stations the foot of the mount in the workpiece frame, starting
+    with station 1. `tool` is the name of the tool used for measuring; None means the first tool of the machine.
+    `touch_sigma_um` is the standard deviation of one touch. `clearance_mm` is the distance to the ends of travel that a
+    touch needs in addition to the radii of ball and tip. Raises DataError or ModelError if a value is invalid.
 
     >>> setup = volcal.case_study()
     >>> setup.machine.name, setup.artefact.count, len(setup.stations_mm)
@@ -68,20 +68,23 @@ class MeasuringSetup:
 
     @property
     def tool_offset_mm(self) -> Array:
-        """Offset (3,) in mm of the tool used for measuring."""
+        """Offset of the tool used for measuring, in mm, shape (3,)."""
         return np.asarray(self.machine.tool(self.tool_name), dtype=np.float64)
 
     def position_set(self, name: str) -> tuple[Position, ...]:
         """Return the positions of the set `S1`, `S2` or `S3`, or of a union such as `S1+S3`, at all stations.
 
-        Raises TwinError for an unknown name.
+        Raises TwinError if the name is unknown.
         """
         return parse_position_set(name, len(self.stations_mm))
 
     @cached_property
     def procedure(self) -> Procedure:
-        """Planned procedure of the set-up for use with `twin.design`: layout of the tool, and covariance of one ball
-        centre."""
+        """Measuring procedure of the set-up in the form that `twin.design` uses.
+
+        It contains the geometric layout of the measurement with the tool, and the covariance of one measured ball
+        centre.
+        """
         room_mm = self.artefact.ball_radius_mm + self.probe.tip_radius_mm + self.clearance_mm
         travel = np.array(self.machine.limits)
         layout = MeasuringLayout(
@@ -99,12 +102,17 @@ class MeasuringSetup:
         return Procedure({self.tool_name: layout}, covariance_mm2)
 
     def at(self, stations_mm: ArrayLike) -> MeasuringSetup:
-        """Return the same set-up with the mount at other stations (S, 3) in mm."""
+        """Return a copy of this set-up with the mount at other stations, `stations_mm` of shape (S, 3) in mm for S
+        stations.
+        """
         return replace(self, stations_mm=as_points(stations_mm, "stations"))
 
 
 def case_study() -> MeasuringSetup:
-    """Return the shipped case study: a moving-column milling machine, a 1500 mm ball bar, four stations along X.
+    """Return the set-up of the shipped case study.
+
+    The machine is a moving-column milling machine. The artefact is a 1500 mm ball bar, which is measured at four
+    stations along X.
 
     >>> volcal.case_study().machine.model.ranges_mm
     ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))

@@ -1,4 +1,4 @@
-"""Design of positions: choice of the positions that leave the smallest error."""
+"""Design of position sets: selection of the positions whose measurement leaves the smallest expected error."""
 
 from __future__ import annotations
 
@@ -21,9 +21,11 @@ from volcal.measuring_setup import MeasuringSetup
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Positions, and the volumetric error expected before and after compensation with them (`valuation`).
+    """Set of positions and its expected effect.
 
-    The function `design` orders the positions by station, azimuth and elevation; `evaluate` keeps the given order.
+    `valuation` contains the volumetric errors that are expected before and after compensation, if these positions are
+    measured. The function `design` orders the positions by station, azimuth and elevation. The function `evaluate`
+    keeps the given order.
     """
 
     positions: tuple[Position, ...]
@@ -38,12 +40,14 @@ def design(
     grid_deg: float = 30.0,
     stations: Sequence[int] | None = None,
 ) -> Design:
-    """Choose positions for the smallest expected volumetric compensated error (rigidly aligned).
+    """Choose the positions whose measurement leaves the smallest expected volumetric error after compensation.
 
-    Give either `count`, the number of positions, or `target_vce_um`, the error to reach with as few positions as
-    possible. Candidates are all orientations on a grid of `grid_deg` in azimuth and elevation, at all stations or only
-    at `stations`. All positions have the same cost here; the command `volcal design` also takes account of machine time
-    and checks the paths for collisions. Raises DataError for a goal that cannot be reached.
+    The error is taken after the best rigid motion of the workspace has been removed. Give either `count` or
+    `target_vce_um`: `count` is the number of positions, and `target_vce_um` is the error in µm to reach with as few
+    positions as possible. The candidates are all orientations on a grid of `grid_deg` in azimuth and elevation, at the
+    given `stations`, or at all stations if `stations` is None. All positions have the same cost here. The command
+    `volcal design` also takes account of the machine time, and checks the paths for collisions. Raises DataError if the
+    goal cannot be reached.
 
     >>> design = volcal.design(setup, 6, grid_deg=45.0)
     >>> len(design.positions)
@@ -66,7 +70,9 @@ def design(
 
 
 def evaluate(setup: MeasuringSetup, positions: Sequence[Position] | str) -> Design:
-    """Return the volumetric error expected after measuring `positions` and compensating; no measurement is needed.
+    """Return `positions` with the volumetric errors that are expected before and after compensation.
+
+    The compensation is assumed to use an identification from these positions. No measurement is needed.
 
     >>> volcal.evaluate(setup, "S3").valuation.percent > 50.0
     True

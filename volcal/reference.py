@@ -1,4 +1,7 @@
-"""Generator of the API reference from the docstrings: `python -m volcal.reference > docs/reference/python-api.md`."""
+"""Generator of the Python API reference from the docstrings.
+
+The command is `python -m volcal.reference > docs/reference/python-api.md`.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ SECTIONS = {
 
 
 def page() -> str:
-    """Return the Markdown text of the reference page."""
+    """Return the text of the reference page in Markdown."""
     parts = [HEAD, f"{_prose(volcal)}\n\n", "The examples of this page start with:\n\n```python\n", PREAMBLE, "```\n"]
     for module, title in SECTIONS.items():
         parts.append(f"\n## {title}\n")

@@ -1,4 +1,4 @@
-"""Simulated measurements: a random machine and the ball centres that would be measured on it."""
+"""Simulated measurements: a random machine, and the ball centres that would be measured on this machine."""
 
 from __future__ import annotations
 
@@ -21,27 +21,33 @@ DEFLECTIONS = (AS_MODELLED, *DEFLECTION_FORMS)
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Ball centres of a simulated measurement, and the true machine, which is not known in a real measurement."""
+    """Result of a simulated measurement: the ball centres, and the true machine, which is unknown in a real
+    measurement.
+    """
 
     balls: BallFile
     true_machine: TrueMachine
 
     def true_error(self, points_mm: ArrayLike) -> Array:
-        """Return the true deviation (n, 3) in mm of the tool centre point at axis positions (n, 3) in mm."""
+        """Return the true deviations of the tool centre point, shape (n, 3), at n axis positions, shape (n, 3), both in
+        mm.
+        """
         return self.true_machine.deviation(as_points(points_mm, "points"))
 
 
 def simulate(
     setup: MeasuringSetup, positions: Sequence[Position] | str = "S3", *, seed: int = 1, deflection: str = "beams"
 ) -> Simulation:
-    """Draw a random machine from the prior population and simulate the measurement of `positions` on it.
+    """Draw a random machine from the prior population and simulate the measurement of `positions` on this machine.
 
-    The machine has errors that the identified model cannot represent: Legendre order 7, and a deflection of the form
-    `none`, `beams` (the deflection of the machine file with a random amplitude), `rails`, `smooth`, `portal` or
-    `thermal`. Artefact, thermometer, drift and touch noise differ from their stated values at random. With
-    `deflection="as modelled"` the model can represent the machine exactly, and it is measured under the stated
-    conditions. The same seed gives the same numbers. Raises DataError if the deflection is unknown or if no position
-    can be measured.
+    The machine has errors that the identified model cannot represent: error motions of Legendre order 7, and a
+    deflection. `deflection` is one of the forms `none`, `rails`, `smooth`, `portal`, `thermal` and `beams`, where
+    `beams` is the deflection of the machine file with a random amplitude. The true values of artefact, thermometer,
+    drift and touch noise differ at random from their stated values.
+
+    With `deflection="as modelled"` the model can represent the machine exactly, and the stated values are true. The
+    same `seed` always gives the same numbers. Raises DataError if the deflection is unknown or if no position can be
+    measured.
 
     >>> simulation = volcal.simulate(setup, "S1", seed=3)
     >>> simulation.balls.observations.size, simulation.true_error([[0.0, 0.0, 0.0]]).shape

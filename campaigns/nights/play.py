@@ -6,7 +6,7 @@ active table, and the reach. The reach is the error that a full calibration in t
 
 The reach is computed by a Monte Carlo simulation of ball centres, without touches. The simulation takes the true ball
 centres of the whole position set on a copy of that night's machine. It measures them through the exact error field with
-the noise of a touch pattern, and identifies the machine with the Legendre order of the settings. Then the true error
+the noise of a touch pattern, and identifies the machine with the Legendre order chosen by evidence. Then the true error
 with the resulting table is evaluated. The reach is the mean over `DRAWS` random draws. The results of the full
 calibrations that were run in the season are reported too.
 

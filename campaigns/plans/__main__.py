@@ -9,7 +9,8 @@ at a random instant.
 
 The first run of every K-th plan is also examined by an independent collision check (`campaigns/plans/judge.py`), where
 K is given by `--judge-every`. This check is itself compared with the simulator on random straight moves among the
-bodies. The exit code is 0 only if there was no collision.
+bodies. The exit code is 0 only if there was no collision or other failure, and if the check always agreed with the
+simulator.
 """
 
 from __future__ import annotations
