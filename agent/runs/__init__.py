@@ -1,1 +1,1 @@
-"""Start, execution, resumption and abandonment of runs on a machine, and identification from files."""
+"""Runs on a machine: start, execution, resumption and abandonment. Also contains the identification from files."""

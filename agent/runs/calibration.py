@@ -1,4 +1,5 @@
-"""Calibration run, from the check of permissions to the proof of the new table and its acceptance or removal."""
+"""Calibration run. It begins with the check of permissions and ends with the proof of the new table, which is then
+accepted or removed."""
 
 from __future__ import annotations
 
@@ -30,10 +31,10 @@ from twin.formats.estimate_file import format_estimate
 
 
 class CalibrationRun(GuardedRun):
-    """Calibration of the machine of a `Job`.
+    """Run that calibrates the machine of a `Job`.
 
-    `reference` is the last accepted night of this machine; the change of the machine is judged against it. `nights` is
-    the number of nights since then.
+    `reference` is the last accepted night of this machine, against which the change of the machine is judged; it is
+    None if there is no accepted night. `nights` is the number of nights since then.
     """
 
     def __init__(
@@ -55,9 +56,10 @@ class CalibrationRun(GuardedRun):
         self.calibrate(prepared.standing_at)
 
     def calibrate(self, standing_at: int | None) -> None:
-        """Calibrate, beginning with the first position of the set.
+        """Calibrate the machine: measure all positions of the set, estimate, write the table and prove it.
+        `standing_at` is the station at which the artefact stands, or None.
 
-        The state must be MEASURING, and the active compensation must have been read.
+        The state of the run must be MEASURING, and the active compensation must have been read before.
         """
         job, progress = self._job, self.progress
         order = replace(job.measuring_order, standing_at=standing_at)

@@ -1,6 +1,6 @@
 """Consent to write a table although the machine has changed.
 
-The consent is given with the request, or the operator is asked for it.
+The request of the run contains the consent, or the operator is asked for it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ class Consent(Enum):
 
 
 def opens_by_consent(gate: Gate, consent: Consent) -> bool:
-    """Return True if `gate` did not pass and the consent given with the request opens it without a question."""
+    """Return True if `gate` is the gate `CHANGE`, did not pass, and the request of the run already contains the
+    consent."""
     return gate.name == CHANGE and not gate.passed and consent is Consent.GIVEN
 
 
 def ask_consent(gates: Sequence[Gate]) -> Plan[bool]:
-    """Ask the operator for consent if `CHANGE` is the only gate that did not pass. Return True if consent was given.
+    """Ask the operator for consent if `CHANGE` is the only gate that did not pass. Return True if the operator
+    consents.
 
-    In all other cases no question is asked and the result is False. Raises Aborted if the answer is no.
+    In all other cases, the operator is not asked and the result is False. Raises Aborted if the operator answers no.
     """
     closed = [gate for gate in gates if not gate.passed]
     if [gate.name for gate in closed] != [CHANGE]:

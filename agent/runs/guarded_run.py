@@ -1,4 +1,4 @@
-"""Guarded run, the base class of all kinds of run: if it does not succeed, it leaves the machine as it found it."""
+"""Guarded run, the base class of all runs. If a guarded run does not succeed, it leaves the machine as it was found."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from drivers.roles import Activation
 
 @dataclass
 class RunProgress:
-    """Results of a run so far, filled in during the run so that a fault does not lose them.
+    """Results that a run has so far. They are stored during the run and are therefore not lost if the run fails.
 
     `found` is the compensation that was active at the start. `job` is the job to which the positions in `measured`
     belong; it is None if this is the job with which the run began.
@@ -50,7 +50,8 @@ class RunProgress:
 
 
 class GuardedRun(ABC):
-    """Run that restores and reads back the compensation found at its start, unless it accepts a new one."""
+    """Base class of runs. At its end, the run restores the compensation that was active at its start and reads it back,
+    unless the run has accepted a new table."""
 
     def __init__(self, job: Job, context: RunContext) -> None:
         self._job = job
@@ -67,7 +68,8 @@ class GuardedRun(ABC):
         """Do all work up to a final state. Raise GateRefused if the run decides not to continue."""
 
     def carry_out(self) -> RunProgress:
-        """Run to a final state. A `VolcalError` is not raised but stored in `progress.error`."""
+        """Carry out the run until it reaches a final state, and return its results. A `VolcalError` is not raised but
+        stored in `progress.error`."""
         try:
             self._work_or_refuse()
         except VolcalError as error:
@@ -102,17 +104,18 @@ class GuardedRun(ABC):
         return prepared
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """Return an error if too little time is left for `following`, the first moving step of a resumed run."""
+        """Return an error if too little time is left to resume the run, and None otherwise. `following` is the first
+        moving step of the resumed run."""
         return None
 
     @property
     def activation(self) -> Activation:
-        """Event at which an activated bank takes effect."""
+        """Event after which the controller uses a bank that has been activated."""
         return self._rig.store.store_limits().activation
 
     @property
     def rules(self) -> PositionRules:
-        """Rules of measurement with the current qualification of the stylus."""
+        """Rules of measurement. If the stylus has been qualified in this run, they contain the result."""
         prepared = self.progress.prepared
         return self._job.rules if prepared is None else prepared.rules
 
@@ -177,10 +180,11 @@ class GuardedRun(ABC):
 
 
 def attempt(what: str, action: Callable[[], None]) -> list[str]:
-    """Carry out `action`.
+    """Carry out `action`. Return an empty list if it succeeds, and a list with its error text if it raises
+    `VolcalError`.
 
-    If it fails, return a list with its error text instead of raising, so that this error does not replace the first
-    error. Return an empty list on success. `what` completes the text "could not …".
+    The error is not raised, because it would replace an earlier error that is being handled. `what` completes the text
+    "could not …".
     """
     try:
         action()

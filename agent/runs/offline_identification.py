@@ -32,12 +32,12 @@ NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE
 
 @dataclass(frozen=True)
 class IdentificationRequest:
-    """Files and options of an identification.
+    """Files and options of an identification from files.
 
-    `tool` is the tool for which the table is made; if None, it is the tool with which most balls were measured.
-    `carried_over` is the file of an earlier estimate to be used as prior. `process_noise_um` is the change of the
-    machine's error field that is possible since that estimate, as an rms over the workspace in µm after removal of the
-    best-fitting rigid motion. `gates` contains the limits of the gates, which are the same as for a run.
+    `tool` is the tool for which the table is made; if it is None, the tool with which most balls were measured is used.
+    `carried_over` is the file of an earlier estimate that serves as prior. `process_noise_um` is the possible change of
+    the machine's error field since that estimate. It is an rms over the workspace in µm, after removal of the
+    best-fitting rigid motion. `gates` contains the limits of the gates, which are the gates of a run.
     """
 
     balls: Path
@@ -54,7 +54,8 @@ class IdentificationRequest:
 
 @dataclass(frozen=True)
 class IdentificationInput:
-    """Machine, artefact, measured balls and options read from files, and the tool that the table is made for."""
+    """Contents of the input files: machine, artefact, measured balls and options. `tool` is the tool for which the
+    table is made."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -74,7 +75,8 @@ class IdentificationResult:
     report: Path
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
-        """Return a JSON object with the same keys as for a run. Values that only a run on a machine has are None."""
+        """Return the result as a JSON object with the keys that the outcome of a run has. A value that exists only for
+        a run on a machine is None."""
         estimate, volumetric = self.estimation.estimate, self.estimation.volumetric
         return {
             "state": "complete",
@@ -102,10 +104,10 @@ class IdentificationResult:
 
 
 def identify_files(request: IdentificationRequest, timestamp: str) -> IdentificationResult:
-    """Read the files, identify, and write estimate.json, table.csv, table.json and report.html into `request.out`.
+    """Identify the machine's errors from files, and write the results into the folder `request.out`.
 
-    `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is wrong; nothing is written
-    in that case.
+    The files written are estimate.json, table.csv, table.json and report.html. `timestamp` is the UTC time of the
+    results in ISO 8601. Raises UserError if the input is wrong; in this case, no file is written.
     """
     check_folder(request.out)
     material = read_material(request)
@@ -125,9 +127,9 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
 
 
 def read_material(request: IdentificationRequest) -> IdentificationInput:
-    """Return the contents of the files.
+    """Return the contents of the input files.
 
-    Raises UserError, naming the file and the key or row, if something cannot be used.
+    Raises UserError if a part of a file cannot be used. The message names the file and the key or the row.
     """
     machine = load_machine(request.machine)
     artefact = load_artefact(request.artefact)

@@ -1,4 +1,5 @@
-"""Origin of a run as stored in the journal: the data needed to rebuild the run and to detect changed files."""
+"""Origin of a run, as the journal stores it. It contains the data with which an interrupted run is built again and
+changed input files are detected."""
 
 from __future__ import annotations
 
@@ -28,8 +29,9 @@ KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
 class Origin:
     """Settings, kind and start conditions of a run that has passed its preflight.
 
-    `base` is the directory to which relative paths refer. `files` maps the path of each input file to its SHA-256.
-    `begun_s` and `begun_at` are the machine seconds and the UTC time at the end of the preflight.
+    `base` is the directory to which relative paths refer. `files` maps the path of each input file to the SHA-256 of
+    the file. `begun_s` and `begun_at` state the end of the preflight: the time of the machine's clock in s, and the UTC
+    time.
     """
 
     run_id: str
@@ -42,7 +44,7 @@ class Origin:
     begun_at: str
 
     def require_unchanged(self) -> None:
-        """Raise PlanDiverged, naming the file, if an input file has changed since the run began."""
+        """Raise PlanDiverged if an input file has changed since the run began. The error names the file."""
         for name, digest in digests(self.settings, self.base).items():
             if self.files.get(name) != digest:
                 raise PlanDiverged(
@@ -54,7 +56,7 @@ class Origin:
 
 
 def origin_record(settings: Settings, kind: Kind, base: Path, start: StartConditions) -> dict[str, Any]:
-    """Return the record to be stored by `RunJournal.origin`."""
+    """Return the origin of a run as a record that `RunJournal.origin` can store."""
     options = {f.name: getattr(kind, f.name) for f in fields(kind) if f.name != "name"}  # type: ignore[arg-type]
     return {
         "kind": kind.name,
@@ -67,7 +69,8 @@ def origin_record(settings: Settings, kind: Kind, base: Path, start: StartCondit
 
 
 def read_origin(reader: JournalReader, run: int) -> Origin:
-    """Return the origin of a run. Raise InputError if the journal has none or the run did not pass its preflight."""
+    """Return the origin of the run with the number `run`. Raises InputError if the journal does not contain its origin,
+    or if the run did not pass its preflight."""
     row = reader.origin(run)
     if row is None or row.begun_s is None or row.begun_at is None:
         raise InputError("the journal does not store how this run began", hint="start a new run")
@@ -86,9 +89,10 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
 
 
 def digests(settings: Settings, base: Path) -> dict[str, str]:
-    """Return the SHA-256 of each input file by path.
+    """Return a mapping from the path of each input file to the SHA-256 of the file.
 
-    The input files are the machine file, the artefact file, the files named in these two, and the position file.
+    The input files are the machine file, the artefact file, the files named in these two, and the position file if
+    there is one.
     """
     paths = list(input_files(settings.machine, settings.artefact))
     if settings.procedure.position_set.endswith(POSITION_FILES):

@@ -1,4 +1,5 @@
-"""Planned run: the job that will be measured, its start conditions and its preflight, before anything moves."""
+"""Planned run. It contains the job that will be measured, the start conditions and the preflight. The machine has not
+moved yet."""
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ from agent.runs.run_context import RunContext
 class StartConditions:
     """Conditions at the start of a run.
 
-    All decisions that depend on the date, on earlier runs or on the position of the machine are based on these values,
-    so that a resumed run makes the same decisions.
+    Decisions that depend on the date, on earlier runs or on the axis positions are based on these values only. A
+    resumed run therefore makes the same decisions as the interrupted run.
 
     `run` is the number of the run in the journal; only runs with lower numbers count as earlier. `at` is the UTC time
-    in ISO 8601. `start_mm` contains the axis positions.
+    in ISO 8601. `start_mm` contains the axis positions in mm.
     """
 
     run: int
@@ -31,7 +32,8 @@ class StartConditions:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """Run that has passed its preflight. `job` is the job that will be measured. `begin` creates the run object."""
+    """Run that has passed its preflight. `job` is the job that will be measured. `begin` is the function that creates
+    the run object."""
 
     job: Job
     kind: Kind
@@ -41,17 +43,16 @@ class PlannedRun:
 
 
 class Kind(Protocol):
-    """Kind of run. `name` is its name in the journal."""
+    """Interface of a kind of run. `name` is the name of the kind in the journal."""
 
     @property
     def name(self) -> str: ...
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        """Decide what will be measured and run its preflight with the start conditions `start`.
+        """Decide what will be measured, and simulate the run in a preflight with the start conditions `start`.
 
-        The same start conditions give the same plan.
-
-        `watch` is called repeatedly during planning and may raise an error to interrupt it; it does not influence the
-        plan. Raises PlanRefused or UserError if the run cannot be carried out.
+        Equal start conditions give equal plans. `watch` is called repeatedly during planning. It does not influence the
+        plan, but it may raise an error, which interrupts the planning. Raises PlanRefused or UserError if the run
+        cannot be carried out.
         """
         ...

@@ -1,7 +1,7 @@
-"""Comparison of the controller's compensation at a start with the journal of the last run, and repair if necessary.
+"""Comparison of the controller's compensation with the journal after a start of the program, and repair if necessary.
 
-Only one state must be repaired: if a table is active that was never proved, the former table is reactivated. All other
-states are complete and consistent whenever the last run ended, because an active bank is never written.
+Only one state must be repaired: a table is active that was never proved. In this case, the former table is reactivated.
+All other states are complete and consistent, because a bank is never written while it is active.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from drivers.roles import MotionState
 
 @dataclass(frozen=True)
 class RecordedBank:
-    """Bank with the CRC-32 of its table. The CRC-32 is None for an empty bank and for bank 0 (no compensation)."""
+    """Number of a bank, with the CRC-32 of the table in it. The CRC-32 is None for an empty bank and for bank 0 (no
+    compensation)."""
 
     number: int
     crc32: int | None
@@ -33,10 +34,10 @@ class RecordedBank:
 
 @dataclass(frozen=True)
 class LastCompensation:
-    """Compensation left by the last run that read it, according to the journal.
+    """State of the compensation after the last run that read it, according to the journal.
 
-    `former` is the bank that was active before that run. `staged` is the bank that the run wrote, or None if it wrote
-    none. `accepted` is True if the written table was accepted.
+    `former` is the bank that was active before that run. `staged` is the bank that the run wrote, or None if the run
+    wrote no bank. `accepted` is True if the written table was accepted.
     """
 
     run: int
@@ -51,12 +52,13 @@ class LastCompensation:
 
 
 def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, restore: bool = True) -> Reconciliation:
-    """Compare the controller's compensation with the journal. If an unproved table is active, reactivate the former
-    one.
+    """Compare the controller's compensation with the journal. If a table is active that was never proved, reactivate
+    the former table.
 
-    The former table is reactivated only if `restore` is set and the machine permits it. `rig` must be open; nothing
-    moves. `of_run` is the number of the run to compare with; if None, it is the last run that read the compensation.
-    Raises DeviceError if the controller cannot be read or refuses, InputError if the journal cannot be read.
+    The former table is reactivated only if `restore` is set and the machine permits it. `rig` must be open; the machine
+    does not move. The comparison refers to the run with the number `of_run`. If `of_run` is None, it refers to the last
+    run that read the compensation. Raises DeviceError if the controller cannot be read or refuses an action, and
+    InputError if the journal cannot be read.
     """
     last = _last_compensation(state_directory, of_run)
     unfinished = unfinished_run(state_directory) if of_run is None else None
@@ -74,7 +76,8 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
 
 
 def has_compensation_record(state_directory: Path) -> bool:
-    """Return True if a run in the journal has read the compensation; if not, there is nothing to compare with."""
+    """Return True if a run in the journal has read the compensation. Otherwise, the journal contains no state with
+    which the controller could be compared."""
     return _last_compensation(state_directory, None) is not None
 
 

@@ -9,7 +9,7 @@ from agent.runs.unfinished_run import UnfinishedRun
 
 
 class CompensationState(Enum):
-    """State of the controller's compensation compared with the one expected from the journal."""
+    """State of the controller's compensation, compared with the state that the journal leads to expect."""
 
     AS_EXPECTED = "as the last run left it"
     NOT_ACTIVATED = "the former table acts; a new one was written or begun, and never activated"
@@ -20,7 +20,7 @@ class CompensationState(Enum):
 
 
 class ReconcileAction(Enum):
-    """Repair carried out by the reconciliation."""
+    """Repair that the reconciliation has made."""
 
     NOTHING = "nothing had to be done"
     RESTORED = "the former table acts again"
@@ -32,9 +32,9 @@ class ReconcileAction(Enum):
 class Reconciliation:
     """Result of a reconciliation.
 
-    `active_bank` is the bank that is active after the action. `waiting_bank` is the bank that the controller will
-    activate later, or None. `unfinished` is the interrupted run, or None. `instruction` states the action required from
-    a person; it is empty if none is required.
+    `active_bank` is the bank that is active after the repair. `waiting_bank` is the bank that the controller will
+    activate later, or None. `unfinished` is the interrupted run, or None. `instruction` states the action that a person
+    must take; it is empty if a person need not act.
     """
 
     state: CompensationState
@@ -46,6 +46,6 @@ class Reconciliation:
 
     @property
     def text(self) -> str:
-        """State, action and instruction in one line for people."""
+        """Text for people in one line, with the state, the repair and the instruction."""
         parts = [f"{self.state.value} (bank {self.active_bank} is active)", self.action.value, self.instruction]
         return "; ".join(part for part in parts if part)

@@ -1,8 +1,9 @@
-"""Reference state of a machine: the estimate of the last accepted night, and the table active since then.
+"""Reference state of a machine: the estimate of the last accepted night, and the table that has been active since then.
 
-The journal is the only source. A decision in it accepts an estimate and names the table activated with it. Another
-decision states that a full calibration is needed; it is valid until a later night is accepted. A copy of the accepted
-estimate is written beside the journal for people and for `volcal identify --carried-over`; runs do not read it.
+The journal is the only source of the reference state. One kind of decision in it accepts an estimate and names the
+table that was activated with the estimate. Another kind states that a full calibration is needed; such a decision is
+valid until a later night is accepted. A copy of the accepted estimate is written beside the journal, for people and for
+`volcal identify --carried-over`. Runs do not read this copy.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ ACTIVATING_DECISIONS = frozenset({_ACCEPTED, TABLE_RESTORED})
 
 @dataclass(frozen=True, eq=False)
 class AcceptedTable:
-    """Table that is active since its acceptance.
+    """Table that has been active since its acceptance.
 
-    `written` contains the parameters (p,) in mm or rad that the table corrects. `tool` is the tool for which the table
-    is valid. `crc32` is the CRC-32 of the counts of the table.
+    `written` (p,) contains the p parameters in mm or rad that the table corrects. `tool` is the tool for which the
+    table is valid. `crc32` is the CRC-32 of the table's integers, as the controller stores them.
     """
 
     machine: str
@@ -57,7 +58,7 @@ class AcceptedTable:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceState:
-    """Estimate and table of the last accepted night.
+    """Estimate and table of the last accepted night. A full calibration counts as a night here.
 
     `run_id` is the run of that night. `since` is the UTC time of its acceptance in ISO 8601. `table` is the table that
     has been active since then. `estimate` is the estimate of that night, which becomes the prior of the next night.
@@ -69,14 +70,15 @@ class ReferenceState:
     estimate: StoredEstimate
 
     def nights_until(self, now: str) -> float:
-        """Return the number of nights (days of 24 h) from the acceptance until `now` (UTC, ISO 8601); at least 0."""
+        """Return the number of nights (periods of 24 h) from the acceptance until `now` (UTC, ISO 8601). The number may
+        have a fraction; it is at least 0."""
         passed = datetime.fromisoformat(now) - datetime.fromisoformat(self.since)
         return max(passed.total_seconds() / S_PER_DAY, 0.0)
 
 
 @dataclass(frozen=True)
 class FullCalibrationNeed:
-    """Decision of run `run_id` that a full calibration is to be done in the next slot that permits it."""
+    """Decision of the run `run_id` that the next slot that permits it must be used for a full calibration."""
 
     run_id: str
     since: str
@@ -84,19 +86,20 @@ class FullCalibrationNeed:
 
 
 def record_accepted(journal: RunJournal, accepted: AcceptedTable) -> None:
-    """Record durably that the run's estimate and the table `accepted` are accepted."""
+    """Record in the journal that the estimate of the run and the table `accepted` have been accepted."""
     journal.decision(_ACCEPTED, {**vars(accepted), "written": accepted.written.tolist()})
 
 
 def record_full_calibration_need(journal: RunJournal, reason: str) -> None:
-    """Record durably that a full calibration is needed in the next slot that permits it."""
+    """Record in the journal that a full calibration is needed in the next slot that permits it."""
     journal.decision(_FULL_NEEDED, {"reason": reason})
 
 
 def write_copy(directory: Path, run_id: str) -> None:
-    """Write a copy of the estimate of `run_id` beside the journal if that run is the last accepted night.
+    """Write a copy of the estimate of `run_id` beside the journal. No copy is written if that run is not the last
+    accepted night.
 
-    Raise InputError if the journal cannot be read or the copy cannot be written.
+    Raises InputError if the journal cannot be read or the copy cannot be written.
     """
     decision, estimate = _accepted(directory, ANY_RUN)
     if decision is not None and decision.run_id == run_id and estimate is not None:
@@ -104,9 +107,9 @@ def write_copy(directory: Path, run_id: str) -> None:
 
 
 def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState | None:
-    """Return the last accepted night among the runs numbered below `before_run`; None if there is none.
+    """Return the last accepted night among the runs with numbers below `before_run`; None if there is no such night.
 
-    Raise InputError if the journal cannot be read.
+    Raises InputError if the journal cannot be read.
     """
     decision, estimate = _accepted(directory, before_run)
     if decision is None:
@@ -119,9 +122,9 @@ def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState
 
 
 def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCalibrationNeed | None:
-    """Return the last decision that requires a full calibration.
+    """Return the last decision that requires a full calibration, among the runs with numbers below `before_run`.
 
-    Return None if there is none, or if a later night was accepted.
+    The result is None if there is no such decision, or if a later night was accepted.
     """
     if not has_journal(directory):
         return None
@@ -134,17 +137,15 @@ def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCal
 
 
 def reference_for(job: Job, before_run: int = ANY_RUN) -> ReferenceState | None:
-    """Return the last accepted night; None if there is none or it does not belong to the job's machine, artefact and
-    tool."""
+    """Return the last accepted night. The result is None if there is no accepted night, or if that night does not
+    belong to the job's machine, artefact and tool."""
     reference = read_reference(job.settings.state_directory, before_run)
     return None if reference is None or mismatch(job, reference) else reference
 
 
 def require_reference(job: Job, before_run: int = ANY_RUN) -> ReferenceState:
-    """Return the last accepted night of the job's machine, artefact and tool.
-
-    Raise ConfigurationError, with the reason, if there is none.
-    """
+    """Return the last accepted night. Raises ConfigurationError, with the reason, if there is no accepted night, or if
+    that night does not belong to the job's machine, artefact and tool."""
     directory = job.settings.state_directory
     reference = read_reference(directory, before_run)
     if reference is None:
@@ -165,7 +166,8 @@ def require_reference(job: Job, before_run: int = ANY_RUN) -> ReferenceState:
 
 
 def mismatch(job: Job, reference: ReferenceState) -> str:
-    """Return why an accepted night does not belong to the job's machine, artefact and tool; empty if it does."""
+    """Return the reason why the accepted night `reference` does not belong to the job's machine, artefact and tool. The
+    text is empty if it does."""
     settings, known, accepted = job.settings, reference.estimate, reference.table
     model, nominal = known.model, job.machine.model
     if accepted.machine != settings.machine.name:

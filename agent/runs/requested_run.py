@@ -1,4 +1,4 @@
-"""Job and kind of run, made from a run request."""
+"""Job and kind of a run, made from the request for the run."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from agent.settings.schema import Settings
 
 
 def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
-    """Return the job of a request. Raise UserError if the request does not fit the machine.
+    """Return the job for a request. Raises UserError if the request does not fit the machine.
 
-    `base` is the directory to which relative paths refer. In a request for a calibration, the stations named are the
-    only ones measured. In a request for a night, they name the station of the artefact; a full calibration in that
-    night uses all stations.
+    `base` is the directory to which relative paths refer. A request for a calibration may name stations; the
+    calibration then measures only at these. A request for a night may name the station of the artefact. If that night
+    makes a full calibration, it uses all stations.
     """
     stations = request.stations if request.kind == "calibrate" else None
     overridden = with_overrides(settings, position_set=request.position_set, stations=stations)
@@ -28,12 +28,11 @@ def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
 
 
 def kind_of(request: RunRequest, *, slot_minutes: float | None = None, nights: float | None = None) -> Kind:
-    """Return the kind of run of a request.
+    """Return the kind of run for a request.
 
-    `slot_minutes` is the length of the night's slot; if None, it is taken from the settings. `nights` is the number of
-    nights since the last accepted one; if None, it is computed from the date.
-
-    Raise UserError if a kind that measures at one station is requested at several.
+    `slot_minutes` is the length of the night's slot; if it is None, the length is taken from the settings. `nights` is
+    the number of nights since the last accepted night; if it is None, the number is computed from the date. Raises
+    UserError if the request names several stations for a kind of run that measures at one station.
     """
     match request.kind:
         case "calibrate":

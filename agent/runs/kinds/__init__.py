@@ -1,1 +1,1 @@
-"""Kinds of run (calibration, verification, night, restoration), with their measurements, judgement and decisions."""
+"""Kinds of run: calibration, verification, night and restoration. Each kind has its own measurements and decisions."""

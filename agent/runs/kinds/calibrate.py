@@ -1,4 +1,4 @@
-"""Kind of run `calibrate`, which measures the whole position set, writes a new table and proves it."""
+"""Kind of run `calibrate`. The run measures the whole position set, writes a new table and proves it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from agent.runs.reference_state import ReferenceState, reference_for
 class FullCalibration:
     """Kind of run that measures the whole position set and writes a new table.
 
-    `nights` is the number of nights since the last accepted one; if None, it is computed from the date. `consent` is
-    the consent to write a table although the machine has changed.
+    `nights` is the number of nights since the last accepted night; if it is None, the number is computed from the date.
+    `consent` states whether a table may be written although the machine has changed.
     """
 
     nights: float | None = None
@@ -37,9 +37,10 @@ class FullCalibration:
 
 
 def nights_since(reference: ReferenceState | None, stated: float | None, at: str) -> float:
-    """Return the number of nights since the last accepted one.
+    """Return the number of nights since the last accepted night.
 
-    This is `stated`; if `stated` is None, the number is computed from the date `at` (UTC).
+    If `stated` is not None, it is returned. Otherwise, the number is computed from the date `at` (UTC); it is 0 if
+    there is no accepted night.
     """
     if stated is not None:
         return stated

@@ -1,6 +1,7 @@
-"""Check measurement of verifications and nights.
+"""Check measurement with which a verification and a night begin.
 
-The active table must be the one last accepted. The measured ball centres are compared with their prediction.
+The measurement requires that the last accepted table is active. The measured ball centres are compared with their
+prediction.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from twin.artefact.position_set import Position
 
 
 def require_table_of(reference: ReferenceState, found: ActiveCompensation) -> None:
-    """Raise GateRefused if the active table is not the one last accepted."""
+    """Raise GateRefused if the active table is not the last accepted table."""
     if found.table is None or table_digest(found.table) != reference.table.crc32:
         raise GateRefused(
             f"bank {found.bank} is active, and it does not hold the table accepted in run {reference.run_id}",
@@ -40,13 +41,14 @@ def measure(
     rules: PositionRules,
     mount_poses: Mapping[int, MountPoseEstimate] | None = None,
 ) -> MeasuredPositions:
-    """Measure some positions of a night; the keys of all steps begin with `prefix`."""
+    """Measure `positions`, which are positions of a night. The key of every step begins with `prefix`."""
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, mount_poses))
 
 
 def judge_measurement(
     judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction
 ) -> Judgement:
-    """Judge all measured balls, including those of held-out positions, against the last accepted night."""
+    """Compare all measured balls, including those of held-out positions, with the prediction from the last accepted
+    night."""
     held_out = job.balls_of(measured, held_out=True)
     return judge.judge_balls(plan.station, [*held_out, *job.balls_of(measured, held_out=False)], held_out, correction)

@@ -1,4 +1,4 @@
-"""Comparison of a machine with its prediction from the last accepted night, and diagnosis of a change."""
+"""Comparison of a machine with the prediction from the last accepted night, and diagnosis of a change."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _LIKELIEST = 5
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Judgement of a night.
+    """Result of the comparison of a machine with the last accepted night.
 
-    `report` is the result for people and the journal; its reason is empty if everything is within limits. `found`
-    contains the statistics on which the report is based.
+    `report` is the result for people and for the journal; its reason is empty if everything is within limits. `found`
+    contains the statistics on which `report` is based.
     """
 
     report: NightReport
@@ -46,7 +46,8 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Judge of the ball centres of one night, `nights` after the last accepted one."""
+    """Comparison of the ball centres of one night with the last accepted night. `nights` is the number of nights
+    between the two."""
 
     job: Job
     reference: ReferenceState
@@ -54,7 +55,8 @@ class Judge:
 
     @cached_property
     def prior(self) -> CarriedOverPrior:
-        """Prior of this night: the estimate of the last accepted night, widened by the drift since."""
+        """Prior for this night: the estimate of the last accepted night, with its uncertainty increased by the drift
+        since then."""
         return prior_tonight(self.job, self.reference, self.nights)
 
     @cached_property
@@ -69,7 +71,7 @@ class Judge:
 
     @property
     def before_um(self) -> float:
-        """Volumetric error (VE) in µm that was expected with the active table at the end of the last accepted night.
+        """Volumetric error (VE) in µm that was expected at the end of the last accepted night with the table active.
 
         The best-fitting rigid motion is removed.
         """
@@ -77,7 +79,8 @@ class Judge:
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, self.reference.table.written).aligned_um
 
     def expected_ve_um(self, estimate: Estimate, written: Array) -> float:
-        """Return the VE in µm expected from `estimate` if a table corrects the parameters `written` (p,).
+        """Return the VE in µm that is expected from `estimate` if the active table corrects the p parameters `written`
+        (p,).
 
         The best-fitting rigid motion is removed.
         """
@@ -86,12 +89,10 @@ class Judge:
     def judge_balls(
         self, station: int, balls: Sequence[MeasuredBall], held_out: Sequence[MeasuredBall], correction: Correction
     ) -> Judgement:
-        """Judge `balls`, all of which were measured with the active table.
+        """Compare `balls` with their prediction. All of them must have been measured with the active table.
 
-        `held_out` contains those of `balls` that were measured in held-out positions. `correction` is the correction
-        that the active table adds.
-
-        Raises MeasurementFault if too few balls were found for a judgement.
+        `held_out` contains the balls among `balls` that were measured in held-out positions. `correction` is the
+        correction that the active table adds. Raises MeasurementFault if too few balls were found for a comparison.
         """
         with translated(MeasurementFault):
             observations = observations_of(balls, self.job.tool_offset_mm, correction)

@@ -1,4 +1,5 @@
-"""Full calibration that an earlier night found necessary. Nights only verify until a slot permits the calibration."""
+"""Full calibration that an earlier night found necessary. Until a slot permits the calibration, all nights are only
+verifications."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from agent.runs.run_context import RunContext
 class Slot:
     """Slot of a night.
 
-    `minutes` is the available machine time; `reserve` minutes of it are to remain unused. `full_allowed` is True if a
+    `minutes` is the available machine time, of which `reserve` minutes must remain unused. `full_allowed` is True if a
     full calibration is permitted.
     """
 
@@ -40,9 +41,9 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class PendingCalibration:
-    """Night in which a full calibration is due.
+    """Night for which an earlier run has requested a full calibration.
 
-    `here` is the job with the artefact at `station`. `pending` is the decision that requires the calibration.
+    `here` is the job with the artefact at `station`. `pending` is the recorded decision that requires the calibration.
     """
 
     kind: Kind
@@ -53,7 +54,8 @@ class PendingCalibration:
     pending: FullCalibrationNeed
 
     def plan(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        """Plan the full calibration or, if the slot does not permit it or is too short for it, a verification.
+        """Plan the full calibration. If the slot does not permit it or is too short for it, plan a verification
+        instead.
 
         Raises PlanRefused if the slot is too short even for the verification.
         """
@@ -93,7 +95,7 @@ class PendingCalibration:
 
 
 class FullCalibrationRun(GuardedRun):
-    """Full calibration that an earlier night found necessary, in a slot that permits it."""
+    """Run that makes the full calibration that an earlier night found necessary. It is used if the slot permits it."""
 
     def __init__(self, job: Job, context: RunContext, judge: Judge, station: int, pending: FullCalibrationNeed) -> None:
         super().__init__(job, context)
@@ -118,7 +120,8 @@ class FullCalibrationRun(GuardedRun):
 
 
 class CalibrationPendingRun(GuardedRun):
-    """Verification in place of a full calibration that is due but cannot be done in this slot. It writes no table."""
+    """Run that makes a verification because the required full calibration cannot be done in this slot. It writes no
+    table."""
 
     def __init__(
         self, job: Job, context: RunContext, judge: Judge, plan: NightPlan, pending: FullCalibrationNeed
@@ -141,9 +144,10 @@ class CalibrationPendingRun(GuardedRun):
 
 
 def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Judge, report: NightReport) -> None:
-    """Continue `run` as a full calibration of `job`. The progress of `run` so far is kept.
+    """Continue `run` as a full calibration of `job`. The results that `run` has so far are kept.
 
-    Consent to the change was given with the permission for a full calibration.
+    The operator is not asked for consent to the change of the machine. Whoever permitted a full calibration has given
+    it.
     """
     full = CalibrationRun(job, context, judge.reference, judge.nights, Consent.GIVEN)
     full.progress = run.progress

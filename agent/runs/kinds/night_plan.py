@@ -1,6 +1,6 @@
-"""Plan of a night, made and checked by a preflight before anything moves.
+"""Plan of a night. It is made and checked by a preflight before the machine moves.
 
-The choice of positions depends only on the covariance of the prior, so that it can be made before the night.
+The positions can be chosen before the night, because the choice depends only on the covariance of the prior.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _MOST = 100
 
 @dataclass(frozen=True, eq=False)
 class NightPlan:
-    """Positions of a night at `station`.
+    """Positions of a night at `station`, in the order in which they are measured.
 
-    The verification measures `held_out` and `check_positions`; then `further` are measured, and finally `held_out`
-    again for the proof.
+    The verification measures `held_out` and then `check_positions`. The positions `further` follow. At the end,
+    `held_out` is measured again for the proof.
     """
 
     station: int
@@ -46,7 +46,8 @@ class NightPlan:
         return (*self.held_out, *self.check_positions)
 
     def job(self, job: Job) -> Job:
-        """Return `job` with the positions of this night: the positions to be fused and the held-out positions."""
+        """Return `job` with the positions of this night: the positions that enter the estimate, and the held-out
+        positions."""
         return replace(
             job_at_station(job, self.station),
             positions=(*self.check_positions, *self.further),
@@ -60,16 +61,17 @@ class NightPlan:
 
 
 def job_at_station(job: Job, station: int) -> Job:
-    """Return the job with the artefact at `station` and without the reversal check, which takes too long for a slot."""
+    """Return `job` with the artefact at `station` and without the reversal check, which would take too long in a
+    slot."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
     preparation = replace(job.preparation, reversal=None)
     return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
 
 
 def station_of(job: Job, named: int | None) -> int:
-    """Return the artefact's station. This is `named`; if `named` is None, it is taken from the settings.
+    """Return the station of the artefact. It is `named`, or the station in the settings if `named` is None.
 
-    Raise ConfigurationError if neither of them names a station, or if there is no such station.
+    Raises ConfigurationError if neither names a station, or if the machine has no such station.
     """
     station = named if named is not None else job.settings.stations.standing_at
     if station is None:
@@ -84,7 +86,7 @@ def station_of(job: Job, named: int | None) -> int:
 
 
 def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
-    """Return the plan of a verification without further positions."""
+    """Return the plan of a night that consists of the verification only."""
     chosen = chooser.job.settings.nightly
     held_out = _held_out(chooser, chosen.held_out_positions)
     checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
@@ -94,9 +96,10 @@ def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
 def night_plan(
     chooser: PositionChooser, judge: Judge, slot_minutes: float, start_mm: Point, watch: Callable[[], None]
 ) -> tuple[NightPlan, PreflightResult]:
-    """Plan as many positions as fit into the slot minus its reserve. Their duration is taken from a preflight.
+    """Plan as many positions as fit into the slot minus its reserve. Return the plan and its preflight, from which the
+    duration is taken.
 
-    Return the plan and its preflight. Raises PlanRefused if the slot is too short.
+    Raises PlanRefused if the slot is too short.
     """
     chosen = chooser.job.settings.nightly
     held_out = _held_out(chooser, chosen.held_out_positions)
@@ -126,7 +129,7 @@ def night_plan(
 
 
 def whole_night(plan: NightPlan) -> Procedure:
-    """Return the procedure of a whole night (verification, further positions, proof), for the preflight."""
+    """Return the measuring procedure of a whole night for the preflight: verification, further positions and proof."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         prepared = yield from job.preparation_plan()
@@ -143,9 +146,10 @@ def whole_night(plan: NightPlan) -> Procedure:
 
 
 def verification_only(plan: NightPlan) -> Procedure:
-    """Return the procedure of a verification.
+    """Return the measuring procedure of a verification for the preflight.
 
-    There is no proof; the procedure returns the measurements of the verification in its place.
+    A procedure returns the measurements of the run and of its proof. A verification has no proof; this procedure
+    returns its only measurement twice.
     """
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
@@ -157,7 +161,7 @@ def verification_only(plan: NightPlan) -> Procedure:
 
 
 def additional_positions(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
-    """Return the procedure that measures additional positions without checking the probe again."""
+    """Return the procedure that measures `positions` in addition to a night, without another check of the probe."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         measured = yield from measure_positions(plan.order(prefix, positions), job.layout, job.rules)
@@ -167,7 +171,7 @@ def additional_positions(plan: NightPlan, prefix: str, positions: Sequence[Posit
 
 
 def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:
-    """Return the positions that have been measured."""
+    """Return the positions that `measured` contains."""
     first = [position.balls[0] for position in measured.positions if position.balls]
     return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)
 

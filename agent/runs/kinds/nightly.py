@@ -1,7 +1,7 @@
 """Kind of run `nightly`.
 
-It verifies the machine, measures the positions that reduce the uncertainty most, and fuses the result with earlier
-nights.
+The run verifies the machine and measures the positions that reduce the uncertainty most. It then combines the result
+with the estimate of earlier nights.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ SUSPECTS = 8
 class Night:
     """Kind of run that verifies the machine and improves the estimate.
 
-    `slot_minutes` is the length of the slot. `full_allowed` is True if a person moves the artefact between stations in
-    this night and consents to a table for a changed machine. If one of these is None, it is taken from the settings.
-    `station` and `nights` have the same meaning as in `Verification`.
+    `slot_minutes` is the length of the slot. `full_allowed` is True if, in this night, a person moves the artefact
+    between stations and consents to a table for a changed machine. If `slot_minutes` or `full_allowed` is None, it is
+    taken from the settings. `station` and `nights` have the same meaning as in `Verification`.
     """
 
     slot_minutes: float | None = None
@@ -100,7 +100,8 @@ class Night:
 
 
 class NightlyRun(CalibrationRun):
-    """Run of a night: verification, further positions in the rest of the slot, fusion, and proof."""
+    """Run of a night. It consists of the verification, further positions in the rest of the slot, the combination with
+    the earlier estimate, and the proof."""
 
     def __init__(
         self,
@@ -153,9 +154,11 @@ class NightlyRun(CalibrationRun):
         return tuple(further)
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """Return an error if too little of the slot is left. The time of the slot also passes during an interruption.
+        """Return an error if too little of the slot is left to resume the run, and None otherwise. The time of an
+        interruption counts as part of the slot.
 
-        Enough must be left for the rest of the verification, because an incomplete verification is useless.
+        The time left must suffice for the rest of the verification, because an incomplete verification is useless.
+        `following` is the first moving step of the resumed run.
         """
         at_s = self._preflight_result.timeline.get(following.key)
         needed = 0.0 if at_s is None else (self._preflight_result.machine_seconds - at_s) / S_PER_MIN

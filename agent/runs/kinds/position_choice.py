@@ -1,4 +1,5 @@
-"""Choice of a night's positions: to reduce the predicted uncertainty, or to detect and diagnose jumps."""
+"""Choice of a night's positions. They are chosen to reduce the predicted uncertainty, or to detect sudden changes of
+machine errors (jumps) and to find the errors that changed."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from twin.monitoring.step_detection import SuspectedJump
 
 @dataclass(frozen=True, eq=False)
 class PositionChooser:
-    """Chooser of positions at one `station`, where the artefact stands during the whole night."""
+    """Choice of positions at one `station`, where the artefact stands during the whole night."""
 
     job: Job
     station: int
@@ -39,7 +40,8 @@ class PositionChooser:
         return sum(self.feasibility.minutes(position) for position in positions)
 
     def held_out(self, count: int) -> tuple[Position, ...]:
-        """Return the first verification positions of the settings that can be measured here, at most `count`."""
+        """Return held-out positions at this station. They are the first `count` orientations of the settings
+        `verification.positions_deg` that can be measured here, or fewer if there are not enough."""
         candidates = [
             Position(self.station, azimuth, elevation)
             for azimuth, elevation in self.job.settings.verification.positions_deg
@@ -55,11 +57,10 @@ class PositionChooser:
         measured: Sequence[Position] = (),
         left_out: Sequence[Position] = (),
     ) -> Iterator[Position]:
-        """Yield positions in descending order of gain per minute, as long as they fit into `minutes`.
+        """Yield positions in descending order of gain per minute, until their time exceeds `minutes` or their number
+        reaches `most`.
 
-        At most `most` positions are returned.
-
-        The gain is the reduction of the uncertainty that remains with `prior` and the positions `measured`. Positions
+        The gain is the reduction of the uncertainty that remains after `prior` and the positions `measured`. Positions
         in `left_out` are never chosen.
         """
         offered = [position for position in self._offered() if position not in left_out]
@@ -77,7 +78,8 @@ class PositionChooser:
     def detecting_jumps(
         self, prior: CarriedOverPrior, count: int, measured: Sequence[Position]
     ) -> tuple[Position, ...]:
-        """Return the `count` positions that, together with those `measured`, best detect a jump of any error."""
+        """Return `count` positions that, together with the positions `measured`, best detect a sudden change (jump) of
+        any error."""
         ranked = self._ranked(prior, JumpQuestions.any_jump(prior.unknowns), measured)
         return tuple(islice(ranked, count))
 
@@ -89,9 +91,9 @@ class PositionChooser:
         minutes: float,
         measured: Sequence[Position],
     ) -> tuple[Position, ...]:
-        """Return the positions that best discriminate between the `suspects`.
+        """Return the positions that best distinguish which of the errors `suspects` has jumped.
 
-        As many positions are returned as fit into `minutes`. Positions already `measured` are not returned.
+        As many positions are returned as fit into `minutes`. Positions in `measured` are not returned again.
         """
         names, scale = prior.unknowns.model.names, prior.unknowns.scale
         jumps = np.zeros((len(suspects), prior.unknowns.blocks.size))

@@ -1,4 +1,4 @@
-"""Kind of run `restore`, which reactivates a table stored in the journal. Nothing moves and nothing is measured."""
+"""Kind of run `restore`. The run reactivates a table that is stored in the journal. The machine does not move."""
 
 from __future__ import annotations
 
@@ -30,23 +30,24 @@ _NOTHING = MeasuredPositions((), (), 0, None, {})
 
 @dataclass(frozen=True)
 class Restoration:
-    """Kind that reactivates the latest table stored by `run_id` with `role`."""
+    """Kind of run that reactivates the latest table stored by `run_id` with `role`."""
 
     run_id: str
     role: TableRole = "backup"
     name: str = "restore"
 
     def plan(self, job: Job, start: StartConditions, _: Callable[[], None]) -> PlannedRun:
-        """Return the planned run. Raise InputError if the journal does not contain the table."""
+        """Return the planned run. Raises InputError if the journal does not contain the table."""
         image = stored_table(job.settings.state_directory, self.run_id, self.role)
         preflight = PreflightResult(_NOTHING, _NOTHING, {}, (), 0.0, 0.0, 0)
         return PlannedRun(job, self, start, preflight, lambda context: RestorationRun(job, context, image, self))
 
 
 class RestorationRun(GuardedRun):
-    """Run that stages the stored table, reads it back, activates it and checks the active bank.
+    """Run that stages the stored table, activates it and checks the active bank.
 
-    If that fails, the previous table is reactivated.
+    If one of these steps fails, the previous table is reactivated. If the stored state is without compensation, no
+    table is staged and bank 0 is activated.
     """
 
     def __init__(self, job: Job, context: RunContext, image: TableImage | None, kind: Restoration) -> None:
@@ -86,7 +87,7 @@ class RestorationRun(GuardedRun):
 def stored_table(directory: Path, run_id: str, role: str) -> TableImage | None:
     """Return the last table stored by `run_id` with `role`; None if the record states that no compensation was active.
 
-    Raise InputError if the run stored no such table.
+    Raises InputError if the run stored no such table.
     """
     with open_journal(directory) as reader:
         run = reader.run(run_id)

@@ -1,8 +1,9 @@
-"""Proof, by the held-out positions of one night, of a table that updates the last one.
+"""Proof of a table that a nightly run has updated, by the held-out positions of that night.
 
-A full calibration removes most of the error, and its proof requires that. From one night to the next, however, a table
-changes by less than the repeatability of the touches. The proof of an update therefore requires only that the residuals
-of the held-out balls are as predicted and have not increased by more than their noise explains.
+The proof of a full calibration requires that the table removes most of the error. From one night to the next, however,
+a table changes by less than the repeatability of the touches. The proof of an update therefore has only two conditions.
+The residuals of the held-out balls must be as predicted, and they must not have increased by more than their noise
+explains.
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ _COVERAGE = 3.0
 def prove_update(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
-    """Return the proof from the held-out balls measured before and after the activation of the new table.
+    """Return the proof of an updated table. It compares the held-out balls measured before the activation of the new
+    table with those measured after the activation.
 
-    Raise MeasurementFault if there are none, or too few.
+    Raises MeasurementFault if too few held-out balls were measured.
     """
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:

@@ -1,8 +1,7 @@
 """Kind of run `verify`.
 
-A few positions are measured with active compensation and compared with the last accepted night.
-
-No table is written.
+A few positions are measured with active compensation and compared with the last accepted night. The run writes no
+table.
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ from agent.runs.run_context import RunContext
 
 @dataclass(frozen=True)
 class Verification:
-    """Kind of run that only verifies.
+    """Kind of run that only verifies the machine.
 
-    `station` is the station of the artefact; if None, it is taken from the settings. `nights` is the number of nights
-    since the last accepted one; if None, it is computed from the date.
+    `station` is the station of the artefact; if it is None, the station is taken from the settings. `nights` is the
+    number of nights since the last accepted night; if it is None, the number is computed from the date.
     """
 
     station: int | None = None
@@ -54,7 +53,8 @@ class Verification:
 
 
 class VerifyRun(GuardedRun):
-    """Run that measures and judges; the compensation is not changed."""
+    """Run that measures a few positions and compares them with their prediction. It does not change the
+    compensation."""
 
     def __init__(self, job: Job, context: RunContext, judge: Judge, plan: NightPlan) -> None:
         super().__init__(job, context)
