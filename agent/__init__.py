@@ -1,1 +1,3 @@
-"""Calibration agent: settings, execution, probing, planning, results, runs, reports, service and command line."""
+"""Agent that calibrates a machine tool. Its packages contain the settings, the execution of steps, probing, planning,
+results, runs, reports, the service and the command line.
+"""

@@ -1,7 +1,7 @@
-"""Reading of files with plain error messages, and writing of files that are complete and durable or absent.
+"""Reading of files with plain error messages, and writing of files that are either complete and durable or absent.
 
-`twin.formats` turns text into values; the text itself is read and written here. `translated` turns errors of the
-mathematics into errors of the application, with the same message, locations and hint.
+This module reads and writes the text of files; `twin.formats` converts text to values. `translated` turns errors of the
+package `twin` into errors of the application, with the same message, locations and hint.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FILE_MODE = 0o644
 
 
 def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
-    """Return the file's text. Raises `error` if it cannot be read as UTF-8."""
+    """Return the text of a file. Raises `error` if the file cannot be read or is not UTF-8 text."""
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
@@ -39,9 +39,9 @@ def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
 
 @contextmanager
 def translated(error: type[VolcalError] = InputError, **where: str | int) -> Iterator[None]:
-    """Turn a `TwinError` into `error` with the same message, locations and hint.
+    """Turn a `TwinError` raised in the block into an `error` with the same message, locations and hint.
 
-    `where` adds locations that the `TwinError` does not name.
+    `where` contains further locations to be added to the error, such as the name of a file.
     """
     try:
         yield
@@ -50,15 +50,18 @@ def translated(error: type[VolcalError] = InputError, **where: str | int) -> Ite
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write the text durably. If the write is interrupted, `path` contains either its old text or the new one."""
+    """Write `text` to `path` durably.
+
+    If the write is interrupted, the file at `path` contains either its old text or the new text.
+    """
     write_all_atomically(path.parent, {path.name: text})
 
 
 def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write several files into one directory, which is created if missing. If one file cannot be written, none appears.
+    """Write several files into one directory. The directory is created if it is missing.
 
-    All files are complete on the disk under temporary names before the first is renamed. Raise InputError if a file
-    cannot be written.
+    All files are written completely to the disk under temporary names before the first file is renamed. If a file
+    cannot be written, InputError is raised and none of the files appears.
     """
     staged: dict[Path, Path] = {}
     try:
@@ -85,9 +88,8 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
 def check_folder(folder: Path) -> None:
     """Raise InputError if files cannot be written into `folder`.
 
-    This check is made before time is spent on the contents of the files.
-
-    Nothing is left in the file system.
+    Commands make this check before they spend time on computing the contents of the files. The check leaves no file
+    behind.
     """
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
@@ -106,11 +108,13 @@ def _file_in_the_way(path: Path) -> InputError:
 
 @contextmanager
 def streamed_atomically(path: Path) -> Iterator[TextIO]:
-    """Open a temporary file to be written piece by piece.
+    """Yield a temporary text file that the caller writes piece by piece.
 
-    It becomes `path` if the block succeeds; otherwise it is deleted.
+    At the end of the block, the temporary file is renamed to `path`. If the block raises an error, the temporary file
+    is deleted.
 
-    Bytes that were not UTF-8 on reading (`surrogateescape`) are written as they were; line ends are not changed.
+    Bytes that were not valid UTF-8 when they were read with the error handler `surrogateescape` are written unchanged.
+    Line ends are not changed.
     """
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

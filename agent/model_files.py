@@ -1,7 +1,7 @@
-"""Reading of machine, artefact, position and ball files into values of the twin.
+"""Reading of machine, artefact, position and ball files. The functions return objects of the package `twin`.
 
-This module is separate from `agent.files`, so that a command that needs none of these files does not import the
-mathematics.
+This module is separate from `agent.files` so that a command that needs none of these files does not import the
+numerical code of `twin`.
 """
 
 from __future__ import annotations
@@ -21,14 +21,21 @@ from twin.machine.machine_description import MachineDescription
 
 
 def load_machine(path: Path) -> MachineDescription:
-    """Return the machine of a machine file, with the deflection grid that it names (relative to the machine file)."""
+    """Return the machine described by a machine file.
+
+    If the machine file names a file with a deflection grid, this file is read too. Its path is relative to the machine
+    file.
+    """
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):
         return parse_machine(text, str(path), _neighbours(path))
 
 
 def load_artefact(path: Path) -> Artefact:
-    """Return the artefact of an artefact file, with the covariance file that it may name (relative to that file)."""
+    """Return the artefact described by an artefact file.
+
+    If the artefact file names a covariance file, this file is read too. Its path is relative to the artefact file.
+    """
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):
         return parse_artefact(text, str(path), _neighbours(path))
@@ -41,7 +48,10 @@ def load_positions(path: Path) -> tuple[Position, ...]:
 
 
 def load_balls(path: Path, machine: MachineDescription) -> BallFile:
-    """Return the ball centres of a CSV file; the tools named in the file must be tools of `machine`."""
+    """Return the ball centres of a CSV file.
+
+    Raises InputError if the file cannot be used or names a tool that `machine` does not have.
+    """
     text = read_text(path)
     with translated(InputError, file=str(path)):
         return parse_balls(text, str(path), machine.tools)

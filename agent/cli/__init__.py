@@ -1,1 +1,3 @@
-"""Command line with one module per command. `agent.cli.errors` prints all errors."""
+"""Command line of the agent, with one module per command. The module `agent.cli.errors` prints the errors of all
+commands.
+"""

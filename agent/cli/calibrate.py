@@ -1,4 +1,4 @@
-"""`volcal calibrate`: full calibration of the machine in the settings."""
+"""Command `volcal calibrate`, which carries out a full calibration of the machine described in the settings."""
 
 from __future__ import annotations
 
@@ -53,16 +53,18 @@ def calibrate_command(
 
 
 def calibration_here() -> RunRequest:
-    """Return the request for a calibration that is started on the command line. It has consent, because the person who
-    types the command is at the machine.
+    """Return the request for a calibration that is started on the command line.
+
+    The request includes the consent to move the machine, because the person who types the command is at the machine.
     """
     return RunRequest(kind="calibrate", source="command line", consent=True)
 
 
 def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: float | None = None) -> RunResult:
-    """Carry out a request in this process, with a progress bar on stderr. Ctrl-C and SIGTERM abort the run.
+    """Carry out `request` in this process with a progress bar on stderr, and return the result of the run.
 
-    `nights` is the number of nights since the last accepted night. If it is None, it is computed from the calendar.
+    Ctrl-C and SIGTERM abort the run. `nights` is the number of nights since the last accepted night. If `nights` is
+    None, the number is computed from the calendar.
     """
     job = job_of(request, settings, base)
     kind = kind_of(request, slot_minutes=request.slot_minutes, nights=nights)
@@ -72,8 +74,9 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
 
 @contextmanager
 def interruptible() -> Iterator[list[Supervisor]]:
-    """Yield a list to which supervisors can be added. During the block, Ctrl-C and SIGTERM send an abort request to
-    every supervisor in it.
+    """Yield an empty list to which the caller can add supervisors.
+
+    During the block, Ctrl-C and SIGTERM send an abort request to every supervisor in the list.
     """
     supervisors: list[Supervisor] = []
 
@@ -90,7 +93,10 @@ def interruptible() -> Iterator[list[Supervisor]]:
 
 
 def conclude(ended: RunResult) -> None:
-    """Return if the new table is active and was verified; otherwise exit with the exit code of the outcome."""
+    """Return without a value if the new table is active and was verified.
+
+    Otherwise, print the error and exit with the exit code of the error.
+    """
     if ended.error is not None:
         raise fail(ended.error)
     proof = ended.outcome.proof
@@ -100,8 +106,9 @@ def conclude(ended: RunResult) -> None:
 
 
 def show_summary(outcome: Outcome) -> None:
-    """Print the result of a run as text. The path of the report is printed on a line of its own, so that it is never
-    truncated.
+    """Print the result of a run as text.
+
+    The path of the report is printed on a separate line and is never truncated.
     """
     console = results_console()
     console.print(facts_table(_rows(outcome), title=f"{outcome.run_id}: {outcome.state.value}"))

@@ -1,4 +1,6 @@
-"""`volcal config check|schema`: check of a settings file, and the JSON schema of settings files."""
+"""Commands `volcal config check` and `volcal config schema`, which check a settings file and print the JSON schema of
+settings files.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""`volcal demo`: calibration of a simulated machine over real links. The result is compared with the simulator's true
-errors.
+"""Command `volcal demo`, which calibrates a simulated machine over real communication links.
+
+The command compares the result with the true errors of the simulated machine.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ from twin.formats.toml_reading import validate_document
 class Truth:
     """True volumetric errors and number of collisions, as reported by the simulator.
 
-    The errors are in µm, after the best-fitting rigid motion is removed. `after_um` and `collisions` are None if the
-    simulator could no longer be reached.
+    `before_um` and `after_um` are the true errors before and after the calibration, in µm, computed after the
+    best-fitting rigid motion has been removed. `after_um` and `collisions` are None if the simulator could no longer be
+    reached after the calibration.
     """
 
     before_um: float
@@ -88,8 +90,10 @@ def demo_command(
 
 
 def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
-    """Return the settings with the addresses on which the simulator listens and with `out` as state directory. The
-    addresses are in `ready`, the simulator's report that it is ready.
+    """Return a copy of `settings` that refers to the running simulator and uses `out` as state directory.
+
+    `ready` is the report by which the simulator announces that it is ready. The report contains the addresses of the
+    simulated devices and of the simulator's clock.
     """
     document = settings.model_dump(mode="json")
     devices = document["devices"]

@@ -1,4 +1,4 @@
-"""`volcal design`: choice of the positions to be measured. The command contacts no device."""
+"""Command `volcal design`, which chooses the positions to be measured. The command contacts no device."""
 
 from __future__ import annotations
 

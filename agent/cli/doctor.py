@@ -1,5 +1,6 @@
-"""`volcal doctor`: test of every device. The command connects to each device, reads from it and measures its latency;
-it moves and writes nothing.
+"""Command `volcal doctor`, which tests every device.
+
+The command connects to each device, reads from it and measures its latency. It moves nothing and writes nothing.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ def doctor_command(config: Path, as_json: bool) -> None:
 
 
 def examine(settings: Settings, base: Path) -> dict[str, list[DiagnosticFinding]]:
-    """Return the findings of every device by its name. If a device cannot be opened, the findings state this, and the
-    other devices are still examined.
+    """Test every device and return a mapping from the name of each device to its findings.
+
+    If a device cannot be opened, one of its findings states this, and the other devices are still tested.
     """
     with closing_clock(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)

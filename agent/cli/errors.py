@@ -1,8 +1,15 @@
-"""Output of a command's errors: one line on stderr and the exit code of the error class, never a traceback.
+"""Output of the errors of a command. An error is printed as one line on stderr, never as a traceback, and the exit code
+is that of the error's class.
 
-Exit codes of `volcal`: 0 success; 1 unexpected error; 2 wrong input (including usage errors of click); 3 failure of a
-device; 4 error in the run itself, such as a refused plan, a failed check or another run in progress; 5 abort by a
-person or interruption of the run; 6 the service declined to start a run at this time.
+Exit codes of `volcal`:
+
+- 0: success
+- 1: unexpected error
+- 2: wrong input, including usage errors reported by click
+- 3: failure of a device
+- 4: error in the run itself, such as a refused plan, a failed check or another run in progress
+- 5: abort by a person, or interruption of the run
+- 6: the service declined to start a run at this time
 """
 
 from __future__ import annotations
@@ -23,13 +30,20 @@ R = TypeVar("R")
 
 
 def fail(error: VolcalError) -> SystemExit:
-    """Print the error on stderr and return the exception that ends the program with its exit code."""
+    """Print `error` on stderr and return a SystemExit with the exit code of `error`.
+
+    The caller raises the returned exception, which ends the program.
+    """
     click.echo(f"error: {error}", err=True)
     return SystemExit(error.exit_code)
 
 
 def reported(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate the function of a command so that a VolcalError is printed as a message and sets the exit code."""
+    """Wrap the function of a command.
+
+    If the function raises a VolcalError, the error is printed as a message, and the program exits with the exit code of
+    the error.
+    """
 
     @wraps(function)
     def command(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -42,7 +56,10 @@ def reported(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class VolcalGroup(click.Group):
-    """Group of commands that prints errors as messages, sets the exit code, and suggests a command after a typo."""
+    """Group of commands that prints an error as a message and exits with the exit code of the error.
+
+    If the name of a command is mistyped, the group suggests the most similar name.
+    """
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -1,4 +1,4 @@
-"""`volcal gcode correct`: correction of a part program with a compensation table."""
+"""Command `volcal gcode correct`, which corrects a part program with a compensation table."""
 
 from __future__ import annotations
 

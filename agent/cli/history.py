@@ -1,4 +1,6 @@
-"""`volcal history`: runs of this machine and their trends."""
+"""Commands of the group `volcal history`, which list, export and update the runs of this machine and show trends of
+their results.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`volcal identify`: estimate, table and report from a file with ball centres. The command contacts no device."""
+"""Command `volcal identify`, which computes an estimate, a table and a report from a file with ball centres.
+
+The command contacts no device.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The program `volcal` with its own commands and those that other packages declare as entry points.
+"""Program `volcal`, with its own commands and with the commands that other packages declare as entry points.
 
-A command's module is imported only if that command is called: `volcal --help` and shell completion do not wait for
-plotting and protocol libraries.
+The module of a command is imported only if that command is called. `volcal --help` and shell completion therefore start
+without the plotting and protocol libraries.
 """
 
 from __future__ import annotations
@@ -32,10 +32,13 @@ LONGEST_HELP = 200
 
 
 class OwnCommand(NamedTuple):
-    """Import path of a command, and the first sentence of its help text. The sentence is repeated here so that the list
-    of all commands can be shown without importing them.
+    """Import path and help line of a command of this package.
 
-    `logs` is True if any code that the command calls writes logs. If it is False, the logging library is not imported.
+    `help` is the first sentence of the command's help text. It is repeated here so that the list of all commands can be
+    shown without importing the commands.
+
+    `logs` is True if any code that the command calls writes logs. If `logs` is False, the logging library is not
+    imported.
     """
 
     import_path: str
@@ -134,7 +137,7 @@ OWN_COMMANDS = {
 
 
 class LazyGroup(VolcalGroup):
-    """Group of commands, each of which is imported when it is called."""
+    """Group of commands that imports the module of a command only when the command is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted({*OWN_COMMANDS, *_declared(COMMAND_GROUP).names})
@@ -164,7 +167,10 @@ def main(ctx: click.Context, verbose: bool) -> None:
 
 
 def configure_logging(level: int) -> None:
-    """Configure structured logs, which go to stderr because stdout is for results."""
+    """Configure structured logging for messages of `level` and above.
+
+    Logs are written to stderr, because stdout is for results.
+    """
     import structlog  # noqa: PLC0415  slow to import, and the list of commands does not log
 
     structlog.configure(

@@ -39,7 +39,7 @@ def night_options(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def run_night(config: Path, request: RunRequest, nights: float | None, *, as_json: bool) -> RunResult:
-    """Carry out the requested night in this process, print its outcome and return the result."""
+    """Carry out the requested verify or nightly run in this process, print its outcome and return its result."""
     settings = load_settings(config)
     with naming(config):
         ended = run_here(request, settings, config.resolve().parent, nights=nights)
@@ -54,7 +54,7 @@ def run_night(config: Path, request: RunRequest, nights: float | None, *, as_jso
 
 
 def night_table(outcome: Outcome, night: NightReport) -> Table:
-    """Return the outcome of the night as a table."""
+    """Return a printable table with the outcome of a verify or nightly run."""
     errors = (night.ve_before_um, night.ve_now_um, night.ve_after_um)
     rows = [
         ("last accepted night", f"{night.since}, {night.nights:.1f} nights ago"),

@@ -1,4 +1,4 @@
-"""Commands `volcal verify` and `volcal nightly`. Both check the machine against the last accepted night.
+"""Commands `volcal verify` and `volcal nightly`, both of which compare the machine with the last accepted night.
 
 `verify` writes nothing to the controller. `nightly` uses the rest of its time slot to improve the compensation.
 """

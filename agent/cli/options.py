@@ -1,4 +1,4 @@
-"""Options shared by several commands."""
+"""Command-line options shared by several commands."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|)")
 
 
 class Duration(click.ParamType[float]):
-    """Type of options whose value is a duration such as `15min` or `1.5h`. The value is converted to min; a bare number
-    is in min.
+    """Type of command-line options whose value is a duration such as `15min` or `1.5h`.
+
+    The converted value is in minutes. A number without a unit is read as minutes.
     """
 
     name = "duration"
@@ -28,7 +29,7 @@ class Duration(click.ParamType[float]):
 
 
 def config_option(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the option `--config` for the settings file of the agent."""
+    """Add the option `--config`, the path of the agent's settings file, to a command."""
     option = click.option(
         "--config",
         "config",
@@ -41,12 +42,12 @@ def config_option(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options of `measured_options` and the option for the formulation."""
+    """Add the options of `measured_options` and the option `--formulation` of the identification to a command."""
     return measured_options(click.option("--formulation", type=click.Choice(["centres", "distances"]))(command))
 
 
 def measured_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options for the settings file, the position set and the stations."""
+    """Add the options `--config`, `--position-set` and `--stations` to a command."""
     for option in (
         click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations at which to measure."),
         click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),

@@ -1,4 +1,7 @@
-"""`volcal plan`: preflight of a whole run on a simulation of the machine. The command contacts no device."""
+"""Command `volcal plan`, which carries out the preflight of a whole run on a simulation of the machine.
+
+The command contacts no device.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Output of tables and lines on standard output. Identities and paths are never truncated."""
+"""Printing of tables and lines on standard output. Run identities and file paths are never truncated."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ UNLIMITED = 100_000
 
 
 def results_console() -> Console:
-    """Return the console on standard output.
+    """Return a console that prints on standard output.
 
-    In a terminal its width is that of the terminal; elsewhere the width is not limited. A line outside a table is never
-    wrapped.
+    In a terminal, the console is as wide as the terminal. Otherwise, its width is not limited. A line outside a table
+    is never wrapped.
     """
     width = None if sys.stdout.isatty() else UNLIMITED
     return Console(width=width, highlight=False, soft_wrap=True)
@@ -31,8 +31,8 @@ def columns_table(
 ) -> Table:
     """Return an empty table with one column per heading.
 
-    Columns named in `whole` are never narrowed; the text of other columns is folded over several lines if the terminal
-    is too narrow. Columns named in `numbers` are aligned to the right.
+    A column named in `whole` is never narrowed. The text of every other column is folded over several lines if the
+    terminal is too narrow. The text of a column named in `numbers` is right-aligned.
     """
     table = Table(title=title, title_justify="left")
     for heading in headings:
@@ -42,7 +42,9 @@ def columns_table(
 
 
 def facts_table(rows: Iterable[tuple[str, str]], *, title: str | None = None) -> Table:
-    """Return a table of names and values without a header; long values are folded."""
+    """Return a table with the two columns name and value and without a header. Long values are folded over several
+    lines.
+    """
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(overflow="fold")
     table.add_column(overflow="fold")

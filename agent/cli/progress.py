@@ -1,4 +1,7 @@
-"""Progress of a run on stderr. It shows one line per state, and a bar with the remaining minutes."""
+"""Display of the progress of a run on stderr.
+
+The display prints one line for each state of the run and shows a bar with the remaining minutes.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,10 @@ class _Watcher:
 
 @contextmanager
 def watching(console: Console) -> Iterator[Listener]:
-    """Yield a listener that prints the states and the progress of a run on `console` until the block ends."""
+    """Yield a listener that prints the states and the progress of a run on `console`.
+
+    The display ends with the block.
+    """
     columns = (
         BarColumn(bar_width=20),
         TextColumn("{task.percentage:>3.0f} %"),

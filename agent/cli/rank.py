@@ -1,5 +1,6 @@
-"""`volcal rank`: errors that a set-up can determine, errors that it cannot determine, and changes of the set-up that
-would determine more of them.
+"""Command `volcal rank`, which shows the errors that a set-up can determine and the errors that it cannot determine.
+
+The command also shows changes of the set-up that would allow it to determine more errors.
 """
 
 from __future__ import annotations

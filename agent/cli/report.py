@@ -1,4 +1,7 @@
-"""`volcal report`: report of a run. It is rendered from the journal, even if a report already exists."""
+"""Command `volcal report`, which writes the report of a run.
+
+The report is rendered from the journal, even if a report of the run already exists.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`volcal resume`: continuation or abandonment of the interrupted run."""
+"""Command `volcal resume`, which resumes or abandons the interrupted run."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Process that runs `volcal simulate`, and requests to its control channel.
+"""Simulator that runs as a separate process, and requests to its control channel.
 
-This module imports no part of the simulator. The interface consists of the simulator's command line, one line of JSON
-that the simulator prints when it is ready, and the JSON lines of the control channel.
+This module starts `volcal simulate` and imports no part of the simulator. The interface consists of the simulator's
+command line, one line of JSON that the simulator prints when it is ready, and the JSON lines of the control channel.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ END_WITHIN_S = 5.0
 
 
 class SimulatorProcess:
-    """Context manager that runs the simulator as a process.
+    """Context manager that runs the simulator as a separate process.
 
-    The process never outlives this program, because the simulator ends when its standard input is closed.
+    The simulator ends when its standard input is closed. It therefore never outlives this program.
     """
 
     def __init__(self, scenario: Path, *, can: str, log: Path, modbus_rtu: str | None = None) -> None:
@@ -92,7 +92,8 @@ class SimulatorProcess:
     def ask(self, request: str) -> dict[str, Any]:
         """Send the request ``truth``, ``collisions`` or ``status`` to the control channel and return the answer.
 
-        Raise LinkLost if the channel cannot be used any longer, ProtocolError if the simulator refuses the request.
+        Raises LinkLost if the control channel can no longer be used, and ProtocolError if the simulator refuses the
+        request.
         """
         place = self.ready["control"]
         try:

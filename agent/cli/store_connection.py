@@ -1,4 +1,4 @@
-"""Connection to the devices in the settings for the duration of one command."""
+"""Connection to the devices named in the settings, for the duration of one command."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from agent.settings.load import load_settings, naming
 
 @contextmanager
 def connected(config: Path) -> Iterator[tuple[Job, Rig]]:
-    """Yield the job made from the settings, and the rig with its devices open."""
+    """Open the devices named in the settings file `config` for the duration of the block.
+
+    Yield the job prepared from the settings, and the rig with the open devices.
+    """
     settings = load_settings(config)
     base = config.resolve().parent
     with naming(config):

@@ -1,4 +1,7 @@
-"""`volcal study`: one study of the calibration procedure. The result is written as a figure and as numbers."""
+"""Command `volcal study`, which carries out one study of the calibration procedure.
+
+The result of the study is written as a figure and as numbers.
+"""
 
 from __future__ import annotations
 
@@ -117,8 +120,10 @@ def study_command(
 
 @contextmanager
 def hired(workers: int | None, cluster: str | None) -> Iterator[Workers]:
-    """Yield workers on this computer or, if `cluster` is given, on a cluster. They are stopped at the end of
-    the block.
+    """Yield the workers that compute a study, and stop them at the end of the block.
+
+    The workers are processes on this computer or, if `cluster` is given, processes on the cluster with this address.
+    Raises ConfigurationError if both `workers` and `cluster` are given.
     """
     if cluster is not None and workers is not None:
         raise ConfigurationError(

@@ -1,4 +1,7 @@
-"""`volcal table show|export|restore`: compensation tables in the controller, and tables stored by runs."""
+"""Commands `volcal table show`, `volcal table export` and `volcal table restore`.
+
+The commands use the compensation tables in the controller and the tables stored by runs.
+"""
 
 from __future__ import annotations
 

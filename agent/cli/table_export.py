@@ -1,5 +1,6 @@
-"""`volcal table export`: export of a table to neutral files, or to a controller's format with a statement of what that
-format loses.
+"""Command `volcal table export`, which writes a table to neutral files or in the format of a controller.
+
+For a controller's format, the command also states which part of the correction the format cannot represent.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ def _parsed(parse: Callable[[str], Any]) -> Callable[[click.Context, click.Param
 
 
 def options_of_formats(command: FC) -> FC:
-    """Add all options that formats declare, in the order of the formats."""
+    """Add to a command all options that the table formats declare, in the order of the formats."""
     for option in reversed(all_options()):
         command = _click_option(option)(command)
     return command

@@ -1,5 +1,6 @@
-"""`volcal timing`: comparison of the step times of a finished run with the prediction, and the settings that fit these
-times.
+"""Command `volcal timing`, which compares the step times of a finished run with the prediction.
+
+The command also suggests settings that fit the observed step times.
 """
 
 from __future__ import annotations

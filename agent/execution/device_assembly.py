@@ -1,4 +1,4 @@
-"""Construction of clock and rig from the settings; no other module creates drivers from their names."""
+"""Construction of the rig and the clock of a machine from the settings. The settings name the driver of each device."""
 
 from __future__ import annotations
 
@@ -50,7 +50,10 @@ def make_clock(settings: ClockSettings) -> Clock:
 
 
 def longest_wait_s(clock: Clock) -> float:
-    """Return the longest machine time in s for which a wait may last without a check for hold and abort requests."""
+    """Return the longest part of a wait on `clock` between two checks for hold and abort requests.
+
+    The result is machine time in s.
+    """
     match clock:
         case LockstepClock():
             return LOCKSTEP_SLICE_S
@@ -62,7 +65,10 @@ def longest_wait_s(clock: Clock) -> float:
 
 @contextmanager
 def closing_clock(clock: Clock) -> Iterator[Clock]:
-    """Provide `clock` for the block; then close its connection to a simulator's time server, if it has one."""
+    """Yield `clock` and close it at the end of the block.
+
+    Only a lockstep clock has to be closed, because it is connected to a simulator's time server.
+    """
     try:
         yield clock
     finally:
@@ -71,7 +77,7 @@ def closing_clock(clock: Clock) -> Iterator[Clock]:
 
 
 def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
-    """Return the rig of a real or simulated machine; no device is opened yet.
+    """Return the rig of the real or simulated machine described by `settings`. No device is opened yet.
 
     `base` is the directory to which relative paths in the settings refer.
     """
@@ -105,14 +111,16 @@ def mount_at_station(devices: Mapping[str, Device], name: str, station: int, key
 
 
 def stations_of(stations: StationSettings) -> range:
-    """Return the numbers of the stations, from 1."""
+    """Return the numbers of the stations, counted from 1."""
     return range(1, len(stations.places_mm) + 1)
 
 
 @dataclass(frozen=True)
 class Devices:
-    """Functions that create the rig and the clock of a machine. A caller whose machine already exists, such as a test,
-    replaces them."""
+    """Functions that create the rig and the clock of a machine.
+
+    A caller passes other functions if its machine already exists, as in a test.
+    """
 
     assemble: Callable[[Settings, Clock, Path], Rig] = assemble
     make_clock: Callable[[ClockSettings], Clock] = make_clock

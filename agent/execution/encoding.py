@@ -1,6 +1,6 @@
-"""Conversion of steps and results to JSON for the journal and back.
+"""Conversion of steps and their results to JSON for the journal, and back.
 
-Floats are not rounded; each is read back with exactly the value that was written.
+Floats are not rounded: each float is read back with exactly the value that was written.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ def encode_result(result: object) -> str | None:
 
 
 def decode_result(kind: str, text: str | None) -> Any:
-    """Return the result of a step of type `kind` from the text that `encode_result` wrote.
+    """Return the result of a step from the JSON text that `encode_result` wrote.
 
-    For a table, only the shape and the digest were written: ``{"shape": …, "crc32": …}``.
+    `kind` is the name of the step's class. If the result was a table, only its shape and digest were written, and the
+    mapping ``{"shape": …, "crc32": …}`` is returned.
     """
     value: Any = None if text is None else json.loads(text)
     if kind == TouchTowards.__name__:
@@ -44,9 +45,10 @@ def to_json(value: object) -> str:
 
 
 def table_digest(table: TableImage) -> int:
-    """Return the CRC-32 of the counts in the form in which they are sent over the link.
+    """Return the CRC-32 of the corrections of a table, in the byte order in which they are sent over the link.
 
-    The counts are big-endian. The index of x varies slowest; dx, dy and dz of a node follow one another.
+    The corrections are big-endian 32-bit integers. The index of x varies slowest; the corrections dx, dy and dz of a
+    node follow one another.
     """
     return zlib.crc32(table.counts.astype(">i4").tobytes())
 

@@ -1,10 +1,11 @@
 """Engine that carries out the steps of a plan.
 
-It takes a step from the plan, journals it, carries it out, journals its result, and sends the result to the plan.
+The engine takes a step from the plan, carries it out, writes its result to the journal, and sends the result to the
+plan. A step that moves or changes something is also written to the journal before it is carried out.
 
-The engine is one short synchronous loop on one thread and depends neither on the meaning of a step nor on the devices.
-Actions, which are looked up by the type of the step, carry the steps out; a `StepJournal` records them, and an observer
-is informed.
+The engine is a short synchronous loop on one thread. It depends neither on the meaning of a step nor on the devices. An
+action, which is found by the type of the step, carries out the step. A `StepJournal` records the step, and an observer
+is informed of it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Observer = Callable[[Step, object], None]
 
 
 class StepJournal(Protocol):
-    """Interface of the journal that the engine uses; every call returns when the record is durable."""
+    """Interface of the journal as the engine uses it. Every method returns only when its record is durable."""
 
     def begin(self, step: Step) -> None: ...
 
@@ -31,12 +32,19 @@ class StepJournal(Protocol):
     def fail(self, step: Step, error: BaseException) -> None: ...
 
     def aside(self) -> StepJournal:
-        """Return a journal for steps that do not belong to the procedure."""
+        """Return a journal for steps that are not part of the procedure.
+
+        Such steps withdraw the probe if a run is interrupted, and return it if the run is resumed.
+        """
         ...
 
 
 class Engine:
-    """Engine that runs plans. `actions` maps each type of step to the action that carries it out."""
+    """Engine that runs plans.
+
+    `actions` maps each type of step to the action that carries it out. `journal` records the steps, and `observer` is
+    called with each step and its result; both may be None.
+    """
 
     def __init__(
         self,
@@ -49,23 +57,25 @@ class Engine:
         self._observer = observer
 
     def without_journal(self) -> Engine:
-        """Return an engine with the same actions and observer but no journal, for a withdrawal that must be carried out
-        although it cannot be journaled."""
+        """Return an engine with the same actions and the same observer but without a journal.
+
+        This engine withdraws the probe if the journal can no longer be written.
+        """
         return Engine(self._actions, None, self._observer)
 
     def aside(self) -> Engine:
-        """Return an engine with the same actions for withdrawals and returns.
+        """Return an engine with the same actions for steps that are not part of the procedure.
 
-        Their steps are journaled but skipped by a replay; they are not observed and therefore not counted.
+        Such steps withdraw the probe if a run is interrupted, and return it if the run is resumed. They are journaled,
+        but a replay skips them. They are not passed to the observer and are therefore not counted.
         """
         return Engine(self._actions, None if self._journal is None else self._journal.aside())
 
     def run(self, plan: Plan[T]) -> T:
-        """Run `plan` to its end and return its conclusion.
+        """Run `plan` to its end and return its conclusion. The plan is closed in any case.
 
-        A `VolcalError` raised by a step is re-raised with the key of that step. A `VolcalError` raised by the plan
-        itself is re-raised with the key of the step whose result the plan had received last. The plan is closed in any
-        case.
+        If a step raises a `VolcalError`, the key of the step is added to the error. If the plan itself raises a
+        `VolcalError`, the key of the last step whose result the plan received is added to the error.
         """
         do = self._do if self._journal is None else self._do_durably
         observer = self._observer

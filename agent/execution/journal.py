@@ -1,8 +1,10 @@
 """Writer of the journal, which is one SQLite database in the state directory and the only source of truth about runs.
 
-The database uses WAL with ``synchronous=FULL``: a commit has reached the disk when it returns. With NORMAL a power cut
-can lose commits although the integrity check still reports ok. A step that moves or changes something is durable before
-it begins; its result is durable before the next step is requested.
+The database uses a write-ahead log (WAL) with ``synchronous=FULL``: the data of a commit are on the disk when the
+commit returns. With ``synchronous=NORMAL``, a power cut can lose commits although the integrity check still reports ok.
+
+A step that moves or changes something is recorded durably before it begins. Its result is recorded durably before the
+next step is requested.
 """
 
 from __future__ import annotations
@@ -30,11 +32,11 @@ _DISK_HINT = "check the disk under `state_directory`"
 
 
 class Journal:
-    """Database of all runs, created if it does not exist.
+    """Database of all runs. The database is created if it does not exist.
 
-    There is one writer at a time. Others (page, reports) may read at the same time.
+    There is one writer at a time. Pages and reports may read the database at the same time.
 
-    Raises ConfigurationError if the database can be neither opened nor created.
+    Raises ConfigurationError if the database cannot be opened or created.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -54,7 +56,7 @@ class Journal:
         self._connection.close()
 
     def start_run(self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock) -> RunJournal:
-        """Create a run in the state IDLE. Raise Busy if there is already a run `run_id`."""
+        """Create a run in the state IDLE and return its writer. Raises Busy if there is already a run `run_id`."""
         try:
             cursor = self._connection.execute(
                 "INSERT INTO runs (run_id, kind, started, state, software, settings) VALUES (?,?,?,?,?,?)",
@@ -66,15 +68,19 @@ class Journal:
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
 
     def continue_run(self, run: int, run_id: str, clock: Clock) -> tuple[RunJournal, ReplayLog]:
-        """Return a writer that continues an interrupted run, and the log of its records.
+        """Return a writer that continues an interrupted run, and the log of the records already written for the run.
 
-        An entry that the replay produces again is consumed from the log and not written twice.
+        If the replay produces an entry that is already in the log, the entry is removed from the log and is not written
+        again.
         """
         recorded = read_replay_log(JournalReader(self._connection), run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
     def close_unresumable(self, before_run: int, reason: str) -> None:
-        """Set unfinished runs numbered below `before_run`, which can no longer be resumed, to FAULTED with `reason`."""
+        """Set the state of every unfinished run with a number below `before_run` to FAULTED and add `reason`.
+
+        Such a run can no longer be resumed.
+        """
         self._connection.execute(
             "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
             "WHERE ended IS NULL AND run < ?",
@@ -82,9 +88,10 @@ class Journal:
         )
 
     def acknowledge(self, run_id: str) -> None:
-        """Record durably that the end of a run has been acknowledged. Raise JournalFailed if that cannot be written.
+        """Record durably that the end of a run has been acknowledged.
 
-        The event is not part of the procedure, so the run can still be resumed.
+        The event is not part of the procedure, so the run can still be resumed. Raises JournalFailed if the event
+        cannot be written.
         """
         try:
             self._connection.execute(
@@ -106,7 +113,7 @@ class _Count:
 
 
 class RunJournal:
-    """Writer of one run. Implements the engine's `StepJournal`."""
+    """Writer of the records of one run. The class implements `StepJournal`, the interface that the engine uses."""
 
     def __init__(
         self, connection: sqlite3.Connection, run: int, run_id: str, clock: Clock, recorded: ReplayLog | None = None
@@ -121,7 +128,11 @@ class RunJournal:
         self._aside = 0
 
     def aside(self) -> Self:
-        """Return a writer for withdrawals and returns. Their rows are not part of the procedure; replays skip them."""
+        """Return a writer for rows that are not part of the procedure. Replays skip these rows.
+
+        The rows record steps that withdraw the probe if a run is interrupted, and steps that return it if the run is
+        resumed.
+        """
         other = copy.copy(self)
         other._recorded, other._aside = ReplayLog(), 1
         return other
@@ -135,7 +146,7 @@ class RunJournal:
         self._execute("INSERT INTO origins (run, record) VALUES (?,?)", (self._run, to_json(record)))
 
     def begun(self) -> None:
-        """Record the end of the preflight; from then on the run can be resumed."""
+        """Record the end of the preflight. From then on, the run can be resumed."""
         self._execute(
             "UPDATE origins SET begun_s = ?, begun_at = ? WHERE run = ?",
             (self._clock.now(), utc_timestamp(), self._run),
@@ -193,7 +204,11 @@ class RunJournal:
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
-        """Store a whole table. `role` is ``backup`` (before anything is written), ``staged`` or ``restored``."""
+        """Store a whole table that belongs to `bank`. `image` is None if the bank is empty.
+
+        `role` is ``backup`` if the table was read before anything was written; otherwise it is ``staged`` or
+        ``restored``.
+        """
         if self._recorded.consume("tables", role, str(bank), "" if image is None else str(table_digest(image))):
             return
         values: tuple[object, ...] = (None,) * 6
@@ -212,7 +227,7 @@ class RunJournal:
         )
 
     def stored_table(self, crc32: int) -> TableImage | None:
-        """Return the table that this run stored with that CRC-32; None if there is none."""
+        """Return the table with the checksum `crc32` that this run stored; None if there is none."""
         try:
             return JournalReader(self._connection).image_with_digest(self._run, crc32)
         except sqlite3.Error as error:

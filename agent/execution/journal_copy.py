@@ -1,6 +1,6 @@
-"""Consistent copies of a journal with edited settings, for documents that leave the machine.
+"""Consistent copy of a journal with edited settings, for passing the journal on to other people.
 
-The copy is made here because only the journal's own modules may contain SQL.
+The copy is made in this module because only the modules of the journal may contain SQL.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from agent.execution.journal_schema import FILE_NAME
 def copy_journal(directory: Path, target: Path, edit_settings: Callable[[Any], Any]) -> Path:
     """Copy the journal of a state directory into the existing directory `target` and return the path of the copy.
 
-    A run may write to the journal at the same time. `edit_settings` maps the settings document of each run to the
-    document stored in the copy; the original text does not remain in free pages of the copy. Raise JournalFailed if the
-    journal cannot be read or the copy cannot be written.
+    A run may write to the journal during the copy. `edit_settings` is called with the settings document of each run and
+    returns the document to be stored in the copy. The original settings do not remain in unused pages of the copy.
+
+    Raises JournalFailed if the journal cannot be read or the copy cannot be written.
     """
     path = target / FILE_NAME
     with open_journal(directory, JournalFailed) as reader:

@@ -1,10 +1,10 @@
-"""SQL statements of the journal's reader.
+"""SQL statements used by the reader of the journal.
 
 Each statement selects the columns of one row type in the order of the fields of that type.
 
-They are separate from the reader so that a change of the database tables affects only this module and
-`journal_schema.sql`. A list of kinds is passed as one JSON parameter, so that every statement is constant. The reader
-replaces `{aside}` by a condition that excludes withdrawals and returns, or by nothing.
+The statements are separate from the reader so that a change of the database tables affects only this module and
+`journal_schema.sql`. A list of kinds is passed as one JSON parameter; every statement is therefore constant. The reader
+replaces `{aside}` by a condition that excludes rows that are not part of the procedure, or by an empty text.
 """
 
 # ruff: noqa: S608  every statement is put together from constants of this module

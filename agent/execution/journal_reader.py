@@ -1,7 +1,11 @@
-"""Reader of the journal, which returns typed rows, changes nothing and never delays the writer.
+"""Reader of the journal. It returns typed rows, changes nothing and never delays the writer.
 
-Methods take the number of a run in its journal (`RunRow.run`). They can read an older journal and do not migrate it.
-Only `origin` and `procedure_only` need columns that a journal of version 1 lacks.
+The methods identify a run by its number in the journal (`RunRow.run`). They can read a journal of an older version
+without migrating it. Only the method `origin` and the argument `procedure_only` need data that a journal of version 1
+lacks.
+
+Some rows are not part of the procedure: they record steps that withdraw the probe if a run is interrupted, and steps
+that return it if the run is resumed.
 """
 
 from __future__ import annotations
@@ -47,9 +51,9 @@ def has_journal(directory: Path) -> bool:
 
 @contextmanager
 def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> Iterator[JournalReader]:
-    """Open the journal of a state directory for reading during the block; nothing is created or changed.
+    """Yield a reader of the journal in a state directory. The journal is open during the block and is not changed.
 
-    Raise `failure` if there is no journal or it cannot be read, on opening or later by a method of the reader.
+    Raises `failure` if there is no journal, or if the journal cannot be read at the start or later in the block.
     """
     path = directory / FILE_NAME
     try:
@@ -61,9 +65,10 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
 
 
 class JournalReader:
-    """Reader of a journal through any connection, including the writer's or one in memory; the caller closes it.
+    """Reader of a journal through an SQLite connection that the caller opens and closes.
 
-    `path` is used only in error messages.
+    The connection may be that of the writer, or a connection to a database in memory. `path` is used only in error
+    messages.
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path = Path(FILE_NAME)) -> None:
@@ -71,18 +76,21 @@ class JournalReader:
         self._path = path
 
     def run_ids(self) -> tuple[str, ...]:
-        """Return the identities of all runs in order of their start."""
+        """Return the identities of all runs in the order in which the runs started."""
         return self._rows(str, "SELECT run_id FROM runs ORDER BY run")
 
     def runs(self) -> tuple[RunRow, ...]:
-        """Return all runs in order of their start."""
+        """Return all runs in the order in which they started."""
         return self._rows(RunRow, queries.RUN + "ORDER BY run")
 
     def run(self, run_id: str) -> RunRow | None:
         return self._first(RunRow, queries.RUN + "WHERE run_id = :run_id", run_id=run_id)
 
     def require_run(self, run_id: str) -> RunRow:
-        """Return the run. Raise InputError, naming the last runs, if the journal has no run `run_id`."""
+        """Return the run with the identity `run_id`.
+
+        Raises InputError, which names the latest runs, if the journal has no such run.
+        """
         run = self.run(run_id)
         if run is None:
             last = self.run_ids()[:-4:-1]
@@ -94,11 +102,14 @@ class JournalReader:
         return self._first(RunRow, queries.RUN + "ORDER BY run DESC LIMIT 1")
 
     def last_working_run(self) -> RunRow | None:
-        """Return the last run that wrote a step or passed its preflight; None if there is none."""
+        """Return the last run that recorded a step or passed its preflight; None if there is none."""
         return self._first(RunRow, queries.LAST_WORKING_RUN if self.has_origins() else queries.LAST_RUN_WITH_STEPS)
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
-        """Return at most `limit` runs with a number below `before_run`, the latest first."""
+        """Return at most `limit` runs, the latest first, each with its numbers of balls and touches.
+
+        Only runs with a number below `before_run` are returned.
+        """
         rows = self._all(
             queries.COUNTS + "WHERE run < :before ORDER BY run DESC LIMIT :limit", before=before_run, limit=limit
         )
@@ -109,16 +120,20 @@ class JournalReader:
         return str(self._value("SELECT settings FROM runs WHERE run = :run", run=run))
 
     def has_origins(self) -> bool:
-        """Return False for a journal of version 1, which does not store how a run started."""
+        """Return True if the journal stores how each run started.
+
+        A journal of version 1 does not store this, so the result is False.
+        """
         return self._one("SELECT 1 FROM sqlite_master WHERE name = 'origins'") is not None
 
     def origin(self, run: int) -> OriginRow | None:
         return self._first(OriginRow, queries.ORIGIN, run=run)
 
     def steps(self, run: int, kind: str | None = None, *, procedure_only: bool = False) -> tuple[StepRow, ...]:
-        """Return the steps of a run in order.
+        """Return the steps of a run in the order in which they were recorded.
 
-        If `procedure_only` is set, here and in the methods below, withdrawals and returns are omitted.
+        If `kind` is given, only steps of the class with this name are returned. If `procedure_only` is True, rows that
+        are not part of the procedure are omitted; this also applies to the methods below.
         """
         query = queries.STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
         return self._rows(StepRow, _restricted(query, procedure_only), run=run, kind=kind)
@@ -127,23 +142,27 @@ class JournalReader:
         return int(self._value("SELECT count(*) FROM steps WHERE run = :run", run=run))
 
     def last_step_key(self, run: int) -> str | None:
-        """Return the key of the last step that began; None if there is no step."""
+        """Return the key of the last step that began; None if no step has begun."""
         return self._first(str, "SELECT key FROM steps WHERE run = :run ORDER BY ordinal DESC LIMIT 1", run=run)
 
     def time_span_s(self, run: int) -> tuple[float, float] | None:
-        """Return the machine seconds at which the first step began and the last one ended; None if there is no step."""
+        """Return the machine times in s at which the first step began and the last step ended; None if there is no
+        step.
+
+        If a step did not end, the time at which it began is used instead.
+        """
         query = "SELECT min(begun), max(coalesce(finished, begun)) FROM steps WHERE run = :run"
         [(first, last)] = self._all(query, run=run)
         return None if first is None else (first, last)
 
     def last_ordinal(self, run: int) -> int:
-        """Return the greatest ordinal of the run's steps and balls; 0 if there are none."""
+        """Return the largest sequence number (ordinal) of the run's steps and balls; 0 if there are none."""
         steps = "SELECT coalesce(max(ordinal), 0) FROM steps WHERE run = :run"
         balls = "SELECT coalesce(max(ordinal), 0) FROM balls WHERE run = :run"
         return max(int(self._value(steps, run=run)), int(self._value(balls, run=run)))
 
     def touches(self, run: int) -> tuple[TouchRow, ...]:
-        """Return the touches that have a result, without those of withdrawals and returns."""
+        """Return the touches of a run that have a result. Touches that are not part of the procedure are omitted."""
         query = "SELECT ordinal, key, at, result FROM touches WHERE run = :run ORDER BY ordinal"
         return self._rows(TouchRow, query, run=run)
 
@@ -152,7 +171,7 @@ class JournalReader:
         return int(self._value("SELECT count(*) FROM touches WHERE run = :run", run=run))
 
     def balls(self, run: int) -> tuple[BallRow, ...]:
-        """Return the ball centres in the order measured; the run need not have ended."""
+        """Return the ball centres of a run in the order of measurement. The run may still be in progress."""
         query = "SELECT ordinal, key, record FROM balls WHERE run = :run ORDER BY ordinal"
         return self._rows(BallRow, query, run=run)
 
@@ -171,10 +190,10 @@ class JournalReader:
         limit: int = -1,
         procedure_only: bool = False,
     ) -> tuple[EventRow, ...]:
-        """Return the events with numbers greater than `after`, in the order written.
+        """Return the events of a run with row numbers greater than `after`, in the order written.
 
-        If `kinds` is None, events of all kinds are returned. `limit` is the largest number of events returned; if it is
-        negative, all are returned.
+        If `kinds` is None, events of all kinds are returned. `limit` is the largest number of events returned. If
+        `limit` is negative, the number is not limited.
         """
         query = _restricted(queries.EVENT, procedure_only)
         return self._rows(EventRow, query, run=run, kinds=_listed(kinds), after=after, limit=limit)
@@ -193,7 +212,10 @@ class JournalReader:
         return self._one(query, run=run, kinds=_listed(kinds)) is not None
 
     def last_decision(self, kind: str, before_run: int = ANY_RUN) -> DecisionRow | None:
-        """Return the last decision of the given kind by any run numbered below `before_run`; None if there is none."""
+        """Return the last decision of the kind `kind`; None if there is none.
+
+        Only decisions of runs with a number below `before_run` are considered.
+        """
         query = (
             queries.DECISION + "WHERE decisions.kind = :kind AND run < :before ORDER BY decisions.rowid DESC LIMIT 1"
         )
@@ -213,7 +235,7 @@ class JournalReader:
         return self._rows(TableRow, _restricted(query, procedure_only), run=run)
 
     def latest_tables(self, limit: int) -> tuple[TableRow, ...]:
-        """Return at most `limit` of the latest tables stored by all runs, the latest first."""
+        """Return the latest tables stored by any run, at most `limit` of them, the latest first."""
         return self._rows(TableRow, queries.TABLE + "ORDER BY tables.rowid DESC LIMIT :limit", limit=limit)
 
     def last_table(self, run: int, role: str) -> TableRow | None:
@@ -221,27 +243,33 @@ class JournalReader:
         return self._first(TableRow, query, run=run, role=role)
 
     def last_backup(self, run: int | None = None) -> TableRow | None:
-        """Return the backup stored by `run`. If `run` is None, return the backup of the last run that stored one."""
+        """Return the backup table stored by `run`; None if there is none.
+
+        If `run` is None, return the backup table of the last run that stored a backup.
+        """
         query = queries.TABLE + "WHERE role = 'backup' AND run = coalesce(:run, run) ORDER BY run DESC LIMIT 1"
         return self._first(TableRow, query, run=run)
 
     def last_active_table(self, accepting: Collection[str]) -> TableRow | None:
-        """Return the latest stored table that should be active; None if there is none.
+        """Return the latest stored table that should be active in the controller; None if there is none.
 
-        This is a backup, a restored table, or a staged table whose run has a decision of one of the kinds `accepting`.
+        A table should be active if it is a backup or a restored table. A staged table should be active if its run has a
+        decision of one of the kinds `accepting`.
         """
         return self._first(TableRow, queries.ACTIVE_TABLE, kinds=_listed(accepting))
 
     def image(self, table: TableRow) -> TableImage | None:
-        """Return the whole stored table; None for an empty bank."""
+        """Return the whole compensation table of the row `table`; None if the row describes an empty bank."""
         return self._image("rowid = :number", number=table.number)
 
     def image_with_digest(self, run: int, crc32: int) -> TableImage | None:
-        """Return the table stored by `run` with that CRC-32; None if there is none."""
+        """Return the table with the checksum `crc32` that `run` stored; None if there is none."""
         return self._image("run = :run AND crc32 = :crc32 AND counts IS NOT NULL", run=run, crc32=crc32)
 
     def copy_to(self, path: Path) -> None:
-        """Write a consistent copy of the journal to a new file. A run may write to the journal at the same time."""
+        """Write a consistent copy of the journal to the new file `path`. A run may write to the journal during the
+        copy.
+        """
         self._connection.execute("VACUUM INTO ?", (str(path),))
 
     def _image(self, where: str, **values: int) -> TableImage | None:

@@ -1,8 +1,10 @@
 """Typed rows of the journal, as `agent.execution.journal_reader` returns them.
 
-Fields `*_text` hold JSON exactly as written; the property of the same name without the suffix decodes it on first use.
-`run` is the number of a run, counted in the order started; `number` is the number of a row in its database table,
-counted in the order written.
+A field whose name ends in `_text` holds JSON text exactly as written. Some rows also have a property with the same name
+without this ending. The property decodes the text when it is first read.
+
+`run` is the number of a run, counted in the order in which the runs started. `number` is the number of a row in its
+database table, counted in the order in which the rows were written.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ class _Recorded:
 
 @dataclass(frozen=True)
 class RunRow:
-    """A run.
+    """Run in the journal, without its steps and results.
 
     `started` and `ended` are UTC times in ISO 8601; `ended` is None before the end of the run. `state` is the value of
     a `RunState`.
@@ -44,7 +46,7 @@ class RunRow:
 
 @dataclass(frozen=True)
 class RunCounts:
-    """A run with the number of its measured balls and the number of its touches that have a result."""
+    """Run with the number of its measured balls and the number of its touches that have a result."""
 
     run: RunRow
     balls: int
@@ -53,10 +55,10 @@ class RunCounts:
 
 @dataclass(frozen=True)
 class OriginRow(_Recorded):
-    """Start of a run.
+    """Data stored at the start of a run, from which the run can be rebuilt.
 
-    `begun_s` and `begun_at` are the machine seconds and the UTC time at the end of the preflight; they are None before
-    it.
+    `begun_s` is the machine time in s, and `begun_at` the UTC time, at which the preflight ended. Both are None until
+    the preflight has ended.
     """
 
     run: int
@@ -69,7 +71,10 @@ class OriginRow(_Recorded):
 
 @dataclass(frozen=True)
 class StepRow:
-    """A step of a run. Times are machine seconds; `finished_s` and `result_text` are None if the step did not end."""
+    """Step of a run. `begun_s` and `finished_s` are machine times in s.
+
+    `finished_s` and `result_text` are None if the step did not end.
+    """
 
     ordinal: int
     key: str
@@ -91,7 +96,7 @@ class StepRow:
 
 @dataclass(frozen=True)
 class TouchRow:
-    """A touch of the procedure that has a result. `at_s` is its machine time in s."""
+    """Touch of the procedure that has a result. `at_s` is the machine time in s at which the touch ended."""
 
     ordinal: int
     key: str
@@ -101,7 +106,7 @@ class TouchRow:
 
 @dataclass(frozen=True)
 class BallRow(_Recorded):
-    """A measured ball centre."""
+    """Measured ball centre of a run."""
 
     ordinal: int
     key: str
@@ -110,7 +115,10 @@ class BallRow(_Recorded):
 
 @dataclass(frozen=True)
 class TemperatureRow(_Recorded):
-    """A reading of all sensors (name → °C) at `minutes` of machine time after the first step of the run."""
+    """Reading of all temperature sensors. The record maps the name of each sensor to its temperature in °C.
+
+    `minutes` is the machine time in minutes after the start of the first step of the run.
+    """
 
     minutes: float
     record_text: str
@@ -118,7 +126,7 @@ class TemperatureRow(_Recorded):
 
 @dataclass(frozen=True)
 class EventRow(_Recorded):
-    """An event of a run. `at` is its UTC time in ISO 8601."""
+    """Event of a run. `at` is the UTC time of the event in ISO 8601."""
 
     number: int
     at: str
@@ -128,7 +136,7 @@ class EventRow(_Recorded):
 
 @dataclass(frozen=True)
 class DecisionRow(_Recorded):
-    """A decision of a run. `at` is its UTC time in ISO 8601."""
+    """Decision of a run. `at` is the UTC time of the decision in ISO 8601."""
 
     run: int
     run_id: str
@@ -140,9 +148,10 @@ class DecisionRow(_Recorded):
 
 @dataclass(frozen=True)
 class TableRow:
-    """A stored compensation table without its counts. `role` is backup, staged or restored.
+    """Stored compensation table without its corrections. `role` is ``backup``, ``staged`` or ``restored``.
 
-    `crc32` and the fields after it are None for an empty bank. Origin, step and shape are JSON lists as written.
+    If the bank was empty, `crc32` and the fields after it are None. `origin_mm_text`, `step_mm_text` and `shape_text`
+    are JSON lists exactly as written.
     """
 
     run: int

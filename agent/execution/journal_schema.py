@@ -1,4 +1,4 @@
-"""Database tables of the journal: creation, and migration of a journal of an older version."""
+"""Creation of the database tables of the journal, and migration of a journal of an older version."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _TOUCHES = """CREATE VIEW touches AS
 
 
 def prepare(connection: sqlite3.Connection) -> None:
-    """Create or migrate the tables in one transaction, so that a power cut leaves the old tables or the new ones.
+    """Create or migrate the database tables of the journal in one transaction.
 
-    Do nothing if they are of the current version.
+    After a power cut, the journal has either the old tables or the new ones. If the tables already have the current
+    version, they are not changed.
     """
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")

@@ -22,9 +22,9 @@ _UNREPLAYED_DECISIONS = frozenset({"inputs", "outcome"})
 
 @dataclass(frozen=True, slots=True)
 class RecordedStep:
-    """Step from the journal, with its result decoded.
+    """Step read from the journal, with its decoded result.
 
-    `finished_s` is the time of its end in machine seconds; it is None if the step did not end.
+    `finished_s` is the machine time in s at which the step ended; it is None if the step did not end.
     """
 
     ordinal: int
@@ -37,11 +37,14 @@ class RecordedStep:
 
 @dataclass
 class ReplayLog:
-    """Queues of the records of a run; the replay consumes each record instead of writing it again.
+    """Queues of the records of a resumed run. The replay removes each record from its queue instead of writing it
+    again.
 
-    `unfinished` is the step that began and did not end. `entries` maps each database table to its rows, each of which
-    is compared as a whole. `ordinal` is the last ordinal assigned in the run. `resumptions` is the number of times that
-    the run has been resumed. No queue contains records of withdrawals and returns.
+    `unfinished` is the last step if it began but did not end, else None. `entries` maps the name of each database table
+    to the entries of that table, each of which is compared as a whole. `ordinal` is the last sequence number assigned
+    in the run. `resumptions` is the number of times that the run has been resumed.
+
+    Records that are not part of the procedure are not in the queues, such as steps that withdraw the probe.
     """
 
     steps: deque[RecordedStep] = field(default_factory=deque)
@@ -52,9 +55,9 @@ class ReplayLog:
     resumptions: int = 0
 
     def consume(self, table: str, *entry: str) -> bool:
-        """Return True if the next recorded entry of `table` equals `entry`, and False if no entry is left.
+        """Remove the next recorded entry of `table` and return True if it equals `entry`.
 
-        Raise PlanDiverged if the next entry is another one.
+        Return False if no entry is left. Raises PlanDiverged if the next entry differs from `entry`.
         """
         waiting = self.entries.get(table)
         if not waiting:
@@ -69,7 +72,7 @@ class ReplayLog:
 
 
 def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
-    """Return the records of `run` with which a replay compares the rebuilt plan."""
+    """Return the records of `run`. A replay compares the rebuilt plan with these records."""
     steps = [_recorded(step) for step in reader.steps(run, procedure_only=True)]
     states = reader.events(run, ("state",))
     return ReplayLog(

@@ -1,4 +1,4 @@
-"""Rig: the devices of one machine in their roles, and the action that carries out each type of step."""
+"""Rig, which is the set of devices of one machine in their roles, and the action that carries out each type of step."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ STANDSTILL_POLL_S = 0.05
 
 @dataclass
 class Rig:
-    """Devices of one machine, opened, closed and stopped together.
+    """Devices of one machine, which are opened, closed and stopped together.
 
-    `mounts` maps the number of each station to its mount.
+    `mounts` maps the number of each station to the mount of that station.
     """
 
     devices: Mapping[str, Device]
@@ -70,7 +70,9 @@ class Rig:
     _open: list[str] = field(default_factory=list)
 
     def open(self) -> None:
-        """Open every device. If one fails, close those already open and raise its error."""
+        """Open every device. If a device cannot be opened, close the devices that are already open and raise its
+        error.
+        """
         for name, device in self.devices.items():
             try:
                 device.open()
@@ -80,7 +82,10 @@ class Rig:
             self._open.append(name)
 
     def close(self) -> list[str]:
-        """Close every open device, the last opened first. Return the error texts; they are not raised."""
+        """Close all open devices, in the reverse order of opening.
+
+        Return an error text for each device that could not be closed. No error is raised.
+        """
         complaints = []
         while self._open:
             name = self._open.pop()
@@ -101,17 +106,21 @@ class Rig:
         return complaints
 
     def await_standstill(self) -> None:
-        """Wait until the axes stand still; while they brake, a controller accepts neither a move nor another bank."""
+        """Wait until the axes stand still.
+
+        While the axes brake, a controller accepts neither a move nor the activation of another bank.
+        """
         deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
         while self.machine.status().state is MotionState.MOVING:
             deadline.raise_if_expired("standstill after a stop", hint="check the machine before anything else")
             self.clock.sleep(STANDSTILL_POLL_S)
 
     def actions(self, run: int | None = None) -> dict[type, Action]:
-        """Return the action for each type of step, for the engine.
+        """Return a mapping from each type of step to the action that carries it out, for use by the engine.
 
-        `run` is the number of the run in the journal. Devices that trace steps are informed of each moving step, with
-        this number; if `run` is None, they are not informed.
+        `run` is the number of the run in the journal. Before each moving step, every device that traces steps receives
+        the tag of the step, which `step_tag` computes from the run number and the step key. If `run` is None, no tags
+        are sent.
         """
         announce = _announce_nothing if run is None else self._step_announcer(run)
 
@@ -214,7 +223,10 @@ class Rig:
 
 
 def step_tag(run: int, key: str) -> int:
-    """Return the CRC-32 of ``RUN/KEY`` (1 in place of 0), a tag that a controller can show and log for the step."""
+    """Return the tag of a step, which a controller can display and log.
+
+    The tag is the CRC-32 of the text ``RUN/KEY``. If the CRC-32 is 0, the tag is 1.
+    """
     return zlib.crc32(f"{run}/{key}".encode()) or 1
 
 
@@ -223,8 +235,11 @@ def _announce_nothing(_: str) -> None:
 
 
 def in_role(devices: Mapping[str, Device], name: str, role: type[Role], key: str) -> Role:
-    """Return device `name` in `role`. Raise ConfigurationError, naming the settings key `key`, if there is no such
-    device or it does not have that role."""
+    """Return the device `name` if it has the role `role`.
+
+    Raises ConfigurationError, which names the settings key `key`, if there is no such device or if the device does not
+    have the role.
+    """
     if name not in devices:
         raise ConfigurationError(f"no device {name!r}", key=key, hint=f"devices are: {', '.join(sorted(devices))}")
     device = devices[name]

@@ -1,4 +1,7 @@
-"""Advisory lock on a file of the state directory that permits one run at a time; the kernel releases it on exit."""
+"""Advisory lock on a file in the state directory, which permits one run at a time.
+
+The operating system releases the lock when the process exits.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +19,20 @@ FILE_NAME = "run.lock"
 
 @contextmanager
 def run_lock(directory: Path, run_id: str) -> Iterator[None]:
-    """Own the machine for run `run_id` during the block. Raise Busy, naming the owner, if it is already owned."""
+    """Own the machine for the run `run_id` during the block.
+
+    Raises Busy, which names the present owner, if the machine is already owned.
+    """
     with ownership(directory, f"run {run_id}"):
         yield
 
 
 @contextmanager
 def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
-    """Own the machine during the block, which may contain several runs. `owner` describes the owner in words.
+    """Own the machine during the block, which may contain several runs.
 
-    Raise Busy, naming the owner, if the machine is already owned.
+    `owner` describes the new owner in words. Raises Busy, which names the present owner, if the machine is already
+    owned.
     """
     with _open_lock_file(directory) as handle:
         try:
@@ -44,7 +51,7 @@ def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
 
 
 class Ownership:
-    """Acquired lock; its file names the owner."""
+    """Acquired lock on the machine. The lock file contains a text that describes the owner."""
 
     def __init__(self, handle: TextIO, owner: str) -> None:
         self._handle = handle
@@ -53,7 +60,10 @@ class Ownership:
 
     @contextmanager
     def for_run(self, _: Path, run_id: str) -> Iterator[None]:
-        """Name the run as owner during the block; used in place of `run_lock` if the caller already has the lock."""
+        """Name the run `run_id` as owner during the block.
+
+        A caller that already has the lock uses this method instead of `run_lock`.
+        """
         self.set_owner(f"run {run_id}")
         try:
             yield

@@ -1,4 +1,7 @@
-"""Complete record of a run, read from the journal for history and reports; the journal is not changed."""
+"""Complete record of a run, read from the journal for the history and for reports.
+
+The functions of this module do not change the journal.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,11 @@ _NO_RUN = "check `state_directory`: no run has begun there"
 
 @dataclass(frozen=True)
 class OperatorQuestion:
-    """Question to the operator.
+    """Question that a run asked the operator.
 
-    `minute` is its time in machine minutes after the first step. `answered` is True if the answer was yes. `error` is
-    the text of the error with which the question ended; it is empty if there was none.
+    `minute` is the machine time of the question, in minutes after the start of the first step. `answered` is True if
+    the answer was yes. `error` is the text of the error with which the question ended; it is empty if there was no
+    error.
     """
 
     minute: float
@@ -35,10 +39,13 @@ class OperatorQuestion:
 class RunRecord:
     """Complete record of a run.
 
-    `ordinal` is the number of the run in this journal. `settings_text` is the JSON text of the settings as written.
-    `temperatures` gives the machine minutes after the first step, and the temperature in °C by sensor name. `estimate`
-    is the JSON text of the last estimate, or None. `balls` and `touches` are the numbers of balls and touches measured.
-    `minutes` is the machine time in minutes from the start of the first step to the end of the last one.
+    `ordinal` is the number of the run in this journal. `settings_text` is the JSON text of the settings exactly as
+    stored. `estimate` is the JSON text of the last estimate, or None if there is none. `balls` and `touches` are the
+    numbers of measured balls and touches.
+
+    Each entry of `temperatures` contains a machine time in minutes after the start of the first step, and a mapping
+    from sensor names to temperatures in °C. `minutes` is the machine time in minutes from the start of the first step
+    to the end of the last step.
     """
 
     ordinal: int
@@ -66,21 +73,21 @@ class RunRecord:
         return document
 
     def decision(self, kind: str) -> Mapping[str, Any] | None:
-        """Return the record of the last decision of that kind; None if there is none."""
+        """Return the content of the last decision of the kind `kind`; None if there is none."""
         return next((row.record for row in reversed(self.decisions) if row.kind == kind), None)
 
     def event(self, kind: str) -> Mapping[str, Any] | None:
-        """Return the record of the last event of that kind; None if there is none."""
+        """Return the content of the last event of the kind `kind`; None if there is none."""
         return next((row.record for row in reversed(self.events) if row.kind == kind), None)
 
     def table(self, role: str) -> TableRow | None:
-        """Return the last table stored with that role; None if there is none."""
+        """Return the last table stored with the role `role`; None if there is none."""
         return next((row for row in reversed(self.tables) if row.role == role), None)
 
 
 @dataclass(frozen=True)
 class RunHead:
-    """Row of a run with the text of its settings, without steps and results."""
+    """Row of a run and the text of its settings, without the steps and results of the run."""
 
     row: RunRow
     settings_text: str
@@ -93,35 +100,47 @@ class RunHead:
 
 @dataclass(frozen=True)
 class RunSteps:
-    """Steps of a run, and the settings document with which it was started."""
+    """Steps of a run, and the settings document with which the run was started."""
 
     settings: Mapping[str, Any]
     steps: tuple[StepRow, ...]
 
 
 def run_ids(directory: Path) -> tuple[str, ...]:
-    """Return the identities of all runs of the journal in the order started. Raise the errors of `read_record`."""
+    """Return the identities of all runs of the journal, in the order in which the runs started.
+
+    Raises InputError if there is no journal or if it cannot be read.
+    """
     _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
         return reader.run_ids()
 
 
 def run_heads(directory: Path) -> tuple[RunHead, ...]:
-    """Return the heads of all runs of the journal in the order started. Raise the errors of `read_record`."""
+    """Return the heads of all runs of the journal, in the order in which the runs started.
+
+    Raises InputError if there is no journal or if it cannot be read.
+    """
     _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
         return tuple(RunHead(row, reader.settings_text(row.run)) for row in reader.runs())
 
 
 def read_record(directory: Path, run_id: str) -> RunRecord:
-    """Return the record of a run. Raise InputError if the journal or the run does not exist or cannot be read."""
+    """Return the record of the run `run_id`.
+
+    Raises InputError if there is no journal, if the journal cannot be read, or if it has no such run.
+    """
     _require_journal(directory, _NO_RUN)
     with open_journal(directory) as reader:
         return _record(reader, reader.require_run(run_id))
 
 
 def read_steps(directory: Path, run_id: str) -> RunSteps:
-    """Return settings and steps of a run. Raise the errors of `read_record`."""
+    """Return the steps of the run `run_id` and the settings with which it was started.
+
+    Raises InputError if there is no journal, if the journal cannot be read, or if it has no such run.
+    """
     _require_journal(directory, "name the folder of a run in a state directory")
     with open_journal(directory) as reader:
         run = reader.require_run(run_id).run

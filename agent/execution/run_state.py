@@ -1,4 +1,4 @@
-"""State of a run. Every change is checked against the table of states, journaled, then announced."""
+"""State of a run. Each change of the state is checked against the permitted changes, then journaled, then announced."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from agent.execution.states import FINAL, RunState, may_follow
 
 @dataclass(frozen=True)
 class Announcement:
-    """Announcement to the caller of a run. `kind` is ``state``, ``progress`` or ``note``."""
+    """Message from a run to its caller. `kind` is ``state``, ``progress`` or ``note``."""
 
     kind: str
     text: str
@@ -24,7 +24,7 @@ Listener = Callable[[Announcement], None]
 
 
 class RunStateTracker:
-    """State of one run. It journals and announces every change of the state."""
+    """State of one run. The methods journal and announce every change of the state."""
 
     def __init__(self, journal: RunJournal, listener: Listener, replayed: deque[RunState] | None = None) -> None:
         """`replayed` contains the recorded states of a resumed run; they are not announced when the replay enters them
@@ -37,7 +37,10 @@ class RunStateTracker:
         self._held_in: RunState | None = None
 
     def enter(self, state: RunState, reason: str = "") -> None:
-        """Change the state. Raise ValueError, a defect of the agent, if the table of states does not permit it."""
+        """Change the state of the run to `state`.
+
+        Raises ValueError if the table of states does not permit the change; this would be a defect of the agent.
+        """
         if not may_follow(self.state, state):
             raise ValueError(f"no change from {self.state.value} to {state.value}")
         self.state = state
@@ -48,7 +51,7 @@ class RunStateTracker:
         self._announce(reason)
 
     def announce_again(self) -> None:
-        """Announce the current state of a resumed run after its replay."""
+        """Announce the current state of a resumed run if the replay entered this state without announcing it."""
         if self._silent:
             self._announce("resumed")
 
@@ -66,7 +69,7 @@ class RunStateTracker:
             self.enter(RunState.HELD)
 
     def resume(self) -> None:
-        """Return from HELD to the state before it."""
+        """Return from the state HELD to the state in which the run was held. In other states, do nothing."""
         if self.state is RunState.HELD and self._held_in is not None:
             self.enter(self._held_in)
 
@@ -78,7 +81,10 @@ class RunStateTracker:
             self._listener(Announcement("note", text, data))
 
     def announce_note(self, text: str) -> None:
-        """Announce a note that is already in the journal, as part of a record of the plan."""
+        """Announce a note without journaling it.
+
+        The note is already in the journal, because it is part of a record of the plan.
+        """
         self._listener(Announcement("note", text, {}))
 
     def progress(self, text: str, **data: object) -> None:

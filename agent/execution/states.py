@@ -64,9 +64,10 @@ FINAL = frozenset({S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED})
 
 
 def may_follow(now: RunState, after: RunState) -> bool:
-    """Return True if `after` may follow `now`.
+    """Return True if a run may change from the state `now` to the state `after`.
 
-    It may follow if it is listed in `FORWARD`, or if it is aborting or faulted and `now` is not final.
+    The change is permitted if `FORWARD` lists it. A change to ABORTING or FAULTED is permitted from every state that is
+    not final.
     """
     if now in FINAL:
         return False

@@ -1,9 +1,11 @@
-"""Steps that a plan can yield. A step is a frozen value with a stable key; the engine carries it out.
+"""Steps that a plan can yield. A step is a frozen value with a key; the engine carries it out.
 
-The key names the point in the procedure (``station-1/az090-el045/ball-03/touch-2``) and is unique in a run. It is the
-same whenever the plan is rebuilt from the same settings and the same results, so that a resumed run can match its
-recorded steps by key. Positions are axis positions in mm as the controller displays them; they are plain tuples, so
-that a step can be written to the journal unchanged.
+The key names the point in the procedure (``station-1/az090-el045/ball-03/touch-2``) and is unique in a run. A plan that
+is rebuilt from the same settings and the same results has the same keys. A resumed run can therefore find its recorded
+steps by their keys.
+
+Positions are axis positions in mm as the controller displays them. They are plain tuples, which can be written to the
+journal unchanged.
 """
 
 from __future__ import annotations
@@ -19,7 +21,10 @@ Point: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MoveTo:
-    """Move in a straight line, which is a rapid move if no feed is given. Every move near the artefact is guarded."""
+    """Move in a straight line to `target_mm`. If no feed is given, the move is a rapid move.
+
+    A guarded move stops if the probe trips. Every move near the artefact is guarded.
+    """
 
     key: str
     target_mm: Point
@@ -29,9 +34,10 @@ class MoveTo:
 
 @dataclass(frozen=True, slots=True)
 class Retrace:
-    """Guarded move that repeats the end of an earlier step. `of` is the key of that step.
+    """Guarded move that repeats the end of an earlier step. `of` is the key of the earlier step.
 
-    It approaches the same position from the same side, so that the play of the axes is taken up in the same direction.
+    The move approaches the position from the same side as the earlier step, and therefore takes up the play of the axes
+    in the same direction.
     """
 
     key: str
@@ -42,7 +48,10 @@ class Retrace:
 
 @dataclass(frozen=True, slots=True)
 class TouchTowards:
-    """Probing move towards `target_mm`. Result: `Touch` or `Miss`."""
+    """Probing move towards `target_mm`.
+
+    The result is a `Touch` if the probe trips on the way, and otherwise a `Miss`.
+    """
 
     key: str
     target_mm: Point
@@ -57,7 +66,10 @@ class HomeMount:
 
 @dataclass(frozen=True, slots=True)
 class OrientTo:
-    """Turn of the mount at `station`. Result: the `Orientation` that its encoders report."""
+    """Turn of the mount at `station` to the given angles.
+
+    The result is the `Orientation` that the encoders of the mount report.
+    """
 
     key: str
     station: int
@@ -67,16 +79,16 @@ class OrientTo:
 
 @dataclass(frozen=True, slots=True)
 class ReadTemperatures:
-    """Reading of all sensors. The result maps sensor names to temperatures in °C."""
+    """Reading of all temperature sensors. The result maps sensor names to temperatures in °C."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class ReadClock:
-    """Reading of the clock of the run.
+    """Reading of the clock of the run. The result is the machine time in s.
 
-    The result is the machine time in s; a resumed run continues from its last reading.
+    In a resumed run, the time continues as if the run had not been interrupted.
     """
 
     key: str
@@ -91,28 +103,28 @@ class ReadPosition:
 
 @dataclass(frozen=True, slots=True)
 class CheckPermissions:
-    """Check that raises PermissionMissing if the controller does not permit motion."""
+    """Check of the permissions. It raises PermissionMissing if the controller does not permit motion."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class ResetFault:
-    """Reset of a controller fault whose cause is gone; nothing moves."""
+    """Reset of a controller fault whose cause no longer exists. Nothing moves."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class CheckProbe:
-    """Check that raises MeasurementFault if the probe is not loaded, is not healthy, or is deflected."""
+    """Check of the probe. It raises MeasurementFault if the probe is not loaded, is not healthy, or is deflected."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class AskOperator:
-    """Question to the operator. Raises Aborted if the answer is no."""
+    """Question to the operator. The step raises Aborted if the answer is no."""
 
     key: str
     request: OperatorRequest
@@ -126,9 +138,9 @@ class Dwell:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Conclusion that the plan has reached, for the journal and the observers; nothing moves.
+    """Conclusion that the plan has reached and passes to the journal and the observers. Nothing moves.
 
-    `kind` is one of the journal's record kinds: ``ball``, ``event``, ``decision``.
+    `kind` is one of the journal's record kinds ``ball``, ``event`` and ``decision``.
     """
 
     key: str
@@ -145,7 +157,11 @@ class ReadActiveBank:
 
 @dataclass(frozen=True, slots=True)
 class AwaitActive:
-    """Check that raises NotActiveYet if the controller has accepted `bank` but not yet activated it."""
+    """Check of the activation of `bank`.
+
+    The step raises NotActiveYet if the controller has accepted the request to activate the bank but has not yet
+    activated it.
+    """
 
     key: str
     bank: int
@@ -153,7 +169,7 @@ class AwaitActive:
 
 @dataclass(frozen=True, slots=True)
 class ReadTable:
-    """Reading of a table. The result is a `TableImage`, or None if the bank is empty."""
+    """Reading of the table in `bank`. The result is a `TableImage`, or None if the bank is empty."""
 
     key: str
     bank: int

@@ -1,5 +1,8 @@
-"""Hold and abort of a run. Any thread may request them; they take effect on the run's thread, in waits of the clock
-and in computations that check for them."""
+"""Requests to hold or abort a run. Any thread may make a request.
+
+A request takes effect on the thread of the run, either during a wait of the clock or in a computation that checks for
+requests.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,14 @@ HOLD_POLL_S = 0.05
 
 
 class Supervisor:
-    """Mailbox for requests to hold, resume or end a run, from any thread to the thread of the run.
+    """Receiver of requests to hold, resume or end a run. Any thread may make a request; the thread of the run responds
+    to it.
 
-    An `InterruptibleClock` calls `check`. `on_hold` and `on_resume` start and end the machine's feed hold; they are
-    called on the run's own thread between two waits of a driver, never during a transaction. `heartbeat` is called at
-    every check and while held, so that a watchdog can see that the run's thread does not hang.
+    An `InterruptibleClock` calls `check` during its waits. `on_hold` starts the machine's feed hold, and `on_resume`
+    ends it. Both are called on the thread of the run, between two waits of a driver and never during a transaction.
+
+    `heartbeat` is called at every check and repeatedly during a hold. From these calls, a watchdog can see that the
+    thread of the run does not hang.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -33,13 +39,17 @@ class Supervisor:
         self.heartbeat: Callable[[], None] = _do_nothing
 
     def request_abort(self, reason: str) -> None:
-        """Request the end of the run. If a request is already pending, its reason is kept."""
+        """Request the abort of the run.
+
+        If the end of the run has already been requested, the earlier request and its reason remain valid.
+        """
         self._request_stop(Aborted, f"aborted: {reason}")
 
     def request_interruption(self, reason: str) -> None:
-        """Request the end of the run because the program must end; unlike an aborted run, it can be resumed.
+        """Request the end of the run because the program must end. Unlike an aborted run, an interrupted run can be
+        resumed.
 
-        If a request is already pending, its reason is kept.
+        If the end of the run has already been requested, the earlier request and its reason remain valid.
         """
         self._request_stop(Interrupted, f"interrupted: {reason}")
 
@@ -54,9 +64,11 @@ class Supervisor:
         self._hold.clear()
 
     def check(self) -> None:
-        """Raise `Aborted` or `Interrupted` if an end is requested; block while held.
+        """Raise `Aborted` or `Interrupted` if the end of the run has been requested. If a hold has been requested, wait
+        until the run is resumed.
 
-        If the supervisor is shielded, or if the hold itself calls this method, only the heartbeat is called.
+        Requests are ignored if the supervisor is shielded, or if this method is called during a hold. The heartbeat is
+        called in every case.
         """
         self.heartbeat()
         if self._shielded or self._holding:
@@ -66,16 +78,21 @@ class Supervisor:
             self._wait_for_resume()
 
     def check_stop_request(self) -> None:
-        """Raise whatever `check` raises, but never block.
+        """Raise `Aborted` or `Interrupted` if the end of the run has been requested, and ignore a request to hold.
 
-        Computations call this method, because nothing moves during them that could be held.
+        Computations call this method, because the machine does not move during a computation and need not be held.
+        Requests are ignored if the supervisor is shielded.
         """
         self.heartbeat()
         if not self._shielded:
             self._raise_stop_request()
 
     def shield(self) -> None:
-        """Ignore all requests from now on, because the exit path (retract, restore, close) must not be interrupted."""
+        """Ignore all requests from now on.
+
+        The actions at the end of a run (retract the probe, restore the table, close the devices) must not be
+        interrupted.
+        """
         self._shielded = True
 
     def _wait_for_resume(self) -> None:

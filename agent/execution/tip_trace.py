@@ -1,4 +1,4 @@
-"""Last motion of the tip, which determines how the probe is withdrawn after a fault."""
+"""Record of the last motion of the tip. It determines how the probe is withdrawn after a fault."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOUCH_LINE_TOLERANCE_MM = 2.0
 
 @dataclass
 class LastMotion:
-    """Record of the last motion, as axis positions in mm.
+    """Record of the last motion, in axis positions in mm.
 
     The caller calls `begin` when a motion begins, and `end` only if the motion ended as intended.
     """
@@ -28,7 +28,7 @@ class LastMotion:
     _touching: bool = False
 
     def set_position(self, at: Point) -> None:
-        """Record the position that the machine has reported."""
+        """Record the axis positions that the machine has reported."""
         self._at = at
 
     def begin(self, target: Point, *, touch: bool) -> None:
@@ -42,12 +42,14 @@ class LastMotion:
         self._at, self._begun = at, None
 
     def exit_point(self, here: Array) -> Array:
-        """Return the axis position (3,) in mm to which a withdrawal from `here` moves first; `here` if the stylus
-        cannot be touching anything.
+        """Return the axis positions, shape (3,) in mm, to which the probe first moves if it is withdrawn from
+        `here`.
 
-        After a touch, this is the start of the touch, even if the motion away from the surface was interrupted, because
-        moving back along that motion would lead onto the surface. After any other interrupted motion it is a point up
-        to `WITHDRAWAL_MM` back along the path.
+        After a touch, these are the axis positions at the start of the touch. They are the same if the motion away from
+        the surface was interrupted, because a move back along the path of that motion would lead onto the surface.
+
+        After any other interrupted motion, the result is a point on the path, at most `WITHDRAWAL_MM` back from `here`.
+        If the stylus cannot be touching anything, the result is `here`.
         """
         if self._touch is not None:
             start, target = (np.array(end) for end in self._touch)

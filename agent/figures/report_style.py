@@ -1,8 +1,10 @@
 """Style of report figures, with one set of colours. Text and axes follow the light or dark theme of the page.
 
-Figures are drawn with placeholder colours that are replaced by CSS variables of the page in the finished SVG, so one
-drawing serves a light screen, a dark one and paper. The series colours are those of Okabe and Ito, distinguishable with
-the common forms of colour blindness; the map colours (viridis) increase evenly in lightness.
+Figures are drawn with placeholder colours. In the finished SVG, the placeholder colours are replaced by CSS variables
+of the page, so the same drawing can be shown on a light screen, on a dark screen and on paper.
+
+The series colours are those of Okabe and Ito, which can be distinguished with the common forms of colour blindness. The
+lightness of the map colours (viridis) increases evenly.
 """
 
 from __future__ import annotations
@@ -70,8 +72,10 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins around the panels in inches. They are fixed, because computing them from each drawing would double the
-    time of a report."""
+    """Margins around the panels of a figure, in inches.
+
+    The margins are fixed, because computing them from each drawing would double the time that a report takes.
+    """
 
     left: float = 0.66
     right: float = 0.15
@@ -80,7 +84,11 @@ class Margins:
 
 
 class Drawing:
-    """Figure in the house style: `with Drawing("name", width, height) as figure: …` then `.svg()`."""
+    """Figure in the house style, rendered as SVG. `width_in` and `height_in` are in inches.
+
+    The object is a context manager that yields an empty matplotlib figure, in which the caller draws. After the block,
+    the method `svg` returns the result.
+    """
 
     def __init__(self, name: str, width_in: float, height_in: float, margins: Margins | None = None) -> None:
         self.name = name
@@ -111,7 +119,7 @@ class Drawing:
             self._context.__exit__(None, None, None)
 
     def svg(self) -> str:
-        """Return the `<svg>` element to embed in a page, after the `with` block has ended."""
+        """Return the `<svg>` element for a page. The text is empty until the `with` block has ended."""
         return self._svg
 
 

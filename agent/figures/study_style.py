@@ -1,7 +1,7 @@
-"""Style of study figures: light background, one set of colours, labels with units.
+"""Style of study figures, which have a light background, one set of colours, and labels with units.
 
-The colours are those of Okabe and Ito, distinguishable with the common forms of colour blindness; the map colours
-(viridis) increase evenly in lightness. Each drawing is rendered as PNG and as SVG.
+The series colours are those of Okabe and Ito, which can be distinguished with the common forms of colour blindness. The
+lightness of the map colours (viridis) increases evenly. Each drawing is rendered both as PNG and as SVG.
 """
 
 from __future__ import annotations
@@ -78,14 +78,17 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One drawing as PNG and as SVG."""
+    """Drawing that has been rendered both as PNG and as SVG."""
 
     png: bytes
     svg: str
 
 
 def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
-    """Draw a figure of `size_in` (width, height) inches in the house style; the same input gives the same bytes."""
+    """Return a figure in the house style, rendered as PNG and as SVG. The function `draw` draws the figure.
+
+    `size_in` contains the width and the height in inches. The same input gives the same bytes.
+    """
     with mpl.rc_context(_SETTINGS):
         mpl.rcParams["svg.hashsalt"] = name
         figure = Figure(figsize=size_in, dpi=DOTS_PER_INCH)
@@ -94,7 +97,7 @@ def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
 
 
 def from_zero(axes: Axes, label: str) -> None:
-    """Set the label of the ordinate and start its scale at zero."""
+    """Set the label of the vertical axis to `label`, and start the scale of this axis at zero."""
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
 

@@ -1,4 +1,4 @@
-"""Address of the history database, from the settings. The password is read from a file and is never shown."""
+"""Address of the history database, derived from the settings. The password is read from a file and is never shown."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ _KEY = "history.url"
 
 @dataclass(frozen=True)
 class DatabaseAddress:
-    """Address of the database. `url` contains the password and must not be printed. `machine` is the name of this
-    machine.
+    """Address of the history database.
+
+    `url` contains the password and must not be printed. `machine` is the name of this machine in the database.
     """
 
     url: URL
@@ -40,8 +41,10 @@ class DatabaseAddress:
 
 
 def database_address(settings: Settings) -> DatabaseAddress:
-    """Return the address of the database. Raise ConfigurationError if the URL is not supported or contains a password,
-    or if users other than its owner can read the credentials file.
+    """Return the address of the history database.
+
+    Raises ConfigurationError if the URL is not supported or contains a password, or if the credentials file can be read
+    by users other than the owner of the file.
     """
     chosen, machine = settings.history, machine_name(settings.model_dump(mode="json"))
     if chosen.url is None:

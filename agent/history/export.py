@@ -17,7 +17,7 @@ COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
 def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
     """Return one run as a document with the keys of docs/reference/json.md.
 
-    If `whole`, the document includes the parameters, temperatures and decisions.
+    If `whole` is True, the document includes the parameters, temperatures and decisions.
     """
     document = {name: _plain(getattr(run, name)) for name in COLUMNS}
     if whole:
@@ -33,8 +33,10 @@ def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
 
 
 def as_csv(runs: Sequence[StoredRun]) -> str:
-    """Return CSV text with one line per run. The last columns hold the value and standard uncertainty of each
-    parameter."""
+    """Return CSV text with one line per run.
+
+    The last columns hold the value and the standard uncertainty of each parameter.
+    """
     names = list(dict.fromkeys(p.name for run in runs for p in run.parameters))
     units = {p.name: p.unit for run in runs for p in run.parameters}
     heads = [head for name in names for head in (f"{name}_{units[name]}", f"u_{name}_{units[name]}")]

@@ -1,5 +1,6 @@
-"""Update of the history after a run. It is not in `agent.history.sync` because it writes logs and that module
-does not.
+"""Update of the history after a run.
+
+This function writes logs. It is therefore separate from `agent.history.sync`, which does not write logs.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ log = structlog.get_logger()
 
 
 def update_history(settings: Settings, run_id: str) -> str:
-    """Add run `run_id`, and all other runs that are missing, to the history. Return the text of the error, or an empty
-    text on success.
+    """Add the run `run_id`, and all other runs that are missing, to the history.
 
-    A failure of the database does not affect the run.
+    Return an empty text on success. If the history cannot be updated, log the error and return its text; the run is not
+    affected.
     """
     try:
         with closing(HistoryStore(database_address(settings))) as store:

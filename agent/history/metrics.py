@@ -20,8 +20,10 @@ ACCEPTED = "complete"
 def metrics_text(
     machine: str, runs: Sequence[StoredRun], trends: Sequence[Trend], live: Mapping[str, float] | None = None
 ) -> str:
-    """Return all metrics as text. `runs` are all runs of the machine, oldest first. `live` contains further gauges of
-    the service by name (`link_errors` becomes `volcal_link_errors`). Metrics of the process itself are not included.
+    """Return all metrics as text. `runs` contains all runs of the machine, sorted with the oldest run first.
+
+    `live` contains the values of further metrics of the service by name. The metric `link_errors`, for example, is
+    written as `volcal_link_errors`. Metrics of the process itself are not included.
     """
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)

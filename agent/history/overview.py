@@ -1,4 +1,4 @@
-"""Trends of one machine, the selection of the trends to be shown, and the alarms of the trends."""
+"""Trends of one machine, the selection of trends to be shown, and the alarms of the trends."""
 
 from __future__ import annotations
 
@@ -20,8 +20,11 @@ def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Tre
 
 
 def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:
-    """Return the trends with these names. The name of an error such as `EXX` also selects its coefficients. Raise
-    InputError for an unknown name."""
+    """Return the trends of the series with the given names.
+
+    The name of a geometric error such as `EXX` also selects the trends of its coefficients. Raises InputError if there
+    is no series with one of the names.
+    """
     by_name = {trend.series.name: trend for trend in trends}
     found: dict[str, Trend] = {}
     for name in names:
@@ -34,10 +37,11 @@ def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend,
 
 
 def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Trend, ...]:
-    """Return the `most` most relevant trends. The volumetric errors come first, in the order of `trends`.
+    """Return at most `most` trends, the most relevant trends first.
 
-    Of the other trends, those with a tolerance come first, then those with an alarm. Otherwise they are sorted by the
-    significance of their drift.
+    The trends of the volumetric errors and of the held-out balls come first, in the order of `trends`. Of the other
+    trends, those with a tolerance come before those without. In each of these two groups, trends with an alarm come
+    first, and the further order is that of decreasing significance of the drift.
     """
     volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]
@@ -46,8 +50,9 @@ def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Tre
 
 
 def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
-    """Return the alarms of the volumetric errors and of the series with a tolerance. Other alarms are omitted, because
-    among a hundred coefficients some exceed their control limits by chance.
+    """Return the alarms of the volumetric errors, of the held-out balls and of the series with a tolerance.
+
+    Other alarms are omitted, because among a hundred coefficients some exceed their control limits by chance.
     """
     return tuple(
         alarm

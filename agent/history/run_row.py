@@ -1,4 +1,4 @@
-"""Conversion of a run's record in the journal to rows of the history database, without access to the database."""
+"""Conversion of a run's record in the journal to rows of the history database. The database is not accessed."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ _TOO_BIG = ("written",)
 
 @dataclass(frozen=True)
 class RunRows:
-    """Database rows of one run. `run` contains the values of the columns of `StoredRun` except the digest. The other
-    fields contain the rows of the tables that have the same names.
+    """Database rows of one run.
+
+    `run` contains the values of the columns of `StoredRun` except the digest. Each of the other fields contains the
+    rows for the database table of the same name.
     """
 
     run: Mapping[str, Any]
@@ -38,8 +40,9 @@ class RunRows:
 
 
 def machine_name(settings: Mapping[str, Any]) -> str:
-    """Return the machine's name from the history settings. If they contain no name, return the name of the machine file
-    without its suffix.
+    """Return the machine's name from the history settings.
+
+    If the history settings contain no name, return the name of the machine file without its suffix.
     """
     named = settings.get("history", {}).get("machine")
     return str(named or Path(settings["machine"]).stem)

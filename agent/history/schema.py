@@ -1,8 +1,8 @@
-"""Database tables of the history of all machines. The columns `machine` and `run_id` identify a run.
+"""Database tables of the history of all machines. The columns `machine` and `run_id` together identify a run.
 
-The columns of a table are derived from the fields of its row class. The row classes are plain
-dataclasses and the tables belong to SQLAlchemy Core, because SQLAlchemy's object-relational mapper would add about
-0.2 s to the start of `volcal history list`.
+The columns of a table are derived from the fields of its row class. The row classes are plain dataclasses, and the
+tables use SQLAlchemy Core. The object-relational mapper of SQLAlchemy is not used, because it would add about 0.2 s to
+the start of `volcal history list`.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ Sha256 = Annotated[str, String(64)]
 
 @dataclass(frozen=True)
 class StoredParameter:
-    """Parameter of the error model with its ISO 230-1 name. Its value and its standard uncertainty are in `unit`, which
-    is µm or µrad.
+    """Parameter of the error model with its ISO 230-1 name, its value and its standard uncertainty.
 
-    `place` is its index in the order of the parameters.
+    `unit` is the unit of the value and of the standard uncertainty, either µm or µrad. `place` is the index of the
+    parameter in the error model.
     """
 
     machine: Name
@@ -69,8 +69,10 @@ class StoredTemperature:
 
 @dataclass(frozen=True)
 class StoredDecision:
-    """Decision of a run, such as a gate, a verification or an acceptance. `place` is its index in the order of the
-    run's decisions. `record` is its content as JSON text.
+    """Decision of a run, such as a gate, a verification or an acceptance.
+
+    `place` is the index of the decision among the stored decisions of the run. `record` is the content of the decision
+    as JSON text.
     """
 
     machine: Name
@@ -83,15 +85,19 @@ class StoredDecision:
 
 @dataclass(frozen=True)
 class StoredRun:
-    """One run. Lengths are in µm. Volumetric errors (VE) are rigidly aligned, that is, computed after the best-fitting
-    rigid motion is removed. A value is None if the run ended before the value was known, or if runs of this kind do not
-    have it.
+    """Run of a machine, as stored in the history database.
 
-    `since`: identity of the run of the last accepted night; `nights`: number of nights since then. `ve_before_um`: VE
-    estimated without a table; `ve_after_um`: VE predicted with the new table; `ve_now_um`: VE that a night run expects
-    with the table active at its start; `acting_um`: VE with the table active at the end. `digest`: hash of all stored
-    values, with which unchanged runs are recognised and not written again. The lists contain the run's rows of the
-    other tables; they are not columns.
+    Lengths are in µm. Volumetric errors (VE) are rigidly aligned, that is, computed after the best-fitting rigid motion
+    is removed. A value is None if the run ended before the value was known, or if runs of this kind do not have the
+    value.
+
+    `since` is the identity of the run of the last accepted night, and `nights` is the number of nights since then.
+    `ve_before_um` is the VE estimated without a table. `ve_after_um` is the VE predicted with the new table.
+    `ve_now_um` is the VE that a night run expects with the table that is active at its start. `acting_um` is the VE
+    with the table that is active at the end of the run.
+
+    `digest` is a hash of all stored values. An unchanged run is recognised by its digest and is not written again. The
+    last three fields contain the rows of the run in the other tables; they are not columns.
     """
 
     machine: Name

@@ -1,5 +1,6 @@
-"""Series of values over the nights, made from the runs of one machine. They cover the volumetric errors, the 21
-geometric errors and the single parameters.
+"""Series of values over the nights, computed from the runs of one machine.
+
+The series cover the volumetric errors, the 21 geometric errors and the single parameters.
 """
 
 from __future__ import annotations
@@ -32,11 +33,14 @@ _CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Series of a quantity over n runs. `nights`: number of nights since the first run, shape (n,). `values`: values in
-    `unit`, shape (n,). `sigmas`: standard uncertainties in `unit`, shape (n,), or all 1 if `stated` is False. `stated`:
-    True if the standard uncertainties are known. `tolerance`: tolerance of the value, or None if there is none.
-    `two_sided`: True if values may have either sign. `steps`: nights at which the machine or its table is known to have
-    changed.
+    """Series of a quantity over n runs of one machine.
+
+    `nights` is the number of nights between the first run and each run, shape (n,). `values` contains the values in the
+    unit `unit`, shape (n,). `sigmas` contains the standard uncertainties of the values in the same unit, shape (n,).
+    `stated` is True if the standard uncertainties are known; otherwise all elements of `sigmas` are 1.
+
+    `tolerance` is the tolerance of the value, or None if there is none. `two_sided` is True if values may have either
+    sign. `steps` contains the nights at which the machine or its table is known to have changed.
     """
 
     name: str
@@ -53,8 +57,9 @@ class Series:
 
 
 def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Series, ...]:
-    """Return all series of one machine's runs. The runs must be sorted, the oldest run first. Series without values are
-    omitted.
+    """Return all series of one machine's runs. Series without values are omitted.
+
+    The runs must be sorted, with the oldest run first.
     """
     timeline = nights_of(runs)
     found = [*_volumetric(runs, timeline, settings), *_errors(runs, timeline, settings)]
@@ -62,10 +67,10 @@ def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Se
 
 
 def nights_of(runs: Sequence[StoredRun]) -> Array:
-    """Return the time of each run as the number of nights since the first run, shape (n,).
+    """Return the number of nights between the first run and each run, shape (n_runs,).
 
-    A run may record the number of nights since the last accepted night, from the calendar or as given by the user. The
-    time of such a run is computed from this number; that of any other run is computed from the calendar.
+    A run may record the number of nights since the last accepted night. For such a run, the result is computed from
+    this number; for any other run, it is computed from the calendar.
     """
     nights: dict[str, float] = {}
     last = 0.0

@@ -1,4 +1,7 @@
-"""Storage of the history in its database. There is one row per machine and run, and it may be rewritten."""
+"""Storage of the history in its database.
+
+Each run of a machine has one row. If the run has changed, the row is replaced.
+"""
 
 from __future__ import annotations
 
@@ -55,8 +58,10 @@ _CHILDREN: Mapping[str, tuple[Table, type, str]] = {
 
 @dataclass(frozen=True)
 class RunEnd:
-    """End of a run. `ended` is the time in UTC, or None while the run is in progress. `state` is the state of the run,
-    and `reason` is the reason for that state.
+    """End of a run.
+
+    `ended` is the UTC time of the end, or None if the run has not ended. `state` is the state of the run, and `reason`
+    is the reason for this state.
     """
 
     ended: datetime | None
@@ -65,8 +70,9 @@ class RunEnd:
 
 
 class HistoryStore:
-    """Open history database. Raise ConfigurationError if the database cannot be used, and LinkLost if it cannot be
-    reached.
+    """Connection to the history database.
+
+    Raises ConfigurationError if the database cannot be used, and LinkLost if it cannot be reached.
     """
 
     def __init__(self, address: DatabaseAddress) -> None:
@@ -79,18 +85,18 @@ class HistoryStore:
         self._engine.dispose()
 
     def digests(self, machine: str) -> Mapping[str, str]:
-        """Return the stored digest of each run of the machine, by run identity."""
+        """Return a mapping from the identity of each run of `machine` to the stored digest of the run."""
         rows = self._read(select(RUNS.c.run_id, RUNS.c.digest).where(RUNS.c.machine == machine))
         return {run_id: digest for run_id, digest in rows}  # noqa: C416  a Row is no pair
 
     def ends(self, machine: str) -> Mapping[str, RunEnd]:
-        """Return the stored end of each run of the machine, by run identity."""
+        """Return a mapping from the identity of each run of `machine` to the stored end of the run."""
         query = select(RUNS.c.run_id, RUNS.c.ended, RUNS.c.state, RUNS.c.reason)
         rows = self._read(query.where(RUNS.c.machine == machine))
         return {run_id: RunEnd(utc_time(ended), state, reason) for run_id, ended, state, reason in rows}
 
     def put(self, rows: RunRows) -> None:
-        """Insert the rows of a run, or replace those already stored, in one transaction."""
+        """Insert the rows of a run, or replace the stored rows of this run, in one transaction."""
         values = {**rows.run, "digest": rows.digest, **{at: _parse_time(rows.run[at]) for at in ("started", "ended")}}
         key = {name: values[name] for name in ("machine", "run_id")}
         with self._translated_errors(), self._engine.begin() as connection:
@@ -111,10 +117,11 @@ class HistoryStore:
         return tuple(machine for (machine,) in rows)
 
     def runs(self, machine: str | None = None, last: int | None = None, *, whole: bool = True) -> Sequence[StoredRun]:
-        """Return the runs of one machine, oldest first. If `machine` is None, return the runs of all machines.
+        """Return the runs of one machine, the oldest run first. If `machine` is None, return the runs of all
+        machines.
 
-        If `last` is given, only that number of the newest runs is returned. If `whole` is False, the parameters,
-        temperatures and decisions of the runs are empty.
+        If `last` is given, only the newest `last` runs are returned. If `whole` is False, the parameters, temperatures
+        and decisions of the runs are left empty.
         """
         query = select(RUNS)
         if machine is not None:
@@ -182,7 +189,10 @@ class HistoryStore:
 
 
 def stored_run(rows: RunRows) -> StoredRun:
-    """Return the run that `HistoryStore.runs` would return after `put`, without using a database."""
+    """Return the run that `HistoryStore.runs` would return after `HistoryStore.put` had stored `rows`.
+
+    No database is used.
+    """
     moments = {at: _parse_time(rows.run[at]) for at in ("started", "ended")}
     key = {name: rows.run[name] for name in ("machine", "run_id")}
     return StoredRun(

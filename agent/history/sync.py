@@ -1,5 +1,6 @@
-"""Update of the history from the journal. It stores the runs that are missing in the history or have changed since the
-last update.
+"""Update of the history from the journal.
+
+The update stores each run that is missing in the history and each run that has changed since the last update.
 """
 
 from __future__ import annotations
@@ -14,24 +15,23 @@ from agent.history.store import HistoryStore, RunEnd, utc_time
 
 
 def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
-    """Store all runs of the journal in the state directory `directory`. Return the identities of the runs written, in
-    the order in which they were written.
+    """Store all new and all changed runs of the journal in the state directory `directory`.
 
-    Runs that are already stored and unchanged are skipped. Raise LinkLost if the connection to the database is lost;
-    the next call then stores the remaining runs.
+    Return the identities of the stored runs, in the order in which they were stored. Raises LinkLost if the connection
+    to the database is lost; the next call then stores the remaining runs.
     """
     return _store_changed(directory, run_ids(directory), store)
 
 
 def sync_ends(directory: Path, store: HistoryStore) -> tuple[str, ...]:
-    """Store the runs that have not ended and those whose end is not stored yet.
+    """Store the runs that have not ended and the runs whose end is not yet stored.
 
-    Return the identities of the runs written, in the order in which they were written. Raise LinkLost if the connection
+    Return the identities of the stored runs, in the order in which they were stored. Raises LinkLost if the connection
     to the database is lost.
 
-    This function is for commands that only show the history. If the end of a run is stored, it reads only the head of
-    the run's record, which saves about 50 ms per run with an estimate of 1.5 MB. `sync`, in contrast, compares all runs
-    completely; it is called after every run.
+    This function is for commands that only show the history. If the end of a run is already stored, only the head of
+    the run's record is read, which saves about 50 ms per run with an estimate of 1.5 MB. In contrast, `sync` compares
+    all runs completely; it is called after every run.
     """
     stored: dict[str, dict[str, RunEnd]] = {}
     changed = []

@@ -1,5 +1,6 @@
-"""Trend of a series, with its drift per night, its control limits, and alarms that are raised before a tolerance is
-reached.
+"""Trend of a series: the drift per night, the control limits, and the alarms.
+
+An alarm can be raised before a tolerance is reached.
 """
 
 from __future__ import annotations
@@ -32,8 +33,11 @@ MIN_CHARTED = 8
 
 
 class AlarmKind(Enum):
-    """Kind of a trend alarm. `LIMIT`: the tolerance is reached; `TREND`: the tolerance will soon be reached; `CONTROL`:
-    the newest value is outside the control limits of the series."""
+    """Kind of a trend alarm.
+
+    `LIMIT` means that the tolerance is reached. `TREND` means that the tolerance will soon be reached. `CONTROL` means
+    that the newest value is outside the control limits of the series.
+    """
 
     LIMIT = "limit"
     TREND = "trend"
@@ -50,8 +54,10 @@ class TrendAlarm:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Trend of a series. `drift` is None if there are too few values. `chart` and `smoothed` are control charts of the
-    values since the last step; they are None if there are fewer than `MIN_CHARTED` values. `crossing` predicts when the
+    """Trend of a series.
+
+    `drift` is None if there are too few values. `chart` and `smoothed` are control charts of the values since the last
+    step; both are None if there are fewer than `MIN_CHARTED` such values. `crossing` predicts the time at which the
     series will reach its tolerance; it is None if there is no tolerance or no drift.
     """
 

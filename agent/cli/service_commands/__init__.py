@@ -1,3 +1,4 @@
-"""Commands that start the service, and commands that send requests to it. The latter import neither numerical libraries
-nor drivers.
+"""Commands that start the service, and commands that send requests to the service.
+
+The commands that send requests import neither numerical libraries nor device drivers.
 """

@@ -1,4 +1,7 @@
-"""`volcal hold`, `abort`, `reset` and `answer`, each of which sends one request to the service."""
+"""Commands `volcal hold`, `volcal abort`, `volcal reset` and `volcal answer`.
+
+Each command sends one request to the service.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,10 @@ def answer_command(number: int, said: str, config: Path) -> None:
 
 
 def resumed_by_service(settings: Settings) -> bool:
-    """Request the service to resume the held or interrupted run. Return False if no service is running."""
+    """Request the service to resume the held or interrupted run.
+
+    Return True if the request was sent, and False if no service is running.
+    """
     try:
         client = Client(settings)
     except NoService:

@@ -1,4 +1,4 @@
-"""`volcal serve`: service process, started by systemd or in a terminal."""
+"""Command `volcal serve`, which runs the service process. It is started by systemd or in a terminal."""
 
 from __future__ import annotations
 

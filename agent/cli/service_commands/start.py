@@ -1,4 +1,4 @@
-"""`volcal start`: request to the service to start a run. The timer executes the same command."""
+"""Command `volcal start`, which requests the service to start a run. The systemd timer runs the same command."""
 
 from __future__ import annotations
 
@@ -71,9 +71,10 @@ def start_command(
 
 
 def begun(client: Client, body: Mapping[str, object]) -> str:
-    """Start a run and return its identity.
+    """Request the service to start the run described by `body`, and return the identity of the run.
 
-    Exit with code DECLINED if the hour, the warm-up, a missing permission or another run prevents the start.
+    Exit with the code DECLINED if the service refuses the start because of the time of day, the warm-up, a missing
+    permission or another run.
     """
     try:
         return str(client.post("/api/start", body)["run_id"])
@@ -83,8 +84,9 @@ def begun(client: Client, body: Mapping[str, object]) -> str:
 
 
 def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
-    """Wait for the end of the run and return the status at that time. The service may be unavailable for up to
-    GONE_FOR_S.
+    """Wait for the end of the run `run_id` and return its status after the end.
+
+    If the service cannot be reached, try again for at most GONE_FOR_S seconds, then raise LinkError.
     """
     console = Console(stderr=True)
     said = ""
@@ -99,8 +101,10 @@ def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
 
 
 def conclude(client: Client, status: Mapping[str, Any]) -> None:
-    """Return if the run is complete and any table that it wrote was verified; otherwise exit with the code of the
-    outcome."""
+    """Return without a value if the run is complete and any table that it wrote was verified.
+
+    Otherwise, print the error and exit with the exit code of the error.
+    """
     state = RunState(status["state"])
     if status["alarms"]:
         raise fail(_error_of(status["alarms"][0]))

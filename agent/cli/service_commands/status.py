@@ -1,4 +1,4 @@
-"""`volcal status`: current state of the machine and of its run."""
+"""Command `volcal status`, which shows the current state of the machine and of its run."""
 
 from __future__ import annotations
 
