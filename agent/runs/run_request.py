@@ -1,5 +1,5 @@
-"""Request for a run. HTTP, the panel gateway, OPC UA and the command line use the same request type, which is validated
-once."""
+"""Request for a run. The HTTP body, the panel gateway, OPC UA and the command line all use this type, which is
+validated when it is created."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class RunRequest(BaseModel):
     """Request for a run. If a field is None, its value is taken from the settings.
 
     `position_set` is a name, never a path, so that an endpoint cannot choose which file the agent opens. `consent` is
-    True if a person stands at the machine and has confirmed that it may move. A timer never has consent; the agent then
-    decides from permissions, hours and warm-up alone. `full_allowed` is True if a nightly run may become a full
-    calibration.
+    True if a person stands at the machine and has confirmed that the machine may move. A timer never has consent; the
+    agent then decides from permissions, permitted hours and warm-up alone. `full_allowed` is True if a nightly run may
+    become a full calibration.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -104,7 +104,7 @@ class RunResources:
     began_s: float
 
     def interruptible(self, clock: Clock) -> Clock:
-        """Return a clock that has the same time as `clock` and that lets the supervisor interrupt its waits.
+        """Return a clock that shows the time of `clock` and whose waits can be interrupted by the supervisor.
 
         `clock` is the clock of these resources, or a clock based on it.
         """
@@ -186,7 +186,8 @@ class RunSession:
     def ended_by_errors(self) -> Iterator[None]:
         """End the run if the `with` block raises a `VolcalError`.
 
-        If that happens, nothing has moved yet, because a run that has begun to measure handles its errors itself.
+        At the time of such an error nothing has moved yet, because a run that has begun to measure handles its errors
+        itself.
         """
         try:
             yield

@@ -1,4 +1,4 @@
-"""Stable alarm numbers of the error classes, by which a panel can select a text of its own.
+"""Stable alarm number of each error class. A panel can use the number to select its own alarm text.
 
 The numbers are a contract (docs/reference/alarms.md): a class keeps its number, and a number is never reused. Each
 branch of the class hierarchy has a range of one hundred numbers. An error class without a number of its own has the
@@ -103,7 +103,7 @@ CODES: Final = MappingProxyType(_CODES)
 def alarm_code(error: BaseException) -> AlarmCode:
     """Return the alarm code of the error's class or, if this class has no code, of its nearest base class that has one.
 
-    Return DEFECT if no base class has a code.
+    If neither the class nor any base class has a code, return DEFECT.
     """
     for kind in type(error).__mro__:
         if kind in CODES:

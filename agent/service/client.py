@@ -36,7 +36,7 @@ class NoService(LinkLost):
 
 @dataclass(frozen=True)
 class Client:
-    """HTTP connection to the service of one machine, which is found with the settings of that machine."""
+    """HTTP connection to the service of the machine that `settings` describes."""
 
     settings: Settings
     _http: httpx.Client = field(init=False)

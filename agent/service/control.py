@@ -102,8 +102,9 @@ class Control(Protocol):
     def start(self, request: RunRequest) -> str:
         """Start a run and return its identity.
 
-        Raise Busy, which names the run in progress, if there is one. Raise UserError if the request cannot be carried
-        out, DeviceError if the machine cannot be reached, and PermissionMissing if a reset is needed first.
+        Raise Busy, with the name of the run in progress, if another run is in progress. Raise UserError if the request
+        cannot be carried out, DeviceError if the machine cannot be reached, and PermissionMissing if a reset is needed
+        first.
 
         If the request is without consent, also raise PermissionMissing if the controller does not permit motion, and
         GateRefused if the present hour is not permitted or the machine has not warmed up yet.

@@ -1,4 +1,4 @@
-"""Access token of the service. A person or program that has it may move the machine and write tables.
+"""Access token of the service. A person or program with the token may move the machine and write tables.
 
 The token is stored in a file that only the file's owner can read. The file is the one passed by systemd
 (LoadCredential=token:…) or else the one named in the settings. If there is neither, the service creates the file in the

@@ -18,8 +18,10 @@ class HistorySettings(StrictModel):
     - `url` is the database URL without password (SQLAlchemy form), shared by all machines of a plant; by default the
       database is a SQLite file in the state directory.
     - `credentials_file` is a file that contains the password on one line.
-    - `machine` is the name of this machine in the history; by default it is the name in the machine file.
-    - `ve_tolerance_um` and `held_out_tolerance_um` are tolerances in µm.
+    - `machine` is the name of this machine in the history; by default it is the name of the machine file without its
+      extension.
+    - `ve_tolerance_um` is the tolerance of the VE with the active table, in µm.
+    - `held_out_tolerance_um` is the tolerance of the rms error of held-out balls, in µm.
     - `parameter_tolerances` maps an error (such as EXX) or a coefficient (such as EXX[1]) to its tolerance in µm or
       µrad.
 

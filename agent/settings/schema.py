@@ -30,7 +30,11 @@ Order = Literal["evidence", "file"] | Annotated[int, Field(ge=1, le=15)]
 
 
 class ClockSettings(StrictModel):
-    """Clock of the run. `kind` is ``real`` on a machine, and ``scaled`` or ``lockstep`` if the run uses simulators."""
+    """Clock of the run.
+
+    `kind` is ``real`` on a machine. With simulators it is ``scaled`` (machine time runs at `factor` times wall-clock
+    time) or ``lockstep`` (the time server of the simulator at `host` and `port` sets the time).
+    """
 
     kind: Literal["real", "scaled", "lockstep"] = "real"
     factor: PositiveFloat = 1.0
@@ -175,7 +179,8 @@ class IdentificationSettings(StrictModel):
 
 
 class TableSettings(StrictModel):
-    """Grid and anchor of the compensation table. `anchor_mm`: axis positions at which the correction is zero."""
+    """Grid and anchor of the compensation table. `step_mm` is the node distance per axis. `anchor_mm` contains the axis
+    positions at which the correction is zero."""
 
     step_mm: Coordinates = (100.0, 100.0, 100.0)
     anchor_mm: Coordinates | None = None
@@ -249,12 +254,12 @@ class NightlySettings(StrictModel):
     The first `held_out_positions` of `verification.positions_deg` are measured at the start, and again if a new table
     is written. `check_positions` is the number of designed positions that complete the verification.
 
-    The machine may change by an rms field of `drift_um` per night, distributed like its family. `scale_drift_um_per_m`
-    is an additional drift per night of the scale of each axis.
+    `drift_um` is the rms length of the field by which the machine may change per night; the change is distributed like
+    the family of the machine. `scale_drift_um_per_m` is an additional drift per night of the scale of each axis.
 
-    The machine is out of limits in three cases: if the normalised χ² of the prediction exceeds `max_chi2`; if one error
-    has changed in a step whose evidence (ln of the likelihood ratio) is at least `step_evidence`; or if the VE exceeds
-    `max_ve_growth` times the VE after the last accepted night.
+    The machine is out of limits in three cases. The normalised χ² of the prediction exceeds `max_chi2`. Or one error
+    has changed abruptly, and the evidence for this step (ln of the likelihood ratio) is at least `step_evidence`. Or
+    the VE exceeds `max_ve_growth` times the VE after the last accepted night.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {

@@ -20,8 +20,8 @@ class TemperatureSettings(StrictModel):
 
     `standard_uncertainty_k` is the standard uncertainty of the artefact temperature, common to the whole run.
     `declared_artefact_c` is the artefact temperature that is used if the artefact has no sensor. The run waits while
-    the artefact changes faster than `max_rate_k_per_h` or differs by more than `max_departure_k` from 20 °C. It reads
-    the sensors every `poll_interval_s` and gives up after `max_wait_minutes`.
+    the artefact changes faster than `max_rate_k_per_h` or differs by more than `max_departure_k` from 20 °C. While it
+    waits, it reads the sensors every `poll_interval_s`; it gives up after `max_wait_minutes`.
 
     The first ball of each position is measured again at the end of the position. A shift of the ball beyond
     `drift_warning_um` is reported; a shift beyond `procedure.drift_limit_um` ends the run.
@@ -29,9 +29,10 @@ class TemperatureSettings(StrictModel):
     The thermal drift of the machine is fitted if the machine temperature changes by at least `min_change_k`. If the
     machine has no sensor, the change is assumed to be `declared_change_k`. The prior standard deviations per kelvin are
     `scale_um_per_m_k` for scales, `bending_um_per_m_k` for bending and tilt of guides, and `tip_um_per_k` for the
-    position of the tip, which includes the growth of the scales at mid-travel. The first `repeat_positions` positions
-    are measured again at the end of the run if the machine temperature has changed by more than
-    `repeat_after_change_k`.
+    position of the tip, which includes the growth of the scales at mid-travel.
+
+    The first `repeat_positions` positions at the first station are measured again at the end of the run if the machine
+    temperature has changed by at least `repeat_after_change_k`.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {

@@ -31,8 +31,9 @@ AXIS_LABEL = "balls over the same length"
 class Curve:
     """Results of one identification variant for each number of balls in `COUNTS`.
 
-    `verdicts` are the volumetric errors found, and `shares` are the gains as shares of the largest gain. A share is
-    None if the machine is not identified with this number of balls, or if no number of balls reduces the error.
+    `verdicts` contains the VCE for each number of balls, and `shares` contains the gain as a share of the largest gain.
+    A share is None if the machine is not identified with this number of balls, or if no number of balls reduces the
+    error.
     """
 
     variant: IdentificationVariant
@@ -75,10 +76,11 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def gain_shares(verdicts: Sequence[Verdict], before: VolumetricRms) -> tuple[float | None, ...]:
-    """Return the gain of each verdict as a share of the largest gain.
+    """Return the gain for each number of balls as a share of the largest gain.
 
-    The gain is the VE (`before`) minus the VCE, both after the best-fitting rigid motion is removed. A share is None if
-    the machine is not identified, or if no number of balls reduces the error.
+    The gain is the VE (`before`) minus the VCE (in `verdicts`), both after the best-fitting rigid motion is removed. A
+    share is None if the machine is not identified with this number of balls, or if no number of balls reduces the
+    error.
     """
     left = [aligned_um(verdict) for verdict in verdicts]
     best = min((value for value in left if value is not None), default=before.aligned_um)

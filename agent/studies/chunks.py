@@ -35,8 +35,8 @@ class Chunk(Generic[Item]):
     items: Sequence[Item]
 
     def run(self, task: Callable[[Item], Result]) -> list[Result]:
-        """Return the result of `task` for each item. If `task` raises an error, raises VolcalError with the name of the
-        failed item."""
+        """Return the result of `task` for each item. Raises VolcalError with the name of the failed item if `task`
+        raises an error."""
         results: list[Result] = []
         for number, item in enumerate(self.items, start=self.first):
             try:
@@ -56,7 +56,7 @@ def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
     """Return the results of a pickled task for the items of a chunk. Linear algebra in this process is limited to one
     thread.
 
-    The limit is needed because rounding in sums computed by several threads depends on the number of threads.
+    The limit is needed because the result of a sum computed by several threads depends on the number of threads.
     """
     function = _unpickled(task)
     threadpool_limits(limits=1)  # after unpickling, since it affects only libraries that are already loaded

@@ -36,8 +36,11 @@ class Panel:
 
 
 def draw(figure: Figure, panels: Sequence[Panel]) -> None:
-    """Draw one row of diagrams per panel. The left diagram shows the observed coverage by form of deflection, the right
-    diagram shows the observed coverage against the nominal coverage."""
+    """Draw one row of two diagrams per panel.
+
+    The left diagram shows the observed coverage by form of deflection. The right diagram shows the observed coverage
+    against the nominal coverage.
+    """
     axes = figure.subplots(len(panels), 2, width_ratios=(2.1, 1.0), squeeze=False)
     for (left, right), panel in zip(axes, panels, strict=True):
         _by_form(left, panel)

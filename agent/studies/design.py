@@ -2,8 +2,9 @@
 (VCE) and machine time.
 
 Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`). This closed form
-includes the deflection stated in the machine file, but the error model and the search for designs do not. The named
-sets are also evaluated with the published formulation, which uses distances with unit weights and no prior.
+includes the deflection stated in the machine file; the error model and the search for designs do not include the
+deflection. The named sets are also evaluated with the published formulation, which uses distances with unit weights and
+no prior.
 """
 
 from __future__ import annotations

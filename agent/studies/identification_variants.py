@@ -16,7 +16,7 @@ PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False)
 class IdentificationVariant:
     """Identification options that make closed form and simulation comparable.
 
-    All scales of the uncertainties are the stated scales and are not estimated from the measurements.
+    The scales of all uncertainties keep their stated values and are not estimated from the measurements.
     """
 
     options: Options
@@ -28,14 +28,17 @@ class IdentificationVariant:
 
     @property
     def title(self) -> str:
-        """Label of the variant, marked as the published method if the variant is the published method."""
+        """Label of the variant. The label of the published method also says that it is the published method."""
         published = IdentificationVariant(PUBLISHED).label == self.label
         return f"{self.label} (published method)" if published else self.label
 
 
 def identification_variants(options: Options) -> tuple[IdentificationVariant, ...]:
-    """Return three variants without duplicates: the requested options, the published method with the family of machines
-    as prior, and the published method itself."""
+    """Return the identification variants to compare, without duplicates.
+
+    They are the requested options, the published method with the family of machines as prior, and the published method
+    without a prior.
+    """
     candidates = (options, replace(PUBLISHED, use_prior=True), PUBLISHED)
     found: dict[str, IdentificationVariant] = {}
     for candidate in candidates:

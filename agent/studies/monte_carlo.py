@@ -3,7 +3,7 @@ form.
 
 Each machine is drawn, measured and identified independently of the others. It is identified twice from the same
 measurements. The first identification is that of a run: it estimates the scales of noise, prior and misfit, and rejects
-contradicting balls. The second identification uses all scales as stated, as the closed form assumes.
+balls that contradict the others. The second identification uses all scales as stated, as the closed form assumes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""Abandonment of an unfinished run.
+"""Abandonment of an unfinished run, which then ends in the state aborted.
 
-The compensation table that was active before the run is reactivated if necessary, and the run ends in the state
-aborted.
+If the run has left an unproved compensation table active, the table that was active before the run is reactivated.
 """
 
 from __future__ import annotations
@@ -16,10 +15,12 @@ from agent.runs.reconcile_result import ReconcileAction, Reconciliation
 
 
 def abandon(rig: Rig, state_directory: Path, reason: str) -> Reconciliation:
-    """Reactivate the table that was active before the run if necessary, then set the unfinished run to ABORTED in the
-    journal.
+    """End the unfinished run by setting it to ABORTED in the journal.
 
-    If `reconcile` leaves the compensation unrepaired, the run remains unfinished. `rig` must be open; nothing moves.
+    If the run has left an unproved compensation table active, the table that was active before the run is first
+    reactivated. If `agent.runs.reconcile.reconcile` leaves the compensation unrepaired, the run remains unfinished.
+    `rig` must be open; nothing moves.
+
     Raises DeviceError if the controller cannot be read or refuses, and InputError if the journal cannot be read.
     """
     result = reconcile(rig, state_directory)

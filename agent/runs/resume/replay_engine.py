@@ -20,10 +20,9 @@ from drivers.roles import TableImage
 
 
 class Return(Protocol):
-    """Interface of the return after an interruption.
+    """Interface of an object that returns compensation and machine to their state before an interruption.
 
-    The return brings compensation and machine to the state in which the first step without a recorded result can be
-    carried out.
+    In this state the first step without a recorded result can be carried out.
     """
 
     @property
@@ -40,7 +39,7 @@ class Return(Protocol):
 
 
 class Replay:
-    """Replay of the records of an interrupted run, which compares each record with the next step of the rebuilt plan.
+    """Replay of the records of an interrupted run. It compares each record with the next step of the rebuilt plan.
 
     `interrupted_step` is the step that had begun but not ended when the run was interrupted; it is None if there is no
     such step.

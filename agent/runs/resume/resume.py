@@ -35,7 +35,7 @@ from drivers.roles import TableImage
 def resume(
     state_directory: Path, hooks: RunHooks | None = None, *, asked: Mapping[str, object] | None = None
 ) -> RunResult:
-    """Resume the unfinished run of `state_directory` with the settings, kind and files with which it was started.
+    """Resume the unfinished run of `state_directory` with the settings, the kind of run and the files of its start.
 
     The run is planned again from its start conditions. The results of its recorded steps are taken from the journal,
     the machine returns to its position before the interruption, and the remaining steps are carried out. `asked`
@@ -75,10 +75,10 @@ def resume(
 
 
 def resumable_origin(state_directory: Path) -> Origin:
-    """Return the origin of the unfinished run: its settings, its kind and its start conditions.
+    """Return the origin of the unfinished run: its settings, its kind of run and its start conditions.
 
-    Raises InputError, with the reason, if there is no unfinished run, if it cannot be resumed, or if the journal cannot
-    be read. Raises PlanDiverged if a file has changed since the run began.
+    Raises InputError, with the reason, if there is no unfinished run, if the run cannot be resumed, or if the journal
+    cannot be read. Raises PlanDiverged if a file has changed since the run began.
     """
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)

@@ -1,5 +1,5 @@
-"""Return path of an interrupted run, from any position of the machine to the position at which the next step of the run
-can be carried out.
+"""Path by which the machine returns after an interruption, from any position to the position at which the next step of
+the run begins.
 
 The probe is first withdrawn along the stylus. Then the mount is turned back and the last ball is measured again.
 Finally each axis approaches its position from the same side as before the interruption, so that the play of the axis is
@@ -34,7 +34,7 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class ReturnPath:
-    """Return path of the machine after an interruption.
+    """Path by which the machine returns to its former position after an interruption.
 
     `prefix` is the beginning of the key of every step of the path. `tolerance_mm` is the largest permitted
     displacement, in mm, of the ball that is measured again.

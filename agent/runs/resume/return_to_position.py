@@ -1,5 +1,5 @@
-"""Return of compensation and machine to their former state, between the last recorded step of a resumed run and the
-first step that is carried out."""
+"""Return of compensation and machine to their state before an interruption. The return takes place between the last
+recorded step of a resumed run and the first step that is carried out."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
 
 
 class ReturnToPosition:
-    """Return of a resumed run to the state before its interruption.
+    """Return of a resumed run to its state before the interruption.
 
     The compensation is restored before the first step that is carried out. The machine returns before the first step
-    that uses more than the compensation store, that is, a step of a type that is not in `WRITING`.
+    whose type is not in `WRITING`, because the steps in `WRITING` use only the compensation store.
     """
 
     def __init__(
@@ -103,11 +103,12 @@ class ReturnToPosition:
 
 
 def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Activation) -> Plan[bool]:
-    """Restore the compensation as it was before the interruption.
+    """Restore the compensation to its state before the interruption.
 
-    If necessary, the steps write the staged table into its bank again and reactivate the bank that was active. The
-    result is True if `following` is an activation that took effect although it was interrupted. Raises PlanDiverged if
-    a bank no longer contains the table that the run found there or wrote to it.
+    If necessary, write the staged table into its bank again, and reactivate the bank that was active. Return True if
+    `following` is an activation that took effect although it was interrupted.
+
+    Raises PlanDiverged if a bank no longer contains the table that the run found there or wrote to it.
     """
     expected = trace.active_bank
     if expected is None or isinstance(following, AwaitActive):

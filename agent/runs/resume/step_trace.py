@@ -44,8 +44,10 @@ class AxisMove:
 
     @property
     def beside_mm(self) -> float:
-        """Coordinate in mm on the path of this motion; an approach from there reaches `end_mm` in the same
-        direction."""
+        """Coordinate in mm from which the axis can approach `end_mm` again in the direction of this motion.
+
+        It lies on the path of the motion, at most 2 mm before the end.
+        """
         return self.end_mm - self.sign * min(2.0 * LONG_MM, abs(self.end_mm - self.start_mm))
 
 

@@ -1,7 +1,7 @@
 """Access code of panels: one number that all panels share.
 
-The code prevents a wrong or misconfigured device from moving the machine. It does not protect against eavesdropping or
-attacks, because Modbus transmits it unencrypted and it has only 32 bits.
+The code prevents a wrong or misconfigured device from moving the machine. The code does not protect against
+eavesdropping or attacks, because Modbus transmits it unencrypted and it has only 32 bits.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def read_access_code(path: Path) -> int:
 
 
 class AccessCode:
-    """Check of the access code. After a wrong code, no code is checked for LOCKED_TICKS seconds. `tick` must be called
-    once per second."""
+    """Check of the access code. After a wrong code, every code is refused without a check for LOCKED_TICKS seconds.
+    `tick` must be called once per second."""
 
     def __init__(self, code: int | None) -> None:
         self._code = None if code is None else code.to_bytes(4)

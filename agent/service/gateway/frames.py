@@ -52,8 +52,8 @@ class FramingError(Exception):
 
 
 class RegisterTable(Protocol):
-    """Interface of the registers and coils that requests read and write. A method that raises RegisterError has changed
-    nothing."""
+    """Interface of the registers and coils that requests read and write. If a method raises RegisterError, the
+    registers and coils are unchanged."""
 
     def read(self, address: int, count: int) -> Sequence[int]: ...
 
@@ -81,7 +81,8 @@ def answer_frame(header: bytes, answer: bytes) -> bytes:
 
 
 def answer_request(request: bytes, table: RegisterTable) -> bytes:
-    """Return the response PDU for one request PDU (function code and data). It may be an exception response."""
+    """Return the response PDU for one request PDU (function code and data). The response may be an exception
+    response."""
     function = request[0]
     try:
         if function not in _ANSWERS:

@@ -16,8 +16,8 @@ Extension = Callable[[FastAPI, AppState], None]
 
 
 def create_app(app_state: AppState, names: Collection[str] = (), extensions: Sequence[Extension] = ()) -> FastAPI:
-    """Return the HTTP application. `names` are the host names by which clients may address it in addition to the
-    loopback names."""
+    """Return the HTTP application. `names` are the host names by which clients may address the application in addition
+    to the loopback names."""
     app = FastAPI(
         title="volcal",
         version=version("volcal"),

@@ -24,7 +24,10 @@ _SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user",
 
 
 def without_secrets(document: Any) -> Any:
-    """Return the document with the values removed whose keys suggest a secret. Nested values are also removed."""
+    """Return a copy of the document in which a value is replaced by a marker if its key suggests a secret.
+
+    Values at any depth of the document are checked.
+    """
     if isinstance(document, Mapping):
         return {
             key: REMOVED if _SECRET.search(str(key)) and value is not None else without_secrets(value)

@@ -1,8 +1,8 @@
 """Checks of every request before it is processed. The host name, the origin and the size are checked.
 
-A foreign page that is open in the panel's browser can send requests to loopback. It does not have the token, so it
-cannot send commands. A foreign `Host` header indicates DNS rebinding, and a foreign `Origin` header indicates a request
-by another page. Requests with such a header are refused even if they only read.
+A foreign page that is open in the panel's browser can send requests to loopback. Such a page does not have the token,
+so it cannot send commands. A foreign `Host` header indicates DNS rebinding, and a foreign `Origin` header indicates a
+request by another page. Requests with such a header are refused even if they only read.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ PATH = "/metrics"
 
 
 def mount_metrics(app: FastAPI, app_state: AppState) -> None:
-    """Add the route `/metrics` to the application; this function is an `agent.service.http.app.Extension`. The database
-    client is imported only at the first request."""
+    """Add the route `/metrics` to the application. This function has the type `agent.service.http.app.Extension`. The
+    database client is imported only at the first request."""
     cache = _MetricsCache()
 
     @app.get(PATH, include_in_schema=False)

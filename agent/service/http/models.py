@@ -18,8 +18,8 @@ class RequestBody(BaseModel):
 class StartBody(RunRequest):
     """Request for a run. A value of null means that the value is taken from the settings.
 
-    `consent` is true if a person at the machine has confirmed that it may move. Without consent the service decides
-    from permissions, hours and warm-up whether the run may start.
+    `consent` is true if a person at the machine has confirmed that the machine may move. Without consent the service
+    decides from permissions, permitted hours and warm-up whether the run may start.
     """
 
     source: Literal["page", "command line", "timer"] = "page"

@@ -28,7 +28,7 @@ def status(app_state: AppStateDependency) -> StatusView:
 def runs(
     app_state: AppStateDependency, limit: Annotated[int, Query(ge=1, le=200)] = 50, before: str | None = None
 ) -> RunPage:
-    """Return the runs in the journal, latest first."""
+    """Return the runs in the journal, the latest first."""
     found = [RunSummary(**document) for document in app_state.archive.runs(limit, before)]
     return RunPage(runs=found, before=found[-1].run_id if len(found) == limit else None)
 

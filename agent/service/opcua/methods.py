@@ -51,7 +51,7 @@ class MethodCalls:
         """Execute the method `name`. Return its output arguments or, if it is refused, a call result with the status
         code of the refusal.
 
-        Both have the form that asyncua sends.
+        The returned object has the form that asyncua sends.
         """
         try:
             result = self._methods[name](*_values(name, arguments))

@@ -1,8 +1,8 @@
 """OPC UA nodes, methods and events as data; docs/reference/opc-ua.md shows the same tables.
 
-Names are taken, if possible, from OPC 40210 (GMSType, but not its CorrectionType). Other names are taken, if possible,
-from OPC 40501-1 (ProductionType, MonitoringType, NotificationType). The nodes belong to this program's own namespace
-and have only base types of OPC UA; they are not instances of the types of these two specifications.
+Names and their grouping follow OPC 40210 (GMSType, but not its CorrectionType) and OPC 40501-1 (ProductionType,
+MonitoringType, NotificationType), as far as these specifications define them. The nodes belong to this program's own
+namespace and have only base types of OPC UA; they are not instances of the types of these two specifications.
 """
 
 from __future__ import annotations

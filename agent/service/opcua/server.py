@@ -30,8 +30,8 @@ log = structlog.get_logger()
 class ServerFiles:
     """Directories and access token of the server.
 
-    `directory` contains the server's certificate. `trusted_clients` is the directory of the trusted clients'
-    certificates.
+    `directory` contains the server's certificate. `trusted_clients` contains the trusted clients' certificates. `token`
+    is the access token.
     """
 
     directory: Path

@@ -1,5 +1,4 @@
-"""Expected benefit of the position set. It is stated for the whole set and, as a loss, for each position that could be
-left out."""
+"""Expected benefit of the position set as a whole, and the loss of accuracy if one of its positions were left out."""
 
 from __future__ import annotations
 
