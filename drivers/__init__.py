@@ -1,1 +1,1 @@
-"""Device roles, the links that reach devices, and the drivers that ship with volcal."""
+"""Roles of devices, links over which devices are reached, and the drivers that are part of volcal."""

@@ -1,7 +1,7 @@
-"""Clocks, passed to their users as arguments. No other module of the project imports `time`.
+"""Clocks, which are passed as arguments to the code that uses them. No other module of the project imports `time`.
 
-The step engine and the drivers wait only by `clock.sleep` under a `Deadline`. Holds and aborts are detected in
-that sleep, so every wait reacts to them.
+The step engine and the drivers wait only by `clock.sleep` under a `Deadline`. `clock.sleep` detects holds and aborts,
+so every wait reacts to them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ INTERRUPT_SLICE_S = 0.05
 
 
 class Clock(Protocol):
-    """Clock of machine time, in seconds since an arbitrary start; the time never decreases."""
+    """Clock of machine time in seconds since an arbitrary start. The time never decreases."""
 
     def now(self) -> float: ...
 
@@ -29,7 +29,7 @@ class Clock(Protocol):
 
 
 class RealClock:
-    """The wall clock."""
+    """Clock that runs with the wall clock."""
 
     def now(self) -> float:
         return time.monotonic()
@@ -57,9 +57,9 @@ class ScaledClock:
 
 
 class VirtualClock:
-    """Clock that advances only by `sleep` and `advance_to`.
+    """Clock whose time advances only by `sleep` and `advance_to`.
 
-    Listeners (a simulated world, wire servers) are called after every advance.
+    Listeners, such as a simulated machine, are called after every advance.
     """
 
     def __init__(self) -> None:
@@ -74,9 +74,9 @@ class VirtualClock:
         return self._now
 
     def sleep(self, duration_s: float) -> None:
-        """Advance by `duration_s`, at least to the next float64.
+        """Advance the time by `duration_s`, or to the next float64 number if `duration_s` would be lost by rounding.
 
-        A shorter advance would be lost by rounding, and a loop that waits for an instant would never end.
+        Without this minimum, a loop that waits for an instant could run for ever.
         """
         if duration_s > 0.0:
             self.advance_to(max(self._now + duration_s, math.nextafter(self._now, math.inf)))
@@ -90,12 +90,11 @@ class VirtualClock:
 
 
 class LockstepClock:
-    """Virtual time shared with a simulator process: a sleep on this clock advances the simulated world.
+    """Clock with virtual time that is shared with a simulator process; a sleep on this clock advances the simulation.
 
-    The agent's side is the master. A request is the line ``advance T\\n``, with T the clock's new time in s since its
-    start; the peer answers ``ok\\n`` once the simulated world has reached that time. The clock is not a device and
-    raises no fault: if the peer is lost, time continues with the wall clock, so that the machine's own link reports
-    the loss.
+    This clock sends the line ``advance T\\n``, where T is its new time in s since its start. The simulator answers
+    ``ok\\n`` when its simulation has reached that time. This class raises no error if the simulator is lost, because
+    the clock is not a device. It then continues with the wall clock, and the link to the machine reports the loss.
     """
 
     def __init__(self, host: str, port: int, *, answer_within_s: float = 10.0) -> None:
@@ -137,10 +136,10 @@ class LockstepClock:
 
 
 class InterruptibleClock:
-    """Clock that splits every sleep into slices, so that `check` runs at least every `slice_s` of machine time.
+    """Clock that splits every sleep into slices and calls `check` at least every `slice_s` of machine time.
 
-    `check` raises to abort, or blocks while the run is held. Time on hold does not count: deadlines
-    created with this clock do not expire during a hold.
+    `check` raises an exception to abort the run, and blocks while the run is held. The time of a hold is not counted:
+    deadlines on this clock do not expire during a hold.
     """
 
     def __init__(self, inner: Clock, check: Callable[[], None], slice_s: float = INTERRUPT_SLICE_S) -> None:
@@ -172,17 +171,17 @@ class InterruptibleClock:
 
 
 def without_interrupts(clock: Clock) -> Clock:
-    """Return the clock beneath an `InterruptibleClock`, or `clock` itself.
+    """Return the inner clock of an `InterruptibleClock`; return any other clock unchanged.
 
-    Use it for waits between a request and its answer. Such a wait must not be interrupted, and hold and STOP themselves
-    send requests while the run is interrupted.
+    Use the result for waits between a request and its answer. These waits must not be interrupted, because hold and
+    stop send requests themselves while the run is interrupted.
     """
     return clock.inner if isinstance(clock, InterruptibleClock) else clock
 
 
 @dataclass(frozen=True)
 class Deadline:
-    """Instant on a given clock by which an awaited event must occur."""
+    """Time limit of a wait: the instant on a given clock by which the awaited event must occur."""
 
     clock: Clock
     expires_s: float
@@ -200,13 +199,19 @@ class Deadline:
         return self.clock.now() >= self.expires_s
 
     def raise_if_expired(self, awaited: str, *, hint: str = "", **where: str | int) -> None:
-        """Raise `DeadlineExpired` if the deadline has passed; its message contains `awaited`, the awaited event."""
+        """Raise `DeadlineExpired` if the deadline has passed.
+
+        `awaited` names the event that has not occurred; it is part of the error message.
+        """
         if self.expired:
             raise DeadlineExpired(f"timed out waiting for {awaited}", hint=hint, **where)
 
 
 def wall_seconds() -> float:
-    """Return a monotonic wall-clock time in s. It times the agent itself and must not be used as machine time."""
+    """Return the monotonic wall-clock time in s.
+
+    Use it only to measure durations within the agent, not as machine time.
+    """
     return time.perf_counter()
 
 

@@ -32,10 +32,10 @@ from typing import ClassVar, Self
 
 
 class VolcalError(Exception):
-    """Base class of all errors of volcal's drivers and application.
+    """Base class of all errors that volcal's drivers and application raise.
 
-    `where` maps names of locations (device, link, step, file, key, row) to their values, such as file to its path;
-    `hint` tells the user what to do.
+    `where` maps the kind of a location (device, link, step, file, key or row) to the location itself, for example
+    "file" to a path. `hint` tells the user what to do.
     """
 
     exit_code: ClassVar[int] = 1
@@ -47,7 +47,10 @@ class VolcalError(Exception):
         self.where: dict[str, str] = {name: str(value) for name, value in where.items()}
 
     def at(self, **where: str | int) -> Self:
-        """Add locations known to a caller (a step key, a device name); existing entries are kept. Returns the error."""
+        """Add locations that a caller knows, such as a step key or a device name, and return this error.
+
+        Locations that the error already has are kept.
+        """
         for name, value in where.items():
             self.where.setdefault(name, str(value))
         return self

@@ -1,4 +1,7 @@
-"""Reader of the optional EDS file (CiA 306) of a drive: reads the identity and checks for the required objects."""
+"""Reader of a drive's electronic data sheet, the EDS file of CiA 306.
+
+The file is optional. The reader takes the identity of the drive from it and checks that it lists the required objects.
+"""
 
 from __future__ import annotations
 
@@ -14,24 +17,26 @@ from drivers.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class DriveDescription:
-    """Contents of a drive's EDS file; empty if the settings name no file."""
+    """Contents of the EDS file of a drive; they are empty if the settings name no file."""
 
     dictionary: ObjectDictionary
     vendor_id: int | None = None
     product_code: int | None = None
 
     def with_identity(self, settings: AxisSettings) -> AxisSettings:
-        """Return the settings with missing vendor id and product code filled in from the EDS file."""
+        """Return `settings` with the vendor id and the product code from the EDS file, where the settings leave them
+        open.
+        """
         found = {"vendor_id": self.vendor_id, "product_code": self.product_code}
         missing = {name: value for name, value in found.items() if value and getattr(settings, name) is None}
         return settings.model_copy(update=missing)
 
 
 def load_description(settings: AxisSettings, base_path: Path) -> DriveDescription:
-    """Load the EDS file named in the settings, if any.
+    """Load the EDS file that the settings name; return an empty description if they name none.
 
-    Raises ConfigurationError if the file cannot be read, or if a required object is missing, is not writable or has
-    another size; the error names the file and the object.
+    Raises ConfigurationError if the file cannot be read, or if a required object is missing, is not writable although
+    the driver writes it, or has another size. The error names the file and the object.
     """
     if settings.eds is None:
         return DriveDescription(ObjectDictionary())  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""Diagnosis of a drive, without moving or writing anything."""
+"""Diagnosis of a drive by reading only; no object is written and the drive does not move."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Line = tuple[bool, str]
 def diagnose_drive(drive: Drive) -> list[DiagnosticFinding]:
     """Return findings on latency, identity, versions, state, supply, position, units, limits and monitoring.
 
-    The list ends at the first query that the drive does not answer.
+    If the drive does not answer or refuses a query, this error is the last finding.
     """
     subject = f"{drive.node.axis} drive (node {drive.node.node_id})"
     findings: list[DiagnosticFinding] = []

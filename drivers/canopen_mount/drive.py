@@ -1,7 +1,7 @@
-"""One axis of the mount: a CiA 402 drive in profile position and homing mode.
+"""One axis of the mount: a CiA 402 drive in profile position mode and homing mode.
 
-The statusword is polled by SDO. PDOs are not used: their positions lag by a cycle, and polling on the clock passed in
-behaves the same in virtual and in real time.
+The driver polls the statusword with SDO requests on a clock that it is given, so its behaviour is the same in virtual
+and in real time. It does not use PDOs, because the positions in PDOs lag by a cycle.
 """
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class Drive:
-    """Drive of one axis; angles are mount angles in degrees.
+    """Drive of one axis; all angles are angles of the mount in degrees.
 
-    Every wait is bounded. After an exception, the mount and not this class stops the drives, because both must stop.
+    Every wait has a time limit. If an exception occurs, this class does not stop its drive. The mount stops both drives
+    instead.
     """
 
     def __init__(
@@ -72,8 +73,8 @@ class Drive:
     def verify(self) -> None:
         """Verify that the drive's identity and units match the settings, and store its software limits.
 
-        Raises ProtocolError if the identity differs, ConfigurationError if the units differ. Writes nothing unless
-        `units.write` is set; then differing units are written to the drive.
+        Raises ProtocolError if the identity differs, and ConfigurationError if the units differ. If `units.write` is
+        set, differing units are first written to the drive; otherwise nothing is written.
         """
         verify_identity(self.node, self.settings)
         verify_factors(self.node, self.settings)
@@ -90,7 +91,10 @@ class Drive:
         return self.state_of(self.node.read(objects.STATUSWORD))
 
     def require_within_limits(self, angle_deg: float) -> None:
-        """Raise CommandRejected if the angle is outside the limits of the settings or of the drive; send nothing."""
+        """Raise CommandRejected if the angle is outside the limits of the settings or the software limits of the drive.
+
+        Nothing is sent to the drive.
+        """
         lower, upper = self.settings.lower_deg, self.settings.upper_deg
         if not lower <= angle_deg <= upper:
             raise CommandRejected(
@@ -117,9 +121,10 @@ class Drive:
             )
 
     def prepare(self) -> None:
-        """Set the node's heartbeat time and start the node by NMT. Moves nothing.
+        """Set the heartbeat time of the node and switch the node to the NMT state *operational*. The drive does not
+        move.
 
-        This is needed when the mount opens and again after a restart of the node.
+        This is necessary when the mount opens, and again after a restart of the node.
         """
         self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)
         self.node.start()
@@ -129,10 +134,10 @@ class Drive:
         self._monitor.arm()
 
     def enable(self) -> None:
-        """Bring the drive to *operation enabled* by the transitions in `ENABLE_TRANSITIONS`.
+        """Bring the drive to the state *operation enabled* by the transitions in `ENABLE_TRANSITIONS`.
 
-        A drive that is already enabled at the first query is stopped first. A fault that occurs during the
-        transitions is reset.
+        If the drive is already enabled at the first query, it is stopped before it is enabled again. A fault that is
+        found during the transitions is reset.
         """
         if not self._prepared:
             self.prepare()
@@ -161,7 +166,10 @@ class Drive:
             raise self._fault("the fault of the drive cannot be reset") from error
 
     def start_turn(self, angle_deg: float) -> float:
-        """Send a set-point and return the predicted duration in s. The caller must have checked the limits."""
+        """Start a turn to the given angle and return its predicted duration in s.
+
+        The caller must have checked the limits before.
+        """
         self._enter_profile_position()
         self._limit_logged = False
         self._target = self._scale.counts(angle_deg)
@@ -182,14 +190,17 @@ class Drive:
         )
 
     def turn_ended(self) -> bool:
-        """Poll once and return True if the target is reached.
+        """Poll the drive once and return True if the target is reached.
 
-        Raises MotionFault for a fault, a following error or a drive that has left *operation enabled*.
+        Raises MotionFault if the drive reports a fault or a following error, or has left the state *operation enabled*.
         """
         return bool(self._statusword_in_motion() & states.TARGET_REACHED)
 
     def describe_unreached_target(self) -> str:
-        """Return a text that explains why the target was not reached: position, blocking limit and following error."""
+        """Return a text that explains why the target was not reached.
+
+        The text gives the position, the limit that blocks the turn (if there is one), and the following error.
+        """
         return describe_unreached_target(self.node, self._scale, self._target, self._direction)
 
     def start_homing(self, homing: HomingSettings) -> None:
@@ -202,9 +213,9 @@ class Drive:
         self.node.write(objects.CONTROLWORD, states.START_HOMING)
 
     def homing_ended(self) -> bool:
-        """Poll once and return True if homing is attained (bit 12) and the axis is at rest (bit 10).
+        """Poll the drive once and return True if homing is attained (bit 12) and the axis is at rest (bit 10).
 
-        Raises MotionFault for a homing error.
+        Raises MotionFault if the drive reports a homing error.
         """
         status = self._statusword_in_motion()
         done = bool(status & states.SET_POINT_ACKNOWLEDGE and status & states.TARGET_REACHED)
@@ -214,9 +225,10 @@ class Drive:
         return done
 
     def quick_stop(self) -> None:
-        """Command a quick stop without sleeping, since it must also work after the clock has aborted a wait.
+        """Command a quick stop.
 
-        Raises MotionFault if the drive ignores the command.
+        The method never sleeps, since it must also work after the clock has aborted a wait. Raises MotionFault if the
+        drive ignores the command.
         """
         for _ in range(2):
             self.node.write(objects.CONTROLWORD, states.QUICK_STOP)
@@ -225,23 +237,24 @@ class Drive:
         raise MotionFault("the drive ignores the quick stop", hint="use the emergency stop", **self.node.where)
 
     def release(self) -> None:
-        """Switch off the motor's power; its brake or gear holds the mount.
+        """Switch off the power of the motor; the brake or the gear of the axis holds the mount.
 
-        Does nothing if this object has not enabled the drive: a diagnosis must not stop another process' motion.
+        The method has no effect if this object has not enabled the drive, because a diagnosis must not stop a motion of
+        another process.
         """
         if self._enabled_here:
             self._enabled_here = False
             self.node.write(objects.CONTROLWORD, states.DISABLE_VOLTAGE)
 
     def fault_text(self) -> str:
-        """Return the text of the error code in 0x603F."""
+        """Return the text of the error code that the drive reports in object 0x603F."""
         return emergency_text(self.node.read(objects.ERROR_CODE))
 
     def check(self) -> list[int]:
-        """Return the error codes of emergencies since the last call.
+        """Return the error codes of the emergency messages received since the last call.
 
-        Raises MotionFault if the node has restarted or left the NMT state *operational*, LinkTimeout or LinkLost if it
-        no longer answers.
+        Raises MotionFault if the node has restarted or left the NMT state *operational*. Raises LinkTimeout or LinkLost
+        if the node no longer answers.
         """
         try:
             return self._monitor.check()

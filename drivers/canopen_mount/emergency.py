@@ -1,6 +1,6 @@
-"""Texts of the error codes in EMCY messages and in object 0x603F (CiA 301 table 26, CiA 402-2 annex).
+"""Texts of the error codes in emergency messages (EMCY) and in object 0x603F (CiA 301 table 26, CiA 402-2 annex).
 
-A code that is missing in the table has the text of the most specific error class that contains it.
+A code that is not in the table gets the text of the most specific error class to which it belongs.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ _TEXTS: dict[int, str] = {
 
 
 def emergency_text(code: int) -> str:
-    """Return code and text, for example ``0x8611 following error``."""
+    """Return an error code with its text, for example ``0x8611 following error``."""
     for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
         if code & mask in _TEXTS and (code & mask or not code):
             return f"0x{code:04X} {_TEXTS[code & mask]}"

@@ -1,8 +1,8 @@
-"""Comparison of the drive's own factors (0x608F, 0x6091, 0x6092, 0x607E, 0x60A8) with the settings.
+"""Comparison of the factors stored in a drive (0x608F, 0x6091, 0x6092, 0x607E, 0x60A8) with the settings.
 
-If its factors differ from the settings, a drive turns the mount by a wrong angle without any fault. Therefore these
-objects are read when the mount opens, and a difference makes the opening fail before anything moves. An object that
-the drive does not have is skipped: CiA 402 requires none of them.
+A drive whose factors differ from the settings turns the mount by a wrong angle without any fault. Therefore these
+objects are read when the mount opens. If a factor differs, opening fails before anything moves. An object that the
+drive does not have is skipped, since CiA 402 requires none of these objects.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _log = structlog.get_logger("canopen_mount")
 
 @dataclass(frozen=True)
 class Factor:
-    """Expected value of one object, or of a ratio stored in two sub-indexes.
+    """Expected value of one object, or of a ratio stored in two sub-indexes of an object.
 
-    `key` is the key in the axis settings from which the expected value comes.
+    `key` is the key of the axis settings that gives the expected value.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Factor:
 
 
 def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
-    """Yield the expected values of those objects in the drive that the settings require to be compared."""
+    """Yield the expected value of each object that must be compared according to the settings."""
     units = settings.units
     turns = (objects.ENCODER_INCREMENTS, objects.ENCODER_MOTOR_TURNS)
     gear = (objects.GEAR_MOTOR_TURNS, objects.GEAR_SHAFT_TURNS)
@@ -68,15 +68,16 @@ def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
 
 
 def read_factor(node: DriveNode, factor: Factor) -> tuple[int, ...] | None:
-    """Return the value or ratio in the drive; None if the drive does not have the object."""
+    """Return the value or the ratio stored in the drive; None if the drive does not have the object."""
     found = [node.read_optional(entry) for entry in factor.entries]
     return None if None in found else tuple(value for value in found if value is not None)
 
 
 def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
-    """Verify the drive's factors. If `units.write` is set, write differing ones before verifying them. Moves nothing.
+    """Verify that the factors stored in the drive agree with the settings. The drive does not move.
 
-    Raises ConfigurationError, naming object and key, if a factor still differs.
+    If `units.write` is set, differing factors are first written to the drive. Raises ConfigurationError if a factor
+    still differs; the error names the object and the key.
     """
     for factor in expected_factors(settings):
         found = read_factor(node, factor)
@@ -90,7 +91,10 @@ def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
 
 
 def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
-    """Return True if the factor agrees or the drive does not have it, and a text for the diagnosis. Reads only."""
+    """Compare a factor with the drive, and return the result and a text for the diagnosis. Nothing is written.
+
+    The result is True if the factor agrees or if the drive does not have the object.
+    """
     found = read_factor(node, factor)
     if found is None:
         return True, f"{factor}: the drive has no such object, not compared"

@@ -1,4 +1,4 @@
-"""Identity check of a drive: profile, manufacturer, product, serial number, modes."""
+"""Identity check of a drive: device profile, manufacturer, product, serial number and supported modes."""
 
 from __future__ import annotations
 

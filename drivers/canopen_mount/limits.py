@@ -1,4 +1,4 @@
-"""Limits that stop a drive: limit switches (0x60FD), its own software limits (0x607D) and the following error."""
+"""Limits that stop a drive: the limit switches (0x60FD) and the software limits of the drive (0x607D)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SWITCHES = {-1: "negative limit switch", 1: "positive limit switch"}
 
 @dataclass(frozen=True)
 class SoftLimits:
-    """Software limits in counts, as in 0x607D."""
+    """Lower and upper software limit of a drive in encoder counts, as in object 0x607D."""
 
     lower: int
     upper: int
@@ -24,7 +24,10 @@ class SoftLimits:
 
 
 def read_soft_limits(node: DriveNode) -> SoftLimits | None:
-    """Read the software limits; None if the drive has none or has disabled them (lower limit not below the upper)."""
+    """Return the software limits stored in the drive; None if there are none or if they are disabled.
+
+    A drive has disabled its limits if the lower limit is not below the upper one.
+    """
     lower, upper = node.read_optional(objects.LOWER_LIMIT), node.read_optional(objects.UPPER_LIMIT)
     if lower is None or upper is None or lower >= upper:
         return None
@@ -32,15 +35,18 @@ def read_soft_limits(node: DriveNode) -> SoftLimits | None:
 
 
 def active_switches(node: DriveNode) -> dict[int, str]:
-    """Return the names of the active limit switches, by the direction of counts (-1 or 1) that each blocks."""
+    """Return the names of the active limit switches, keyed by the direction in which each switch blocks motion.
+
+    The direction is 1 for increasing encoder counts and -1 for decreasing counts.
+    """
     inputs = node.read_optional(objects.DIGITAL_INPUTS) or 0
     return {direction: name for direction, name in SWITCHES.items() if inputs & (1 if direction < 0 else 2)}
 
 
 def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
-    """Return a text on the limit that blocks the turn to `target` counts; an empty string if none is known.
+    """Return a text that names the limit that blocks the turn to `target` counts; an empty string if no limit is known.
 
-    `direction` is 1 for increasing counts, -1 for decreasing ones.
+    `direction` is 1 for increasing encoder counts and -1 for decreasing counts.
     """
     switch = active_switches(node).get(direction)
     if switch is not None:
@@ -52,7 +58,11 @@ def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
 
 
 def describe_unreached_target(node: DriveNode, scale: AxisScale, target: int, direction: int) -> str:
-    """Return a text that explains why the target was not reached: position, blocking limit and following error."""
+    """Return a text that explains why the target was not reached.
+
+    The text gives the position, the limit that blocks the turn (if there is one), and the following error. `direction`
+    is 1 for increasing encoder counts and -1 for decreasing counts.
+    """
     parts = [f"at {scale.angle_deg(node.read(objects.POSITION)):.4f} of {scale.angle_deg(target):.4f} degrees"]
     if reason := blocking_limit(node, target, direction):
         parts.append(reason)

@@ -23,7 +23,10 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class CanopenMount:
-    """Rotary mount on a CAN bus. `stop` may be called while another thread waits for the end of a motion."""
+    """Rotary mount whose two drives are on a CAN bus.
+
+    `stop` may be called while another thread waits for the end of a motion.
+    """
 
     def __init__(
         self, settings: CanopenMountSettings, context: DeviceContext, networks: CanNetworks = PROCESS_NETWORKS
@@ -37,7 +40,10 @@ class CanopenMount:
         self._drives: tuple[Drive, ...] = ()
 
     def open(self) -> None:
-        """Connect, verify identity and units of both drives, and start them with their heartbeats. Moves nothing."""
+        """Connect to the bus, verify the identity and the units of both drives, and start their heartbeats.
+
+        The drives do not move.
+        """
         if self._link is not None:
             return
         self._connect()
@@ -51,7 +57,10 @@ class CanopenMount:
             raise
 
     def close(self) -> None:
-        """Switch off the power of both motors and release the bus. A drive that cannot be reached is logged."""
+        """Switch off the power of both motors and release the bus.
+
+        If a drive cannot be reached, this is logged and no error is raised.
+        """
         for drive in self._drives:
             try:
                 drive.release()
@@ -60,9 +69,10 @@ class CanopenMount:
         self._disconnect()
 
     def stop(self) -> None:
-        """Quick-stop both drives; idempotent.
+        """Command a quick stop of both drives; repeated calls have no further effect.
 
-        The second drive is stopped even if the first one fails; then the error of the first failure is raised.
+        The second drive is stopped even if the first one cannot be stopped. The first error is raised after both
+        attempts.
         """
         failures: list[DeviceError] = []
         for drive in self._drives:
@@ -74,7 +84,10 @@ class CanopenMount:
             raise failures[0].at(device=self._context.name)
 
     def home(self) -> None:
-        """Home the drives that need it, one after the other; a drive with an absolute encoder is only enabled."""
+        """Home the drives that need homing, one after the other.
+
+        A drive with an absolute encoder is only enabled.
+        """
         try:
             for drive in self._require_open():
                 drive.enable()
@@ -86,9 +99,9 @@ class CanopenMount:
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
         """Turn both axes together, wait until they are in position and settled, and return the encoder angles.
 
-        Raises MotionFault, DeadlineExpired or LinkError. Raises CommandRejected, before anything is sent, if a limit is
-        exceeded or an axis is not homed. If an exception ends the wait, both drives are quick-stopped
-        before it propagates.
+        Raises CommandRejected, before anything is sent, if a limit is exceeded or an axis is not homed. Raises
+        MotionFault, DeadlineExpired or LinkError if the turn fails. If an exception ends the wait, both drives are
+        stopped before the exception propagates.
         """
         drives = self._require_open()
         targets = (azimuth_deg, elevation_deg)
@@ -111,7 +124,10 @@ class CanopenMount:
         return Orientation(azimuth.angle_deg(), elevation.angle_deg())
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Diagnose the adapter and the drives. Reads only. If the mount is closed, connect for the diagnosis only."""
+        """Diagnose the CAN adapter and the drives by reading only.
+
+        If the mount is closed, it is connected for the diagnosis and disconnected afterwards.
+        """
         was_open = self._link is not None
         try:
             if not was_open:

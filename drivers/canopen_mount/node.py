@@ -1,7 +1,7 @@
-"""CANopen node: access to its objects by SDO, its emergencies and its heartbeat. Every failure is a typed error.
+"""CANopen node of a drive: its objects (read and written by SDO), its emergency messages and its heartbeat.
 
-A node's messages arrive in order, so every message sent before an SDO answer has been received when the answer
-arrives. After a read of the statusword, all earlier emergencies and boot-ups are therefore known.
+The messages of a node arrive in order. When the answer to an SDO request arrives, every earlier message of the node has
+therefore been received. After a read of the statusword, all earlier emergency and boot-up messages are known.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class DriveNode:
-    """CANopen node of a drive; error messages call it by the name `axis`.
+    """CANopen node of a drive; `axis` is its name in error messages.
 
-    An SDO exchange takes up to twice `sdo_timeout_s` of wall time, since it is repeated once if there is no answer.
-    Writes may be repeated like reads: writing the same value twice changes nothing, because targets are absolute and
+    An SDO request that is not answered is repeated once, so it takes up to twice `sdo_timeout_s` of wall time. Write
+    requests may be repeated, too, because writing a value twice has no further effect: targets are absolute, and
     commands in the controlword take effect on the rising edge of a bit.
     """
 
@@ -64,10 +64,10 @@ class DriveNode:
         return {"axis": self.axis, "node": str(self.node_id), "link": self._link.name}
 
     def read(self, entry: DriveObject) -> int:
-        """Read an object.
+        """Read an object of the node.
 
-        Raises LinkLost, LinkTimeout, ProtocolError, and CommandRejected if the node refuses (for example because it has
-        no such object).
+        Raises CommandRejected if the node refuses the request, for example because it has no such object. Raises
+        LinkLost, LinkTimeout or ProtocolError if there is no valid answer.
         """
         data = self.read_bytes(entry)
         if len(data) != entry.size:
@@ -79,7 +79,10 @@ class DriveNode:
         return entry.unpack(data)
 
     def read_optional(self, entry: DriveObject) -> int | None:
-        """Read an object as `read` does; return None if the node reports that it has no such object."""
+        """Read an object of the node; return None if the node reports that it has no such object.
+
+        Raises the same errors as `read` in all other cases.
+        """
         try:
             return self.read(entry)
         except CommandRejected as refused:
@@ -88,7 +91,7 @@ class DriveNode:
             raise
 
     def read_text(self, index: int) -> str:
-        """Return the visible string at `index`; an empty string if the node refuses to read it."""
+        """Return the text stored in the object at `index`; an empty string if the node refuses to read it."""
         try:
             data = self._transfer(f"0x{index:04X}", lambda: self._node.sdo.upload(index, 0))
         except CommandRejected:
@@ -99,12 +102,19 @@ class DriveNode:
         return bytes(self._transfer(str(entry), lambda: self._node.sdo.upload(entry.index, entry.subindex)))
 
     def write(self, entry: DriveObject, value: int) -> None:
-        """Write an object. Raises the errors of `read`; the text of CommandRejected contains the drive's reason."""
+        """Write an object of the node.
+
+        Raises the same errors as `read`. The text of CommandRejected contains the reason that the drive gives.
+        """
         data = entry.pack(value)
         self._transfer(str(entry), lambda: self._node.sdo.download(entry.index, entry.subindex, data))
 
     def start(self) -> None:
-        """Set the node to *operational* by NMT, then read an object; its answer shows that the command is processed."""
+        """Switch the node to the NMT state *operational*.
+
+        The NMT command has no answer of its own. Therefore an object is read afterwards, whose answer shows that the
+        node has processed the command.
+        """
         try:
             self._link.check()
             self._node.nmt.state = "OPERATIONAL"
@@ -113,7 +123,7 @@ class DriveNode:
         self.read(STATUSWORD)
 
     def take_boot_up(self) -> bool:
-        """Return True if the node has announced a boot-up since the last call of this method."""
+        """Return True if the node has sent a boot-up message since the last call of this method."""
         with self._seen:
             booted, self._booted = self._booted, False
         return booted
@@ -124,13 +134,16 @@ class DriveNode:
         return seen
 
     def take_nmt_state(self) -> int | None:
-        """Return the NMT state in the latest heartbeat since the last call; None if there was none."""
+        """Return the NMT state that the node reported in its latest heartbeat.
+
+        Return None if no heartbeat has arrived since the last call of this method.
+        """
         with self._seen:
             state, self._nmt_state = self._nmt_state, None
         return state
 
     def take_emergencies(self) -> list[int]:
-        """Return the error codes received since the last call, oldest first."""
+        """Return the error codes of the emergency messages since the last call of this method, oldest first."""
         with self._seen:
             codes, self._emergencies = self._emergencies, []
         return codes

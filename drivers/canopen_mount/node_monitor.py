@@ -14,10 +14,10 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class NodeMonitor:
-    """Monitor of one node; the driver calls `check` in every wait.
+    """Monitor of one node; the driver calls `check` repeatedly during every wait.
 
-    The age of the heartbeat is measured on the clock passed in, in the waiting thread. A heartbeat may be late because
-    this process was busy, so the node is queried by SDO before it is declared lost.
+    The age of the latest heartbeat is measured on the given clock. A heartbeat may seem late only because this process
+    was busy, so the node is queried by SDO before it is declared lost.
     """
 
     def __init__(self, node: DriveNode, clock: Clock, *, timeout_s: float | None) -> None:
@@ -34,10 +34,10 @@ class NodeMonitor:
         self._last_s = self._clock.now()
 
     def check(self) -> list[int]:
-        """Log and return the error codes of emergencies since the last call.
+        """Log and return the error codes of the emergency messages received since the last call.
 
-        Raises MotionFault if the node has restarted or left the NMT state *operational*, LinkTimeout or LinkLost if it
-        no longer answers.
+        Raises MotionFault if the node has restarted or left the NMT state *operational*. Raises LinkTimeout or LinkLost
+        if the node no longer answers.
         """
         codes = [code for code in self._node.take_emergencies() if code]
         for code in codes:

@@ -88,5 +88,8 @@ CIA_402 = 402
 
 
 def mode_bit(mode: int) -> int:
-    """Return the bit mask of a mode in 0x6502 (supported modes): bit 0 for mode 1, bit 5 for mode 6."""
+    """Return the bit mask of an operating mode in object 0x6502 (supported modes).
+
+    Mode 1 has bit 0, and mode 6 has bit 5.
+    """
     return 1 << (mode - 1)

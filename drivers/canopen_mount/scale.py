@@ -1,10 +1,13 @@
-"""Pure arithmetic: conversion between mount angles in degrees and encoder counts, and the duration of a turn.
+"""Conversion between mount angles in degrees and encoder counts, and the duration of a turn.
 
-counts = direction * (angle - offset) * counts_per_degree, with
-counts_per_degree = encoder counts per motor turn * motor turns / (shaft turns * 360).
+::
 
-The product is computed in rational numbers from the exact binary values and rounded once, half to even: the
-count sent is the one nearest to the requested angle, and counts -> degrees -> counts gives the same counts.
+    counts = direction * (angle - offset) * counts_per_degree
+    counts_per_degree = encoder counts per motor turn * motor turns / (shaft turns * 360)
+
+The product is computed with rational numbers from the exact binary values of the inputs. It is rounded once, half to
+even, so the count sent to the drive is the one nearest to the requested angle. A count that is converted to degrees and
+back to a count does not change.
 """
 
 from __future__ import annotations
@@ -46,14 +49,15 @@ class AxisScale:
         return float(self.direction * Fraction(counts) / self.counts_per_degree + Fraction(self.offset_deg))
 
     def rate(self, degrees: float) -> int:
-        """Convert degrees per s or s² to counts per s or s²; the result is at least 1."""
+        """Convert a rate in degrees per s or s² to encoder counts per s or s²; the result is at least 1."""
         return max(1, round(Fraction(degrees) * self.counts_per_degree))
 
 
 def turn_duration_s(distance_deg: float, speed_deg_per_s: float, acceleration_deg_per_s2: float) -> float:
-    """Return the duration of a turn from rest to rest with trapezoidal velocity, in s.
+    """Return the duration in s of a turn from rest to rest with a trapezoidal velocity profile.
 
-    For the distance d, the speed v and the acceleration a it is d/v + v/a, or 2*sqrt(d/a) if v is not reached.
+    With the distance d, the speed v and the acceleration a, the duration is d/v + v/a. If the turn is too short to
+    reach the speed v, the duration is 2*sqrt(d/a).
     """
     distance = abs(distance_deg)
     if distance * acceleration_deg_per_s2 >= speed_deg_per_s**2:

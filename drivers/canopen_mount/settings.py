@@ -13,7 +13,7 @@ from drivers.options import DriverOptions
 
 
 class HomingSettings(DriverOptions):
-    """CiA 402 homing mode, for encoders that lose their position at power-off."""
+    """Settings of the CiA 402 homing mode, for an encoder that loses its position when the power is switched off."""
 
     method: int = Field(ge=1, le=127, description="object 0x6098, for example 37: present position is zero")
     search_speed_deg_per_s: float = Field(default=5.0, gt=0.0, le=360.0, description="0x6099:01")
@@ -26,7 +26,7 @@ ComparedFactor = Literal["encoder", "gear", "feed", "polarity"]
 
 
 class UnitSettings(DriverOptions):
-    """Position unit of the drive, and the factor objects in the drive that must agree with it (CiA 402-2)."""
+    """Position unit of a drive, and the factors in the drive that must agree with this unit (CiA 402-2)."""
 
     position: Literal["increments", "feed"] = Field(
         default="increments", description="encoder increments, or the feed units per turn of the mount by 0x6092"

@@ -1,7 +1,7 @@
-"""Power drive state machine of CiA 402 as a table.
+"""Table of the state machine of a CiA 402 drive.
 
-Bits 0-3, 5 and 6 of the statusword give the state. `ENABLE_TRANSITIONS` gives for each state the controlword of the
-next transition towards *operation enabled*, its target state and its time limit. A transition without a controlword
+Bits 0-3, 5 and 6 of the statusword give the state. `ENABLE_TRANSITIONS` contains, for each state, the next transition
+towards *operation enabled*: its controlwords, its target state and its time limit. A transition without a controlword
 occurs in the drive without a command.
 """
 
@@ -60,7 +60,7 @@ START_HOMING = ENABLE_OPERATION | 0x0010
 class StateTransition:
     """Transition of the state machine.
 
-    `controlwords` are written in order; then the state `target` must be reached within `within_s` of machine time.
+    `controlwords` are written in order. The drive must then reach the state `target` within `within_s` of machine time.
     """
 
     controlwords: tuple[int, ...]

@@ -1,4 +1,7 @@
-"""Driver plugin `console-operator`: asks on stderr and reads answers from stdin, so that stdout is free for results."""
+"""Driver plugin `console-operator`, which asks an operator in a terminal.
+
+Questions are written to stderr and answers are read from stdin, so stdout remains free for results.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +24,13 @@ _DECLINES = {"n", "no"}
 
 
 class ConsoleOperatorSettings(DriverOptions):
-    """Settings of driver `console-operator`."""
+    """Settings of the driver `console-operator`."""
 
     attempts: int = Field(default=5, ge=1, le=100, description="unrecognised answers until the reply counts as no")
 
 
 class ConsoleOperator:
-    """Operator at a terminal. If there is no terminal, a question raises an error instead of waiting for ever."""
+    """Operator at a terminal. If there is no terminal, a question raises an error immediately."""
 
     def __init__(self, settings: ConsoleOperatorSettings, name: str, source: TextIO, sink: TextIO) -> None:
         self._attempts = settings.attempts
@@ -36,7 +39,10 @@ class ConsoleOperator:
         self._sink = sink
 
     def open(self) -> None:
-        """Do nothing, since there is nothing to connect. The terminal is checked only when a question is asked."""
+        """Do nothing, because there is nothing to connect.
+
+        The terminal is checked when a question is asked.
+        """
 
     def close(self) -> None:
         """Do nothing: the terminal belongs to the process that started volcal."""
@@ -49,9 +55,10 @@ class ConsoleOperator:
         return [DiagnosticFinding("terminal", ok=present, text="present" if present else "stdin is not a terminal")]
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Ask and return True if the answer is done or yes.
+        """Ask a question, and return True if the operator answers "done" or "yes".
 
-        Raises PermissionMissing if there is no terminal, or if it closes before the answer.
+        Return False if the operator answers "no" or gives too many answers that are not recognised. Raises
+        PermissionMissing if there is no terminal, or if the terminal is closed before the answer.
         """
         if not self._has_terminal:
             raise self._unreachable(request, "there is no terminal")

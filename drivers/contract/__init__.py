@@ -1,4 +1,4 @@
-"""Contract tests of the device roles, to be subclassed by the tests of each driver.
+"""Contract tests of the device roles. The tests of each driver subclass them.
 
-Needs pytest. See docs/how-to/write-a-driver-plugin.md.
+The package needs pytest. See docs/how-to/write-a-driver-plugin.md.
 """

@@ -1,4 +1,4 @@
-"""Test rig of the contract tests: the machine under test and the positions to use on it."""
+"""Test rig of the contract tests: the device under test and the axis positions that the tests may use on it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from drivers.roles import CompensationStore, Machine, MotionState, Probe, Rotary
 
 
 class StoppedError(Exception):
-    """Exception that interrupts a wait in the contract tests."""
+    """Exception by which the contract tests interrupt a wait of a driver."""
 
 
 @dataclass
 class Interrupt:
-    """Interruption that raises `StoppedError` from the clock's sleep at time `at_s`.
+    """Planned interruption of a wait: `check` raises `StoppedError` as soon as `clock` reaches `at_s`.
 
-    Give the driver ``InterruptibleClock(clock, interrupt.check)``.
+    Give the driver the clock ``InterruptibleClock(clock, interrupt.check)``; it calls `check` while it sleeps.
     """
 
     clock: Clock
@@ -38,8 +38,8 @@ class Interrupt:
 class ContractRig(ABC):
     """Machine with one obstacle that the stylus tip can approach.
 
-    Only the roles under test need to be present. `clock` is the driver's clock and checks `interrupt`. Positions are
-    axis positions in mm.
+    Only the roles under test need to be present. `clock` is the clock of the driver and must call `interrupt.check`
+    while it sleeps. Positions are axis positions in mm.
     """
 
     clock: Clock
@@ -67,20 +67,22 @@ class ContractRig(ABC):
 
     @abstractmethod
     def approach(self) -> Vector:
-        """Move the tip in front of the obstacle and return a target inside it, straight ahead along +Y.
+        """Move the tip in front of the obstacle, and return a target inside the obstacle.
 
-        The path along +Y to the obstacle must be free over at least 5 mm; 25 mm is usual.
+        The target lies in the direction +Y from the tip. The path to the obstacle must be free over at least 5 mm; 25
+        mm is usual.
         """
 
     @abstractmethod
     def trip_mm(self, target_mm: Vector) -> Vector:
-        """Return the axis position, shape (3,), mm, at which the probe trips on the path to `target_mm`.
+        """Return the axis position, shape (3,), in mm at which the probe trips on the path to `target_mm`.
 
-        `target_mm` is the target that `approach` returned; the path starts where `approach` left the tip.
+        `target_mm` is the target that `approach` has returned. The path starts at the position to which `approach` has
+        moved the tip.
         """
 
     def table(self, factor: int = 1) -> TableImage:
-        """Return a table that the store accepts; each value of `factor` gives a different table."""
+        """Return a table that the store accepts. Each value of `factor` gives a different table."""
         limits = self.store.store_limits()
         counts = np.arange(3 * 2 * 4 * 3, dtype=np.int32).reshape(3, 2, 4, 3) * factor - 30
         return TableImage((0.0, 0.0, 0.0), (2000.0, 1300.0, 500.0), limits.resolution_mm, counts)

@@ -12,7 +12,10 @@ from drivers.roles import CompensationStore, TableImage, Thermometer
 
 
 class CompensationStoreContract:
-    """Contract tests of a store that activates immediately and whose banks are empty at the start of each test."""
+    """Contract tests of a compensation store.
+
+    The store must activate tables immediately, and its banks must be empty at the start of each test.
+    """
 
     def test_implements_the_role(self, rig: ContractRig) -> None:
         assert isinstance(rig.store, CompensationStore)

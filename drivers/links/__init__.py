@@ -1,1 +1,1 @@
-"""Thin wrappers around transport libraries; no other package imports those libraries."""
+"""Thin wrappers around the libraries for CAN, Modbus and serial ports; no other package imports these libraries."""

@@ -1,12 +1,13 @@
-"""Addresses of CAN buses, and python-can buses with workarounds for their defects.
+"""Addresses of CAN buses, and bus classes of python-can that are extended to avoid defects of this library.
 
-Defects of python-can 4.6 that this module works around:
+Defects of python-can 4.6 that this module avoids:
 
-* The ``socketcand`` client retries a refused connection in a busy loop for ten seconds, and if the server
-  goes away it spins on an empty read for ever. We avoid the busy loop by a connection attempt with a time limit
-  beforehand, and the empty reads by checking for the end of the stream before each read.
-* The ``slcan`` interface reads its serial port byte by byte and falls behind in a burst; it ignores every
-  refusal (BELL) of the adapter; and it writes without a time limit, so that a dead adapter blocks the caller.
+* The ``socketcand`` client repeats a refused connection for ten seconds without a pause. Therefore a connection
+  with a time limit is tried first. If the server closes the connection, the client reads empty data in an endless
+  loop. Therefore the end of the stream is checked before each read.
+* The ``slcan`` interface reads its serial port byte by byte and is too slow for a burst of frames. It ignores
+  refusals (BELL characters) of the adapter. It writes without a time limit, so an adapter that accepts no bytes
+  blocks the caller.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ FLAGS_WITHIN_S = 1.0
 
 @dataclass(frozen=True)
 class CanAddress:
-    """Address of a bus: python-can's interface, channel and options."""
+    """Address of a CAN bus: the interface, the channel and the options of python-can."""
 
     interface: str
     channel: str
@@ -63,7 +64,7 @@ class CanAddress:
 
 
 class SocketcandBus(SocketCanDaemonBus):
-    """python-can's socketcand client, extended to detect that its server has closed the connection."""
+    """Socketcand client of python-can, extended to detect that the server has closed the connection."""
 
     _SocketCanDaemonBus__socket: socket.socket
     _SocketCanDaemonBus__message_buffer: deque[can.Message]
@@ -93,7 +94,10 @@ STATUS_FLAGS = {
 
 
 class SlcanBus(slcanBus):
-    """python-can's serial-line bus, extended to keep up with bursts and to evaluate the adapter's status flags."""
+    """Bus of python-can for serial-line CAN adapters.
+
+    It is extended to read bursts of frames fast enough and to evaluate the status flags of the adapter.
+    """
 
     def __init__(self, channel: str, **options: Any) -> None:
         self._is_shutdown = True
@@ -134,7 +138,7 @@ class SlcanBus(slcanBus):
             self._claim.close()
 
     def status_flags(self, within_s: float) -> int | None:
-        """Query the adapter's status flags and return them; None if it does not answer within `within_s`.
+        """Query the status flags of the adapter and return them; None if the adapter does not answer within `within_s`.
 
         The receiving thread must be running, because it reads the answer.
         """
@@ -202,7 +206,10 @@ def _lock_port(port: str) -> io.FileIO:
 
 
 def open_bus(address: CanAddress) -> can.BusABC:
-    """Open the bus. Raises ConfigurationError for impossible settings, LinkLost if the bus cannot be reached."""
+    """Open the CAN bus at `address`.
+
+    Raises ConfigurationError if the settings are impossible, and LinkLost if the bus cannot be reached.
+    """
     with _translate_errors(address):
         options = dict(address.options)
         if address.interface == "slcan":

@@ -1,12 +1,15 @@
-"""One CANopen network per CAN channel in this process, shared and reference-counted.
+"""CANopen networks of this process, one for each CAN channel, shared by all devices on the channel.
 
-A CAN channel can be opened once per process and carries every node of every mount on it. Devices that name the same
-interface, channel and options therefore share one `canopen.Network`; the last one to close it shuts down the bus.
+A CAN channel can be opened only once per process, and it carries every node of every mount on the channel. Devices with
+the same interface, channel and options therefore share one `canopen.Network`. The bus is shut down when the last of
+these devices closes its link.
 
-Our own thread receives the frames, because python-can's notifier dies on an exception or, with a handler, repeats it
-in a busy loop. Our thread ends at the first failure or if the controller goes bus-off; then `CanLink.check` raises
-LinkLost. If the interface echoes our own frames, they are dropped: in CANopen an identifier has one producer, so a
-frame with an identifier that we have sent is our own.
+Frames are received by a thread of this module instead of the notifier of python-can. An exception ends the notifier or,
+if it has an exception handler, makes it repeat the exception in a busy loop. The thread of this module ends at the
+first failure or if the controller goes bus-off; `CanLink.check` then raises LinkLost.
+
+Some interfaces echo the frames that this process has sent. These frames are dropped. They are recognised by their
+identifier, since only one node uses an identifier for sending in CANopen.
 """
 
 from __future__ import annotations
@@ -118,7 +121,7 @@ class _SharedNetwork:
 
 
 class CanNetworks:
-    """Open networks of a process. Thread-safe."""
+    """Open CAN networks of a process; the methods are thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -127,7 +130,8 @@ class CanNetworks:
     def acquire(self, address: CanAddress) -> CanLink:
         """Return a link to the network at `address`; open the network first if it is not open.
 
-        Raises LinkLost, naming the link, if it cannot be opened.
+        Raises LinkLost if the network cannot be opened, and ConfigurationError if the settings are impossible or the
+        bus is already open with other options. The error names the link.
         """
         with self._lock:
             self._refuse_second_opening(address)
@@ -158,7 +162,10 @@ class CanNetworks:
 
 
 class CanLink:
-    """Access of one device to a shared network. The device must close it; closing it twice has no effect."""
+    """Access of one device to a shared CAN network.
+
+    The device must close the link. Closing the link twice has no effect.
+    """
 
     def __init__(self, address: CanAddress, shared: _SharedNetwork, networks: CanNetworks) -> None:
         self.address = address
@@ -171,7 +178,10 @@ class CanLink:
         return self.address.name
 
     def add_node(self, node_id: int, dictionary: ObjectDictionary) -> canopen.RemoteNode:
-        """Add a node to the network. Raises ConfigurationError if another device of this process owns that node."""
+        """Add a node to the network.
+
+        Raises ConfigurationError if a device of this process already uses the node id.
+        """
         shared = self._require_open()
         if node_id in shared.nodes:
             raise ConfigurationError(
@@ -186,13 +196,16 @@ class CanLink:
         return node
 
     def check(self) -> None:
-        """Raise LinkLost if the receiving thread has ended."""
+        """Raise LinkLost if the thread that receives the frames has ended."""
         failure = self._require_open().receiver.failure
         if failure is not None:
             raise self.lost_error(f"receiving has stopped: {failure}")
 
     def adapter_status_text(self) -> str:
-        """Query the adapter's own status and return it as text; an empty string if it cannot be queried."""
+        """Query the status of the CAN adapter and return it as text.
+
+        Return an empty string if the status of this kind of adapter cannot be queried.
+        """
         bus = self._require_open().bus
         if not isinstance(bus, SlcanBus):
             return ""

@@ -1,4 +1,7 @@
-"""Registers of one Modbus unit over any transport: write allow-list, retries, checked answers, typed errors."""
+"""Link to the registers of one Modbus unit over any transport.
+
+The link checks every answer, repeats requests if necessary, and writes only to registers on an allow-list.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ class _ExceptionResponse(Exception):
 
 
 class LatencyStatistics:
-    """Statistics of request round trips, in wall-clock seconds."""
+    """Statistics of the round-trip times of requests, in seconds of the wall clock."""
 
     def __init__(self, window: int = 1000) -> None:
         self.count = 0
@@ -48,17 +51,22 @@ class LatencyStatistics:
 
     @property
     def median_s(self) -> float:
-        """Median of the most recent round trips (`window` of them, 1000 by default) in s; 0 if there were none."""
+        """Median of the most recent round-trip times in s; 0 if there were none.
+
+        `window` limits how many round trips are considered (1000 by default).
+        """
         return median(self._recent) if self._recent else 0.0
 
 
 class ModbusLink:
-    """Connection to one unit.
+    """Link to one Modbus unit.
 
-    `writable` lists the registers that may be written; any other write is refused before it reaches the wire.
-    Requests declared idempotent are sent again after a timeout or a damaged answer, up to `retries` times. A lost
-    connection is reopened only by a call of `open`. Methods raise `LinkLost`, `LinkTimeout`, `ProtocolError`
-    (including `DamagedFrame`), each naming the device, the link and the register.
+    `writable` lists the registers that may be written. A write to any other register is refused before anything is
+    sent. A request that the caller declares idempotent is repeated after a timeout or a damaged answer, up to `retries`
+    times. A lost connection stays closed until `open` is called.
+
+    The methods raise `LinkLost`, `LinkTimeout` or `ProtocolError` (including `DamagedFrame`). Each error names the
+    device, the link and the register.
     """
 
     def __init__(
@@ -90,22 +98,23 @@ class ModbusLink:
         self.transport.close()
 
     def read(self, register: int, count: int) -> bytes:
-        """Read `count` registers with function 3; return 2 × `count` bytes."""
+        """Read `count` registers with function 3, and return their 2 × `count` bytes."""
         request = struct.pack(">BHH", READ, register, count)
         return self._registers(self._checked(request, register, idempotent=True), count, register)
 
     def write(self, register: int, data: bytes, *, idempotent: bool) -> None:
-        """Write `data` to consecutive registers, starting at `register`, with function 16."""
+        """Write `data` with function 16 to consecutive registers; the first one is `register`."""
         head = struct.pack(">HH", register, self._writable_count(register, data))
         request = bytes((WRITE,)) + head + bytes((len(data),)) + data
         if self._checked(request, register, idempotent=idempotent) != head:
             raise ProtocolError("the answer to a write names other registers", register=register, **self.where)
 
     def exchange(self, register: int, data: bytes, read: int, count: int, *, idempotent: bool) -> bytes:
-        """Write `data` starting at `register`, then read and return `count` registers starting at `read`.
+        """Write `data` to the registers from `register` on, then read `count` registers from `read` on and return their
+        bytes.
 
-        Function 23 does both in one round trip. If the server does not support it, functions 16 and 3 are used from
-        then on.
+        Function 23 writes and reads in one round trip. If the server does not support function 23, this and all later
+        calls use functions 16 and 3 instead.
         """
         if self._combined:
             written = self._writable_count(register, data)
@@ -122,9 +131,9 @@ class ModbusLink:
         return self.read(read, count)
 
     def exchange_wire_time_s(self, written: int, read: int) -> float:
-        """Return the transmission time in s of an `exchange` that writes and reads these numbers of registers.
+        """Return the transmission time in s of one call of `exchange`; 0 if the time is unknown.
 
-        Returns 0 if the time is unknown.
+        `written` and `read` are the numbers of registers written and read.
         """
         if self._combined:
             return self.transport.wire_time_s(

@@ -1,14 +1,15 @@
 """Modbus RTU on a serial line, over pyserial.
 
-This is our own transport because pymodbus searches for a frame anywhere in the received bytes, silently skips an
-answer of another unit, and reports a garbled answer as a timeout, so that a bad line looks like a dead controller.
+This module does not use pymodbus, which would make a bad line look like a dead controller. It searches for a frame
+anywhere in the received bytes, silently skips an answer of another unit, and reports a garbled answer as a timeout.
 
-RTU has no transaction number. Bytes that have arrived are discarded before each request; after a failure, bytes are
-read and discarded until the line is quiet. A late answer that arrives after that is accepted as the answer to the next
-request if its form is right. Numbers in the register map (sequence, block, latch) reveal such stale contents.
+RTU frames have no transaction number. Before each request, received bytes are discarded. After a failed request, bytes
+are also read and discarded until the line is quiet. An answer that arrives even later is accepted as the answer to the
+next request if it has the right form. The register map contains numbers (sequence, block, latch) by which the caller
+detects such an outdated answer.
 
-A request takes at least its transmission time on the device's clock. If the transfer itself is faster (pseudo-terminal,
-lockstep clock), the transport sleeps for the rest, so that a request takes as long as on a cable.
+On the clock of the device, a request takes at least its transmission time on a real cable. If the transfer itself is
+faster (pseudo-terminal, lockstep clock), the transport sleeps for the rest of that time.
 """
 
 from __future__ import annotations
@@ -51,7 +52,10 @@ class RtuEndpoint:
 
 
 class RtuTransport:
-    """Modbus master on one serial line. `stray_bytes` counts received bytes that belong to no request."""
+    """Modbus master on one serial line.
+
+    `stray_bytes` is the number of received bytes that belonged to no request.
+    """
 
     def __init__(self, endpoint: RtuEndpoint, clock: Clock, *, timeout_s: float, where: Mapping[str, str]) -> None:
         self._line = endpoint.line

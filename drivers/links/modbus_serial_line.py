@@ -53,17 +53,20 @@ class SerialLine(DriverOptions):
         return FAST_GAP_S if self.baud > FAST_BAUD else 3.5 * self.character_s
 
     def exchange_s(self, request: int, answer: int) -> float:
-        """Return the transmission time in s of a request and its answer, each preceded by a gap.
+        """Return the transmission time in s of a request and its answer, including the gap before each of them.
 
-        `request` and `answer` are their lengths in bytes, counted from the function code to the last
-        byte before the CRC.
+        `request` and `answer` are the lengths in bytes of the request and of the answer. They include the function code
+        but neither the address nor the CRC.
         """
         characters = request + answer + 2 * ADDRESS_AND_CRC
         return 2.0 * self.gap_s + characters * self.character_s
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC-16 (reflected polynomial 0xA001, initial value 0xFFFF); it is sent low byte first."""
+    """Return the CRC-16 of `data` (reflected polynomial 0xA001, initial value 0xFFFF).
+
+    The low byte of the CRC is sent first.
+    """
     crc = 0xFFFF
     for byte in data:
         crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]

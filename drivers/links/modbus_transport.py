@@ -1,4 +1,4 @@
-"""Interface of a transport that carries Modbus requests to a unit and its answers back."""
+"""Interface of the transports that carry a Modbus request to a unit and return the answer."""
 
 from __future__ import annotations
 
@@ -11,37 +11,45 @@ EXCEPTION_BIT = 0x80
 
 
 class DamagedFrame(ProtocolError):
-    """An answer was truncated or garbled on the line. The peer itself is healthy, so a retry may succeed."""
+    """Error for an answer that was truncated or garbled on the line.
+
+    The unit itself works, so a repeated request may succeed.
+    """
 
 
 class Transport(Protocol):
-    """Connection to one unit. Errors name the device and the link; the caller adds the register."""
+    """Connection to one Modbus unit.
+
+    An error names the device and the link; the calling `ModbusLink` adds the register.
+    """
 
     @property
     def connected(self) -> bool: ...
 
     def open(self) -> None:
-        """Connect. Raises `LinkLost`."""
+        """Open the connection. Raises `LinkLost` if this fails."""
         ...
 
     def close(self) -> None: ...
 
     def ask(self, request: bytes) -> bytes:
-        """Send `request` and return its answer; both begin with the function code and have no checksum.
+        """Send `request` and return the answer; both begin with the function code and contain no checksum.
 
-        An exception response counts as an answer. Raises `LinkLost`, `LinkTimeout`, `DamagedFrame`, `ProtocolError`.
+        An exception response of the unit is returned as an answer. Raises `LinkLost`, `LinkTimeout`, `DamagedFrame` or
+        `ProtocolError` if there is no valid answer.
         """
         ...
 
     def wire_time_s(self, request: bytes) -> float:
-        """Return the shortest transmission time in s of `request` and its answer; 0 if unknown."""
+        """Return the shortest transmission time in s of `request` and its answer; 0 if the time is unknown."""
         ...
 
 
 def answer_length(request: bytes) -> int:
-    """Return the length in bytes of a normal answer to `request`, both counted from the function code on.
+    """Return the length in bytes of the answer to `request` if the unit reports no exception.
 
-    Source: MODBUS Application Protocol V1.1b3, 6.3 … 6.17.
+    Both are counted from the function code on, without a checksum. Source: MODBUS Application Protocol V1.1b3, 6.3 …
+    6.17.
     """
     if request[0] in (READ, WRITE_AND_READ):
         return 2 + 2 * int.from_bytes(request[3:5], "big")

@@ -1,6 +1,6 @@
 """Serial port for line-oriented text protocols, over pyserial.
 
-Waits use `select`, not pyserial's timeout, because changing that timeout reconfigures the port.
+Waits use `select` instead of the timeout of pyserial, because changing that timeout reconfigures the port.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WRITE_WITHIN_S = 2.0
 
 @dataclass(frozen=True)
 class SerialAddress:
-    """Port, baud rate and stop bits of a serial device; eight data bits, no parity."""
+    """Port, baud rate and stop bits of a serial device; frames have eight data bits and no parity bit."""
 
     port: str
     baud: int
@@ -35,7 +35,7 @@ class SerialAddress:
 class SerialPort:
     """Serial port that sends bytes and receives bytes or lines.
 
-    Every wait is bounded in wall time. Methods raise LinkLost if the port is gone.
+    Every wait has a time limit in wall time. The methods raise LinkLost if the port no longer exists or is not open.
     """
 
     def __init__(self, address: SerialAddress, *, device: str = "") -> None:
@@ -50,7 +50,10 @@ class SerialPort:
         return self._port is not None
 
     def open(self) -> None:
-        """Open the port exclusively, since a second program on the port would receive some of the answers."""
+        """Open the port for exclusive use.
+
+        A second program on the port would receive some of the answers.
+        """
         self.close()
         address = self._address
         try:
@@ -86,7 +89,7 @@ class SerialPort:
             raise self._lost(error) from error
 
     def read(self, within_s: float) -> bytes:
-        """Return received bytes as soon as there are any; b"" if none arrive within `within_s` of wall time."""
+        """Return the received bytes as soon as there are any; b"" if none arrive within `within_s` of wall time."""
         port = self._require_port()
         try:
             ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))
@@ -98,7 +101,10 @@ class SerialPort:
         return data
 
     def read_line(self, within_s: float) -> bytes | None:
-        """Return the next non-empty line without its line end; None if none is complete within `within_s` wall time."""
+        """Return the next non-empty line without its line end.
+
+        Return None if no line is complete within `within_s` of wall time.
+        """
         deadline_s = wall_seconds() + within_s
         while True:
             end = self._received.find(b"\n")

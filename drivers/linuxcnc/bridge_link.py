@@ -1,4 +1,7 @@
-"""Link to the bridge process. To stop the machine, a bridge that does not answer is replaced by a new one."""
+"""Link to the bridge process.
+
+If the bridge does not answer while the machine must be stopped, it is replaced by a new bridge process.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +36,9 @@ class _Bridge(NamedTuple):
 
 
 class BridgeLink:
-    """Link to the bridge: one request at a time, from any thread. Waits use the wall clock.
+    """Link to the bridge process; it implements the interface `Pins`.
 
-    Implements `drivers.linuxcnc.pins.Pins`.
+    Any thread may use the link; requests are sent one at a time. Waits use the wall clock.
     """
 
     def __init__(
@@ -62,7 +65,11 @@ class BridgeLink:
         return None if self._bridge is None else self._bridge.process.pid
 
     def open(self) -> None:
-        """Start the bridge. Raises LinkLost if it cannot be started or LinuxCNC does not run."""
+        """Start the bridge process.
+
+        Raises LinkLost if the bridge cannot be started or if LinuxCNC does not run, and ProtocolError if the version of
+        the bridge's protocol is wrong.
+        """
         with self._lock:
             self.close()
             self._bridge = self._start_process()
@@ -78,7 +85,10 @@ class BridgeLink:
                 raise ProtocolError(f"the bridge speaks protocol {protocol}, not {PROTOCOL}", **self.where)
 
     def close(self) -> None:
-        """End the bridge, which stops a motion that it started; idempotent."""
+        """End the bridge process; repeated calls have no further effect.
+
+        A bridge that ends stops the motion that it has started, unless it no longer responds and has to be killed.
+        """
         with self._lock:
             if self._bridge is None:
                 return
@@ -95,9 +105,9 @@ class BridgeLink:
                 _ended(process)  # bounded: an abort by a new bridge must not wait for this one
 
     def ask(self, what: str, **fields: object) -> Answer:
-        """Send a request and return the answer.
+        """Send a request to the bridge and return the answer.
 
-        Raises LinkLost or LinkTimeout, and CommandRejected if LinuxCNC refuses the request.
+        Raises LinkLost or LinkTimeout if no answer comes, and CommandRejected if LinuxCNC refuses the request.
         """
         with self._lock:
             self._number += 1
@@ -109,7 +119,10 @@ class BridgeLink:
         raise self._refusal(answer)
 
     def abort(self) -> None:
-        """Stop any motion. If the bridge has ended or does not answer, a new bridge is started for the stop."""
+        """Stop any motion of the machine.
+
+        If the bridge has ended or does not answer, a new bridge is started to stop the motion.
+        """
         with self._lock:
             if self._unresponsive or not self.connected:
                 self.open()

@@ -1,4 +1,4 @@
-"""Device for LinuxCNC with the roles Machine, Probe, CompensationStore and Thermometer."""
+"""Device for LinuxCNC with the roles `Machine`, `Probe`, `CompensationStore` and `Thermometer`."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from drivers.roles import (
 
 
 class LinuxCnc:
-    """LinuxCNC machine: motion, probing and store over one bridge.
+    """Machine controlled by LinuxCNC; motion, probing and compensation tables share one bridge process.
 
-    Motion and probing exist while the device is open.
+    Motion and probing are possible only while the device is open.
     """
 
     def __init__(self, settings: LinuxCncSettings, context: DeviceContext) -> None:
@@ -47,7 +47,10 @@ class LinuxCnc:
         self._parts: _Parts | None = None
 
     def open(self) -> None:
-        """Start the bridge. Home only if the settings allow it and no joint has to move for homing."""
+        """Start the bridge process.
+
+        The joints are also homed if they are not yet homed, the settings allow homing, and no joint has to move for it.
+        """
         if self._parts is not None:
             return
         try:
@@ -59,7 +62,7 @@ class LinuxCnc:
         self._parts = _Parts(self._session)
 
     def close(self) -> None:
-        """Restore the modal codes and the mode that the motions changed, and end the bridge."""
+        """Restore the modal codes and the mode in effect before the first motion, and end the bridge process."""
         parts, self._parts = self._parts, None
         try:
             if parts is not None and self._session.link.connected:
@@ -72,11 +75,11 @@ class LinuxCnc:
 
     @property
     def bridge_pid(self) -> int | None:
-        """Process id of the bridge; None if there is none."""
+        """Process id of the bridge; None if no bridge process has been started."""
         return self._session.link.pid
 
     def home(self) -> None:
-        """Home all joints as the INI file specifies; this may move the axes."""
+        """Home all joints as specified in the INI file; the axes may move."""
         self._open.motion.require_idle()
         self._session.home()
 
@@ -104,11 +107,14 @@ class LinuxCnc:
         self._session.link.ask("resume")
 
     def reset(self) -> None:
-        """Switch the machine on again after a fault. Raises CommandRejected in an emergency stop."""
+        """Switch the machine on again after a fault. Raises CommandRejected if the emergency stop is active."""
         self._open.motion.reset()
 
     def stop(self) -> None:
-        """Abort the motion; if the bridge has ended, start a new one for it. Does nothing if the device is closed."""
+        """Stop the motion; if the bridge process has ended, a new one is started for the stop.
+
+        The method has no effect if the device is closed.
+        """
         if self._parts is not None:
             self._parts.motion.stop()
 

@@ -1,4 +1,4 @@
-"""Self-diagnosis for `volcal doctor`; reads only."""
+"""Diagnosis of a LinuxCNC device for the command `volcal doctor`; it reads only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ LATCH_MM_PER_S = 5.0
 
 
 def diagnose(session: LinuxCncSession, store: LinuxCncStore | None) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order; an error ends them and becomes the last one."""
+    """Return the findings in the order in which a user should check them.
+
+    An error ends the diagnosis and becomes the last finding.
+    """
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:

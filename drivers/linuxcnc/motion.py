@@ -1,4 +1,4 @@
-"""Straight motions by MDI, from the command to the end of the motion."""
+"""Straight motions by MDI lines, from the start of the motion until its end."""
 
 from __future__ import annotations
 
@@ -57,14 +57,17 @@ class MdiMotionKind(Enum):
 
 @dataclass(frozen=True)
 class LinuxCncMotionResult:
-    """Start position of a motion, and the snapshot that showed its end."""
+    """Result of a motion: its start position, and the snapshot of LinuxCNC at its end."""
 
     start: Triple
     snapshot: Snapshot
 
 
 class LinuxCncMotion:
-    """Carries out motions. If an exception ends a wait, the machine is stopped before the exception propagates."""
+    """Straight motions of the machine.
+
+    If an exception ends the wait for the end of a motion, the machine is stopped before the exception propagates.
+    """
 
     def __init__(self, session: LinuxCncSession) -> None:
         self._session = session
@@ -76,7 +79,10 @@ class LinuxCncMotion:
         """Tag of the step to which the motions belong. It is appended to the MDI line as a comment."""
 
     def run(self, kind: MdiMotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> LinuxCncMotionResult:
-        """Move until the target is reached or, in a touch, until the probe trips; raise an error for any other end."""
+        """Move along a straight line until the target is reached or, in a touch, until the probe trips.
+
+        Raises an error if the motion ends in any other way.
+        """
         target = self._validated_target(kind, target_mm, feed_mm_per_s)
         self._await_rest()
         before = self._session.read_snapshot()
@@ -89,14 +95,18 @@ class LinuxCncMotion:
         return LinuxCncMotionResult(before.position, ended)
 
     def stop(self) -> None:
-        """Abort the motion without waiting for standstill, because the caller may be inside an interrupted sleep."""
+        """Stop the motion.
+
+        The method does not wait for standstill, because it may be called while a sleep of the clock is being
+        interrupted.
+        """
         self._braking = True
         self._session.link.abort()
 
     def reset(self) -> None:
-        """Switch the machine on if it is off, and wait until LinuxCNC reports it idle.
+        """Switch the machine on if it is off, and wait until LinuxCNC reports that it is idle.
 
-        For a few cycles after switching on, LinuxCNC's task is still busy and would refuse a motion.
+        Without this wait, LinuxCNC would refuse a motion for a few cycles after the machine is switched on.
         """
         if self._session.read_snapshot().task_state != ON:
             self._session.link.ask("on")
@@ -107,7 +117,7 @@ class LinuxCncMotion:
         self._require_at_rest(self._session.read_snapshot())
 
     def restore_modes(self) -> None:
-        """Restore the modal codes in effect before the first motion, and manual mode."""
+        """Restore the modal codes that were in effect before the first motion, and switch to manual mode."""
         if self._modal_before is None or self._session.read_snapshot().task_state != ON:
             return
         self._await_rest()

@@ -1,4 +1,7 @@
-"""Interface through which a compensation store reads and sets HAL pins; the bridge link implements it."""
+"""Interface through which a compensation store reads and sets HAL pins.
+
+The link to the bridge process implements this interface.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,22 @@ PinValue = bool | int | float
 
 
 class Pins(Protocol):
-    """HAL pins, signals and parameters of the running LinuxCNC, by name.
+    """HAL pins, signals and parameters of the running LinuxCNC, accessed by name.
 
-    Both methods are idempotent. They raise `CommandRejected`, with the pin in `where`, if HAL has no such name, if the
-    value does not fit the type, or if the pin cannot be set (it is an output, or linked to a signal that another
-    component writes). They raise `LinkLost` if LinuxCNC or the bridge has ended, and `LinkTimeout` if no answer comes.
+    The methods `get` and `set` are idempotent. They raise `CommandRejected`, with the pin in `where`, if HAL has no
+    such name, if the value does not fit the type, or if the pin cannot be set (because it is an output, or is linked to
+    a signal that another component writes). They raise `LinkLost` if LinuxCNC or the bridge has ended, and
+    `LinkTimeout` if no answer comes.
     """
 
     def get(self, name: str) -> PinValue:
-        """Return the value: bit as bool, s32 and u32 as int, float as float."""
+        """Return the value of a pin: a bit as bool, an s32 or u32 as int, a float as float."""
         ...
 
     def set(self, name: str, value: PinValue) -> None:
-        """Set a pin, as `halcmd setp` does.
+        """Set a pin in the same way as `halcmd setp`.
 
-        If the pin is linked to a signal that no pin writes, set that signal, as `halcmd sets` does.
+        If the pin is linked to a signal that has no writing pin, the signal is set instead, in the same way as by
+        `halcmd sets`.
         """
         ...

@@ -1,4 +1,4 @@
-"""Driver plugin `linuxcnc`."""
+"""Driver plugin `linuxcnc` for machines controlled by LinuxCNC."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Touches by G38.3, with the latched position corrected for the delay of the latch."""
+"""Touches by the probing command G38.3 of LinuxCNC.
+
+The latched position is corrected for the delay between the trip of the probe and the latch.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,10 @@ from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 
 
 class LinuxCncProbing:
-    """Touches by G38.3, which raises no alarm on a miss; `probe_tripped` distinguishes a touch from a miss."""
+    """Touches by the probing command G38.3, which raises no alarm if the probe does not trip.
+
+    The field `tripped` of the snapshot distinguishes a touch from a miss.
+    """
 
     def __init__(self, session: LinuxCncSession, motion: LinuxCncMotion) -> None:
         self._session = session

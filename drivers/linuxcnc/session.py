@@ -1,4 +1,7 @@
-"""Session shared by all parts of the driver: bridge, clock, settings, and snapshots of the machine."""
+"""Session with LinuxCNC that all parts of the driver share.
+
+It contains the link to the bridge, the clock, the settings and the properties of the machine.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ XYZ_MASK = 0b111
 
 @dataclass(frozen=True)
 class MachineProperties:
-    """Constant properties of the machine. `absolute_encoders` is True if every joint has an absolute encoder."""
+    """Properties of the machine that do not change while LinuxCNC runs.
+
+    `absolute_encoders` is True if every joint has an absolute encoder.
+    """
 
     limits: AxisLimits
     mm_per_unit: float
@@ -28,7 +34,10 @@ class MachineProperties:
 
 
 class LinuxCncSession:
-    """Session with LinuxCNC; open as long as the bridge runs. Positions are in mm for any setting of LINEAR_UNITS."""
+    """Session with LinuxCNC, which is open while the bridge process runs.
+
+    Positions are in mm for any setting of LINEAR_UNITS in the INI file.
+    """
 
     def __init__(self, link: BridgeLink, clock: Clock, settings: LinuxCncSettings) -> None:
         self.link = link
@@ -39,9 +48,10 @@ class LinuxCncSession:
         self._pins = settings.pins()
 
     def open(self) -> None:
-        """Open the bridge and read the properties of the machine.
+        """Start the bridge process and read the properties of the machine.
 
-        Raises LinkLost if LinuxCNC does not run, ConfigurationError if it runs another machine.
+        Raises LinkLost if LinuxCNC does not run. Raises ConfigurationError if LinuxCNC controls another machine than
+        the settings name, or if it lacks one of the axes X, Y and Z.
         """
         self.link.open()
         self._properties = self._read_properties()
@@ -64,9 +74,10 @@ class LinuxCncSession:
         return parse_snapshot(self.link.ask("status", pins=self._pins), self.properties.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
-        """Return whether each permission is granted, as given by LinuxCNC's own state.
+        """Return a mapping from each permission to True if it is granted, and to False otherwise.
 
-        A permission for which a HAL pin is configured requires that this pin is true as well.
+        The permissions follow from the state of LinuxCNC in `snapshot`. A permission with a configured HAL pin is
+        granted only if this pin is also true.
         """
         on = snapshot.task_state == ON
         given = dict.fromkeys(Permission, True) | {
@@ -82,11 +93,14 @@ class LinuxCncSession:
         return given
 
     def probe_healthy(self, snapshot: Snapshot) -> bool:
-        """Return True if the probe is healthy, or if no pin is configured for it."""
+        """Return True if the HAL pin for the health of the probe is true, or if no such pin is configured."""
         return self.settings.probe_healthy is None or bool(snapshot.pins[-1])
 
     def home(self) -> None:
-        """Home all joints in the sequence of the INI file and return when they are homed; this may move the axes."""
+        """Home all joints in the sequence of the INI file, and return when they are homed. The axes may move.
+
+        Raises CommandRejected if homing fails, and DeadlineExpired if it takes too long.
+        """
         self.link.ask("home")
         deadline = Deadline.after(self.clock, self.settings.homing_timeout_s)
         messages: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Settings of a LinuxCNC machine; limits, units and periods are read from LinuxCNC itself."""
+"""Settings of a LinuxCNC machine. Limits, units and periods are read from LinuxCNC itself."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
 class PermissionPins(DriverOptions):
-    """HAL bits that are true while the machine may be moved.
+    """HAL pins of type bit that are true while the machine may be moved.
 
-    A permission without a bit is taken from LinuxCNC's own state; one that LinuxCNC does not report counts as granted.
+    A permission without a configured pin follows from the state of LinuxCNC. It counts as granted if LinuxCNC does not
+    report such a state.
     """
 
     automatic: PinName | None = Field(default=None, description="if unset: the machine is on")
@@ -28,12 +29,12 @@ class PermissionPins(DriverOptions):
     consent: PinName | None = Field(default=None, description="if unset: taken as granted")
 
     def named(self) -> dict[Permission, str]:
-        """Return the configured pins by permission."""
+        """Return the names of the configured pins, keyed by permission."""
         return {Permission[name.upper()]: pin for name, pin in self if pin is not None}
 
 
 class LinuxCncSettings(DriverOptions):
-    """Settings of driver `linuxcnc`."""
+    """Settings of the driver `linuxcnc`."""
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "answer_within_s": "response_timeout_s",
@@ -79,6 +80,6 @@ class LinuxCncSettings(DriverOptions):
     temperatures: dict[str, PinName] = Field(default_factory=dict, description="name → HAL float in °C")
 
     def pins(self) -> tuple[str, ...]:
-        """Return the HAL names that are read with every snapshot."""
+        """Return the names of the HAL pins that are read with every snapshot."""
         healthy = () if self.probe_healthy is None else (self.probe_healthy,)
         return (*self.permissions.named().values(), *healthy)

@@ -1,4 +1,4 @@
-"""Snapshot of the state of LinuxCNC, in mm."""
+"""Snapshot of the state of LinuxCNC, with positions in mm."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ ON = "on"
 class Snapshot:
     """State of LinuxCNC at one instant.
 
-    `position` and `probed` are machine positions without external offsets. `program_offset` is the machine position
-    minus the programmed position. `errors` holds LinuxCNC's messages since the previous snapshot.
+    `position` and `probed` are the present and the latched machine position, both without external offsets.
+    `program_offset` is the machine position minus the programmed position. `errors` contains the messages of LinuxCNC
+    since the previous snapshot.
     """
 
     position: Triple
@@ -73,7 +74,10 @@ class Snapshot:
 
 
 def parse_snapshot(status: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
-    """Parse the bridge's answer to `status`. Raises ProtocolError if a field is missing."""
+    """Convert the answer of the bridge to the request "status" into a snapshot.
+
+    Raises ProtocolError if a field is missing or invalid.
+    """
     try:
         offset = status["eoffset"]
         return Snapshot(

@@ -1,4 +1,7 @@
-"""Reading a table back from a bank, block by block through the read window of the register map."""
+"""Reader of compensation tables in the banks of a controller.
+
+A table is read block by block through the read window, a range of registers that shows one selected block.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +18,19 @@ from drivers.roles import TableImage
 
 
 class BankReader:
-    """Reader of complete banks; block 0 of a bank is its descriptor."""
+    """Reader of banks that contain a complete table.
+
+    Block 0 of a bank is the descriptor of the table; the further blocks contain its corrections.
+    """
 
     def __init__(self, session: ModbusSession) -> None:
         self._session = session
 
     def read(self, bank: int) -> tuple[TableImage, TableDescriptor]:
-        """Return the table and the descriptor of a complete bank.
+        """Read a complete bank, and return its table and its descriptor.
 
-        Raises ChecksumMismatch if the CRC-32 computed here differs from the controller's.
+        Raises ChecksumMismatch if the CRC-32 of the data read differs from the CRC-32 in the descriptor. Raises
+        ProtocolError if a block is missing or the descriptor is invalid.
         """
         layout = self._session.layouts.descriptor
         descriptor = TableDescriptor(*layout.unpack(self._read_block(bank, 0)[: 2 * layout.size]))

@@ -1,1 +1,4 @@
-"""Bridge process between volcal and LinuxCNC. The system's Python runs this directory; volcal never imports it."""
+"""Bridge process between volcal and LinuxCNC.
+
+The Python interpreter of the operating system runs this directory; volcal itself never imports it.
+"""

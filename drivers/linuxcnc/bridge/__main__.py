@@ -1,14 +1,16 @@
 """Bridge to LinuxCNC for a program that runs under another Python interpreter.
 
-Requests on standard input and answers on standard output are one JSON object per line. The distribution's
-interpreter runs the bridge (`/usr/bin/python3 drivers/linuxcnc/bridge`), because the modules `linuxcnc` and `hal` are
-built for that interpreter. The bridge imports nothing from volcal. Every request is answered within a few cycles
-of LinuxCNC's task; no request waits for a motion. The machine is stopped when standard input ends, or if no request
-comes for `watch_s` seconds during a motion started here.
+The bridge is run by the Python interpreter of the Linux distribution (`/usr/bin/python3 drivers/linuxcnc/bridge`),
+because the modules `linuxcnc` and `hal` are built for that interpreter. It imports nothing from volcal.
+
+Each line on standard input is a request, and each line on standard output is an answer; both are JSON objects. Every
+request is answered within a few cycles of LinuxCNC's task; no request waits for the end of a motion. The bridge stops a
+motion that it has started if standard input ends, or if no request comes for `watch_s` seconds during the motion.
 
     {"id": 7, "do": "status"}  ->  {"id": 7, "ok": {...}}  or  {"id": 7, "error": "refused", "text": "..."}
 
-`error` is `refused` (understood but not carried out), `unknown` (no such HAL name) or `gone` (no answer from LinuxCNC).
+`error` is `refused` (the request was understood but not carried out), `unknown` (HAL has no such name) or `gone`
+(LinuxCNC does not answer).
 """
 
 from __future__ import annotations
@@ -41,17 +43,18 @@ ERRORS = (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR)
 
 
 class RefusedError(Exception):
-    """LinuxCNC or this bridge refuses the request in its present state."""
+    """Error of a request that LinuxCNC or the bridge refuses in its present state."""
 
 
 class GoneError(Exception):
-    """LinuxCNC no longer answers."""
+    """Error that is raised if LinuxCNC no longer answers."""
 
 
 class Bridge:
-    """Bridge to the running LinuxCNC.
+    """Bridge to the running LinuxCNC; it carries out the requests.
 
-    `watch_s` is the longest time without a request during a motion started here; 0 disables the monitoring.
+    The request "hello" sets `watch_s`, the longest time without a request during a motion that the bridge has started.
+    After a longer time, the bridge stops the motion. If `watch_s` is 0, the time is not monitored.
     """
 
     def __init__(self) -> None:
@@ -67,7 +70,7 @@ class Bridge:
         self._abandoned = False
 
     def answer(self, request: Fields) -> Fields:
-        """Carry out one request and return the fields of its answer."""
+        """Carry out one request and return the fields of the answer."""
         self._heard_s = time.monotonic()
         actions = {
             "hello": self._hello,
@@ -89,11 +92,17 @@ class Bridge:
         return action(request)
 
     def pause_s(self) -> float | None:
-        """Return the longest time in s to wait for a request before `watch` is called; None for no limit."""
+        """Return the longest time in s that the main loop may wait for a request before it calls `watch`.
+
+        Return None if there is no limit.
+        """
         return 0.05 if self._watched() else None
 
     def watch(self) -> None:
-        """Stop a motion started here if no request has come for `watch_s`, unless the motion is paused."""
+        """Stop the motion that the bridge has started if no request has come for `watch_s` seconds.
+
+        A paused motion is not stopped.
+        """
         if self._watched() and time.monotonic() - self._heard_s > self._watch_s:
             self._poll()
             if self._under_way() and not self._stat.paused:
@@ -103,7 +112,10 @@ class Bridge:
             self._heard_s = time.monotonic()
 
     def end(self) -> None:
-        """Stop a motion started here; called after standard input has ended."""
+        """Stop a motion that the bridge has started.
+
+        The main loop calls this method when standard input has ended.
+        """
         self._poll()
         if self._begun is not None and self._under_way():
             self._command.abort()
@@ -283,7 +295,10 @@ class Bridge:
 
 
 def answer_line(bridge: Bridge, line: bytes) -> Fields:
-    """Return the answer to one request line; for an invalid or refused request, the answer contains the error."""
+    """Carry out the request in one line and return the answer.
+
+    If the request is invalid or refused, the answer contains the error.
+    """
     number = None
     try:
         request = json.loads(line)

@@ -12,14 +12,17 @@ HALCMD_WITHIN_S = 2.0
 
 
 class NoSuchPinError(Exception):
-    """HAL has no pin, signal or parameter of this name, or it cannot be set to the given value."""
+    """Error for a name that HAL does not have, or for a pin that cannot be set to the given value."""
 
 
 class HalPins:
-    """HAL pins, signals and parameters. This process must have a HAL component."""
+    """Access to the HAL pins, signals and parameters of the running LinuxCNC.
+
+    HAL requires that the calling process has created a HAL component.
+    """
 
     def get(self, name: str) -> Value:
-        """Return the value: bit as bool, s32 and u32 as int, float as float."""
+        """Return the value of a pin: a bit as bool, an s32 or u32 as int, a float as float."""
         try:
             value: Value = hal.get_value(name)
             return value
@@ -30,9 +33,10 @@ class HalPins:
         return [self.get(name) for name in names]
 
     def set(self, name: str, value: Value) -> None:
-        """Set a pin, as `halcmd setp` does.
+        """Set a pin in the same way as `halcmd setp`.
 
-        If the pin is linked to a signal that no pin writes, set that signal, as `halcmd sets` does.
+        If the pin is linked to a signal that has no writing pin, the signal is set instead, in the same way as by
+        `halcmd sets`.
         """
         self.get(name)
         text = str(int(value)) if isinstance(value, bool) else repr(value)

@@ -1,4 +1,4 @@
-"""Two banks of compensation tables in LinuxCNC, by one of three methods."""
+"""Compensation store for LinuxCNC: two banks of tables, applied by one of three methods."""
 
 from drivers.linuxcnc.compensation.factory import LinuxCncStore, create_store
 from drivers.linuxcnc.compensation.settings import CompensationSettings

@@ -1,4 +1,4 @@
-"""Common part of the compensation methods: two banks, their table files, and the limits on tables."""
+"""Common part of the three compensation methods: two banks, their table files, and the limits on tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ The iteration of the forward kinematics converges only for small slopes.
 
 
 class Banks:
-    """Banks of tables as files in one directory."""
+    """Banks of compensation tables; the table of each bank is stored in one file."""
 
     def __init__(self, settings: CompensationSettings, directory: Path, activation: Activation, device: str) -> None:
         self.directory = directory
@@ -45,7 +45,7 @@ class Banks:
     def read(self, bank: int) -> TableImage | None:
         """Return the table in the file of the bank; None if there is no file.
 
-        Raises StoreError for a file that is not a table.
+        Raises StoreError if the file does not contain a valid table.
         """
         text = read_if_exists(self.path(bank))
         return None if text is None else parse_table(text, file=str(self.path(bank)), device=self._device, bank=bank)
@@ -57,7 +57,7 @@ class Banks:
     def require_stageable(self, bank: int, table: TableImage, taken: tuple[int | None, ...]) -> None:
         """Raise StoreError if the table cannot be staged in `bank`.
 
-        `taken` holds the active bank and the bank selected for activation, which must not be written.
+        The banks in `taken` must not be written: the active bank and the bank selected for activation.
         """
         self.require_known(bank)
         if bank in taken:

@@ -1,4 +1,7 @@
-"""Banks of screw-compensation files: LinuxCNC reads them at its start and corrects each joint separately.
+"""Compensation store that uses the screw-compensation files of LinuxCNC.
+
+LinuxCNC reads these files when it starts, and corrects each axis as a function of the position of this axis only (the
+own-axis part of a table). Each bank consists of the following files:
 
 ::
 
@@ -26,7 +29,10 @@ SETUP_HINT = "set up the INI and HAL files as described in docs/explanation/linu
 
 
 class CompFileStore:
-    """Compensation store by files and a symbolic link; a bank becomes active at the next start of LinuxCNC."""
+    """Compensation store that uses screw-compensation files and a symbolic link to the selected bank.
+
+    The selected bank becomes active at the next start of LinuxCNC.
+    """
 
     def __init__(self, pins: Pins, banks: Banks, accepted_loss_mm: float) -> None:
         self._pins = pins
@@ -37,7 +43,7 @@ class CompFileStore:
         return self._banks.limits
 
     def active_bank(self) -> int:
-        """Return the bank with which LinuxCNC was started."""
+        """Return the bank that LinuxCNC has used since its last start."""
         return self._signal(BANK_SIGNAL)
 
     def pending_bank(self) -> int | None:
@@ -45,9 +51,10 @@ class CompFileStore:
         return None if chosen == self.active_bank() else chosen
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the whole table as staged; None for bank 0 or an empty bank.
+        """Return the whole table as it was staged; None for bank 0 or an empty bank.
 
-        For the active bank, verify that LinuxCNC was started with this table. Raises ChecksumMismatch if it was not.
+        For the active bank, raises ChecksumMismatch if LinuxCNC was started with another table, and StoreError if there
+        is no table.
         """
         if bank == 0:
             return None
@@ -62,9 +69,10 @@ class CompFileStore:
         return table
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Stage the whole table, and its own-axis part: the correction of each axis by its own position only.
+        """Write the whole table and its own-axis part to the files of an inactive bank.
 
-        LinuxCNC applies only the own-axis part. Raises StoreError if the remainder is larger than the settings accept.
+        The own-axis part, in which the correction of each axis depends only on the position of this axis, is the only
+        part that LinuxCNC applies. Raises StoreError if the remainder is larger than the settings accept.
         """
         self._banks.require_stageable(bank, table, (self.active_bank(), self._selected_bank()))
         part = own_axis_part(table)
@@ -79,9 +87,11 @@ class CompFileStore:
             write_atomically(folder / name, text)
 
     def activate(self, bank: int) -> None:
-        """Select the bank for the next start of LinuxCNC.
+        """Select the bank that becomes active at the next start of LinuxCNC.
 
-        Arming verifies every file again and creates a new link; confirming renames it over the old link.
+        All files of the bank are verified first. A new symbolic link is then created and renamed over the old one.
+        Raises StoreError if the bank is empty or the link cannot be replaced, and ChecksumMismatch if a file does not
+        match the table.
         """
         if bank == self._selected_bank():
             return
@@ -99,7 +109,10 @@ class CompFileStore:
             raise self._banks.error(f"cannot replace the link {self._link}: {error.strerror}") from error
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Report the active and the pending bank, and the lost remainder of the active table; reads only."""
+        """Report the active bank, the pending bank, and the part of the active table that LinuxCNC does not apply.
+
+        Nothing is written.
+        """
         subject = "compensation"
         try:
             active, pending = self.active_bank(), self.pending_bank()

@@ -1,4 +1,4 @@
-"""Creation of the configured compensation store."""
+"""Creation of the compensation store that the settings of a LinuxCNC machine select."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from drivers.roles import Activation, CompensationStore, DiagnosticFinding
 
 
 class LinuxCncStore(CompensationStore, Protocol):
-    """Compensation store with a self-diagnosis."""
+    """Compensation store of LinuxCNC that can also diagnose itself."""
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Return findings; reads only."""
+        """Return the findings of a diagnosis that reads only."""
         ...
 
 
 def create_store(
     settings: CompensationSettings, pins: Pins, clock: Clock, *, base_path: Path, device: str
 ) -> LinuxCncStore:
-    """Create the store without reading or writing yet.
+    """Create the compensation store that the settings select; no file or pin is read or written yet.
 
-    A relative directory is relative to `base_path`; `device` is the device's name in errors.
+    A relative directory in the settings is relative to `base_path`. `device` is the name of the device in error
+    messages.
     """
     directory = base_path / settings.directory
     if settings.method == "comp-files":

@@ -1,7 +1,7 @@
-"""Banks that are loaded and switched while LinuxCNC runs, by external offsets or by our own kinematics module.
+"""Compensation store whose banks are loaded and activated while LinuxCNC runs.
 
-In both methods the HAL component `volcal_tables` (the loader) loads and switches the tables; this module uses only the
-loader's pins.
+The corrections are applied either by external offsets or by volcal's own kinematics module. In both cases the HAL
+component `volcal_tables` (the loader) loads and activates the tables; this module uses only the pins of the loader.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FAULTS_WITHOUT_BANK = (1, 3)
 
 
 class LiveStore:
-    """Compensation store controlled through the pins of the loader."""
+    """Compensation store that is controlled through the pins of the loader."""
 
     def __init__(self, pins: Pins, banks: Banks, clock: Clock, within_s: float) -> None:
         self._pins = pins
@@ -50,7 +50,7 @@ class LiveStore:
     def active_bank(self) -> int:
         """Return the active bank.
 
-        Raises StoreError if the loader reports a fault in which no bank is active (`FAULTS_WITHOUT_BANK`).
+        Raises StoreError if the loader reports a fault that leaves no bank active (`FAULTS_WITHOUT_BANK`).
         """
         fault = int(self._get("acting-fault"))
         if fault in FAULTS_WITHOUT_BANK:
@@ -63,7 +63,7 @@ class LiveStore:
     def read_table(self, bank: int) -> TableImage | None:
         """Return the table in the file of the bank; None for bank 0 or an empty bank.
 
-        Raises ChecksumMismatch if the file differs from the table in the controller's memory.
+        Raises ChecksumMismatch if the file differs from the table in the memory of the controller.
         """
         if bank == 0:
             return None
@@ -81,9 +81,10 @@ class LiveStore:
         return table
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Write the table file, request the loader to load it, and read it back; the active bank is never touched.
+        """Write a table to the file of an inactive bank, let the loader load the file, and read the table back.
 
-        Raises ReadBackMismatch.
+        Raises StoreError if the bank is active or the table is refused, and ReadBackMismatch if the table is read back
+        differently.
         """
         active, selected = int(self._get("acting-bank")), int(self._get("bank"))
         self._banks.require_stageable(bank, table, (active, selected))
@@ -100,9 +101,11 @@ class LiveStore:
             )
 
     def activate(self, bank: int) -> None:
-        """Arm with the CRC-32 of the table, confirm with the loader's nonce, and wait until the bank is active.
+        """Activate a bank, and wait until it is active.
 
-        If the correction is being applied to the axes, wait until it has settled as well.
+        The bank is armed with the CRC-32 of its table. The activation is then confirmed with a number (nonce) that the
+        loader gives for this one activation. If the loader is applying corrections to the axes, the method also waits
+        until the new correction has settled.
         """
         self._require_alive()
         crc = 0
@@ -120,7 +123,7 @@ class LiveStore:
         self._await(lambda: self._is_active(bank), f"bank {bank} to become active and settle")
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Report loader, active table and faults; reads only."""
+        """Report the state of the loader, the active table and the faults. Nothing is written."""
         subject = "compensation"
         try:
             self._require_alive()

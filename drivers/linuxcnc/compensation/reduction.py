@@ -1,4 +1,8 @@
-"""Reduction of a table to a correction of each joint as a function of its own position. The remainder is lost."""
+"""Reduction of a compensation table to its own-axis part.
+
+In the own-axis part, the correction of each axis depends only on the position of this axis. The remainder of the table
+is lost.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +18,11 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OwnAxisPart:
-    """Correction of each axis as a function of its own position.
+    """Correction of each axis as a function of the position of this axis only.
 
-    `nominal_mm` holds the node positions of each axis, `correction_mm` the corrections along that axis at these
-    positions. Each correction is the mean over all grid nodes with that position, which is the least-squares fit over
-    the grid. `lost_mm` is the largest absolute difference between the table and this fit.
+    `nominal_mm` contains the node positions of each axis. `correction_mm` contains the corrections along the axis at
+    these positions. Each correction is the mean over all grid nodes that have this position, which is the least-squares
+    fit over the grid. `lost_mm` is the largest absolute difference between the table and this fit.
     """
 
     nominal_mm: tuple[Values, Values, Values] = field(repr=False)
@@ -27,9 +31,9 @@ class OwnAxisPart:
 
 
 def own_axis_part(table: TableImage) -> OwnAxisPart:
-    """Reduce a table to its own-axis part.
+    """Return the own-axis part of a table.
 
-    The lost remainder is the part of an axis' correction that depends on the positions of the other axes.
+    The lost remainder is the part of the correction of an axis that depends on the positions of the other axes.
     """
     corrections = table.counts.astype(np.float64) * table.resolution_mm
     nominal, along, lost = [], [], 0.0

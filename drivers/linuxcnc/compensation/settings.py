@@ -1,4 +1,4 @@
-"""Settings of the compensation in LinuxCNC: its method and the directory of its tables."""
+"""Settings of the compensation in LinuxCNC: its method, and the directory of its tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from drivers.options import DriverOptions
 
 
 class CompensationSettings(DriverOptions):
-    """Compensation method for which the machine's INI and HAL files are set up, and options for its tables."""
+    """Compensation method and options for the tables.
+
+    The INI and HAL files of the machine must be set up for the same method.
+    """
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "way": "method",
