@@ -1,1 +1,1 @@
-"""Compensation tables, their export to the formats of controllers, and correction of part programs."""
+"""Compensation tables, their export to the formats of controllers, and the correction of part programs with a table."""

@@ -1,6 +1,6 @@
-"""TOML file with the setup of a part program that the program itself does not state.
+"""TOML file with the part of a part program's setup that is not stated in the program itself.
 
-It contains work offsets, reference points, tools and the initial state of the controller.
+The file contains work offsets, reference points, tools and the initial state of the controller.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ System = Literal["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G5
 
 
 class PartSetupFile(StrictModel):
-    """Contents of the file: axis positions (machine coordinates) and lengths in mm; tools are listed by H number."""
+    """Contents of the setup file. Positions are axis positions (machine coordinates), and all lengths are in mm. Tools
+    are listed by H number.
+    """
 
     work_offsets_mm: dict[System, Triple] = Field(default_factory=dict)
     reference_points_mm: dict[Literal["G28", "G30"], Triple] = Field(default_factory=dict)
@@ -34,9 +36,9 @@ class PartSetupFile(StrictModel):
 
 
 def parse_part_setup(text: str, source: str) -> PartSetup:
-    """Parse the setup from TOML text.
+    """Parse the TOML text of a setup file and return the setup.
 
-    Raises FormatError, naming file and key, if the text cannot be used.
+    Raises FormatError if the text cannot be used. The error names the file and the key.
     """
     read = read_toml(text, source, PartSetupFile)
     return PartSetup(

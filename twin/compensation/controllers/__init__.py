@@ -1,6 +1,6 @@
 """Export of compensation tables to the formats of real controllers.
 
-One module per format. Each defines how its controller reads its file, so signs, references and limits are defined there
-and nowhere else. An export also reports the features of a table that the format cannot represent. Nothing here reads or
-writes files.
+There is one module per format. It defines how the controller reads its file. Signs, reference points and limits of the
+format are therefore defined in this module and nowhere else. An export also reports the features of a table that the
+format cannot represent. The modules return the text of files, but do not read or write files.
 """

@@ -1,4 +1,6 @@
-"""Corrections as integer multiples of a detection unit times a magnification, as FANUC controllers store them."""
+"""Corrections stored as FANUC controllers store them. Each correction is an integer, which the controller multiplies by
+a detection unit and a magnification.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ MAGNIFICATION = FormatOption[int | None](
 
 @dataclass(frozen=True)
 class CountUnit:
-    """Value of one count: `detection_unit_um` (µm) times `magnification`."""
+    """Length that corresponds to one count. It is the product of `detection_unit_um` (in µm) and `magnification`."""
 
     detection_unit_um: float
     magnification: int
@@ -40,13 +42,13 @@ class CountUnit:
         return np.round(values_mm / self.mm).astype(np.int64)
 
     def values(self, counts: CountArray) -> Array:
-        """Return the values in mm that correspond to an array of counts."""
+        """Convert an array of counts to lengths in mm."""
         return np.asarray(self.mm * counts, dtype=np.float64)
 
     def whole(self, length_mm: float, what: str) -> int:
-        """Return a length as a number of detection units.
+        """Convert a length in mm to a number of detection units.
 
-        Raises DataError if it is not an integer multiple of the detection unit.
+        Raises DataError if the length is not an integer multiple of the detection unit.
         """
         units = 1e3 * length_mm / self.detection_unit_um
         if abs(units - round(units)) > 1e-6:
@@ -57,11 +59,13 @@ class CountUnit:
 
 
 def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, increments: bool) -> CountUnit:
-    """Return the unit with the requested magnification or, if none is requested, with the smallest that is sufficient.
+    """Return the unit with the requested magnification. If no magnification is requested, return the unit with the
+    smallest sufficient magnification.
 
-    A magnification is sufficient if the absolute values of all written numbers are at most `most`. `increments`: if
-    True, the written numbers are the differences of successive counts. Raises DataError if the requested magnification,
-    or every magnification, is insufficient.
+    A magnification is sufficient if the absolute value of every written number is at most `most`. If `increments` is
+    True, the written numbers are the differences between successive counts, otherwise the counts themselves. Raises
+    DataError if the requested magnification is insufficient, or if no magnification is requested and even the largest
+    is insufficient.
     """
     requested = choices[MAGNIFICATION]
     tried = range(1, LARGEST_MAGNIFICATION + 1) if requested is None else [requested]
@@ -80,8 +84,8 @@ def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, 
 
 
 def format_reference(reference: Array) -> str:
-    """Format the machine position of the reference point, for the operator.
+    """Return the machine position of the reference point as text for the operator.
 
-    The compensation points are counted from this point, but no parameter contains it.
+    The controller counts the compensation points from this point, but no parameter contains its position.
     """
     return ", ".join(f"{value:.10g}" for value in reference.tolist())

@@ -1,4 +1,4 @@
-"""Definition of an export format of a controller, with its input and its output."""
+"""Data types of an export to a controller: its input, its result, and the definition of its format."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ Facts = Mapping[str, str | int | float]
 
 @dataclass(frozen=True, eq=False)
 class TableEstimate:
-    """Estimate from which a table was built: `parameters` (p,) of `model` and their `covariance` (p, p)."""
+    """Estimate from which a compensation table was built. It consists of p identified parameters of `model` and their
+    covariance (p, p).
+    """
 
     model: ErrorModel
     parameters: Array
@@ -28,7 +30,9 @@ class TableEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ExportSource:
-    """Table to be exported and, if there is one, the estimate from which the table was built."""
+    """Compensation table to be exported. `estimate` is the estimate from which the table was built, or None if it is
+    not available.
+    """
 
     table: CompensationTable
     estimate: TableEstimate | None = None
@@ -38,10 +42,12 @@ class ExportSource:
 class ControllerExport:
     """Result of an export.
 
-    `files`: map from file name to text. `correction`: function that returns the correction that the controller adds if
-    it reads these files; it contains their rounding, and its sign does not depend on the sign convention of the format.
-    `losses`: descriptions of the features of the table that the format cannot represent. `facts`: values that have to
-    be set by hand.
+    - `files` maps each file name to the text of the file.
+    - `correction` is a function that predicts the correction of the controller if it reads these files. It includes the
+      rounding of the values in the files. Its result is the displacement added to the command, whatever the sign
+      convention of the format.
+    - `losses` describes the features of the table that the format cannot represent.
+    - `facts` contains values for the operator, for example values that have to be set by hand in the controller.
     """
 
     files: Mapping[str, str]
@@ -61,7 +67,9 @@ class FormatWriter(Protocol):
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """Format of a controller: its name, its writer, and the options that the writer reads."""
+    """Export format of a controller. It has a name, a function that creates the files, and the options that this
+    function reads.
+    """
 
     name: str
     export: FormatWriter

@@ -1,9 +1,10 @@
-"""FANUC three-dimensional error compensation: a lattice of at most 25 points per axis, with trilinear interpolation.
+"""FANUC three-dimensional error compensation. It uses a lattice of at most 25 points per axis and trilinear
+interpolation.
 
-The additional manual Series 30i-A, A-79351E, describes the interpolation, in which the eight corners of a cell are
-weighted by the position within the cell. Parameter numbers, order of the points and sign are from experience. The
-format of the punched data is not public, so the export lists the points, which have to be entered with the machine
-builder's tool.
+The interpolation is described in the additional manual Series 30i-A, A-79351E: the eight corners of a cell are weighted
+by the position within the cell. The parameter numbers, the order of the points and the sign are known only from
+experience. The format of the punched data is not public. The export therefore lists the points, and they have to be
+entered with the machine builder's tool.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ LOSSES = ("curvature between points that are farther apart than those of the tab
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write `points.csv` (number, position and counts of each point) and `parameters.txt`."""
+    """Return the texts of `points.csv`, which contains the number, the position and the counts of each point, and of
+    `parameters.txt`.
+    """
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")
     steps = even_steps(table)

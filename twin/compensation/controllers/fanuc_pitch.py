@@ -1,10 +1,13 @@
-"""FANUC stored pitch error compensation: increments in integer detection units times a magnification.
+"""FANUC stored pitch error compensation. It uses increments, each of which is an integer number of detection units
+times a magnification.
 
-The parameter manual 0i-PB (B-63980EN) describes parameters 3620 to 3624 with an example: compensation number n belongs
-to the interval that ends, in positive direction, at reference + (n - P3620) × P3624, where P is the value of the
-parameter. The compensation at a position is the sum of the increments from the reference point to that position. Two
-facts are known only from experience: the controller adds this sum to the command, and the punched data have the form
-written here.
+Parameters 3620 to 3624 are described with an example in the parameter manual 0i-PB (B-63980EN). According to the
+manual, compensation number n belongs to an interval of the axis. This interval ends, in the positive direction, at the
+reference position plus (n - P3620) × P3624, where P stands for the value of a parameter. The compensation at a position
+is the sum of the increments from the reference point to this position.
+
+Two facts are known only from experience. The controller adds the sum to the command, and the punched data have the form
+that this module creates.
 """
 
 from __future__ import annotations
@@ -39,7 +42,9 @@ LOSSES = (
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write `pitch-error.txt` (the data) and `parameters.txt`, both in the form of punched data."""
+    """Return the texts of `pitch-error.txt`, which contains the compensation data, and of `parameters.txt`. Both are in
+    the form of punched data.
+    """
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")
     steps = even_steps(table)

@@ -1,4 +1,6 @@
-"""Options of the export formats: each format declares the options it reads, and a user interface offers these."""
+"""Options of the export formats. Each format declares the options that it reads, and user interfaces offer the declared
+options.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ Names = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class WholeNumber:
-    """Option values that are integers from `minimum` to `maximum`; if `maximum` is None, there is no upper bound."""
+    """Type of an option whose value is an integer from `minimum` to `maximum`. If `maximum` is None, there is no upper
+    limit.
+    """
 
     minimum: int
     maximum: int | None = None
@@ -21,26 +25,27 @@ class WholeNumber:
 
 @dataclass(frozen=True)
 class PositiveNumber:
-    """Option values that are numbers greater than zero."""
+    """Type of an option whose value is a number greater than zero."""
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """Option values that are one of a few words."""
+    """Type of an option whose value is one of the given `words`."""
 
     words: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Switch:
-    """Option that is True if it is set."""
+    """Type of an option that is either set (True) or not set (False)."""
 
 
 @dataclass(frozen=True)
 class Text:
-    """Option values given as text of the form `form`, for example `X,Y,Z`.
+    """Type of an option whose value is given as text. `form` shows the form of the text, for example `X,Y,Z`.
 
-    `parse` returns the value of a text; its ValueError describes the correct form.
+    `parse` is a function that converts the text to a value. It raises a ValueError that describes the correct form if
+    the text cannot be converted.
     """
 
     form: str
@@ -54,8 +59,8 @@ Domain = WholeNumber | PositiveNumber | OneOf | Switch | Text
 class FormatOption(Generic[Value]):
     """Option of an export format.
 
-    `key` is its name in `ExportOptions` and, with hyphens, on a command line; `default` applies if the option is not
-    set.
+    `key` is the name of the option in `ExportOptions`. On a command line, the name is written with hyphens. `default`
+    is the value if the option is not set.
     """
 
     key: str
@@ -66,10 +71,11 @@ class FormatOption(Generic[Value]):
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Values set by the user, by option key; indexing with an option returns its value or its default.
+    """Values of export options that the user has set, stored by the key of the option. Indexing with an option returns
+    its value, or its default if it is not set.
 
-    `opposite_sign`: write every value with the opposite of the documented sign, for a controller that was found to use
-    the opposite sign.
+    If `opposite_sign` is True, every value is written with the opposite of the documented sign. This is needed if tests
+    show that a controller uses the opposite sign.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)

@@ -1,4 +1,6 @@
-"""Input files of `volcal gcode correct`, which are the neutral CSV table and its JSON side file."""
+"""Input files of the command `volcal gcode correct`. They are the neutral CSV table and the JSON file that belongs to
+it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from twin.compensation.table_file import format_side_file, format_table
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write `table.csv` and `table.json`."""
+    """Return the texts of `table.csv` and `table.json`."""
     written = replace(source.table, corrections=choices.sign * source.table.corrections)
     files = {"table.csv": format_table(written), "table.json": format_side_file(written)}
     return ControllerExport(

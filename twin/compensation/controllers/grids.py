@@ -1,5 +1,5 @@
-"""Checks that a table meets a controller's requirements on spacing, number of points and size of values, and
-resampling.
+"""Checks whether a table meets the requirements of a controller, and resampling of a table to another grid. The
+requirements concern the spacing, the number of points and the size of the values.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Shape = tuple[int, int, int]
 def require_small_corrections(table: CompensationTable, largest_mm: float = LARGEST_CORRECTION_MM) -> None:
     """Raise DataError if the largest correction exceeds `largest_mm`.
 
-    The error names the line of the CSV file with that correction.
+    The error names the line in the CSV file of the table that contains the largest correction.
     """
     sizes = np.abs(table.corrections).max(axis=-1)
     index = int(np.argmax(sizes))
@@ -38,9 +38,10 @@ def require_small_corrections(table: CompensationTable, largest_mm: float = LARG
 
 
 def even_steps(table: CompensationTable) -> tuple[float, float, float]:
-    """Return the steps along X, Y, Z in mm.
+    """Return the distances between successive nodes along X, Y and Z in mm.
 
-    Raises DataError, naming the axis and the line, if the nodes are not evenly spaced.
+    Raises DataError if the nodes are not evenly spaced. The error names the axis and the line in the CSV file of the
+    table.
     """
     steps = []
     lines = (len(table.y) * len(table.z), len(table.z), 1)
@@ -75,10 +76,10 @@ def _thinned(count: int, most: int) -> int:
 
 
 def resample_table(table: CompensationTable, points: Shape) -> CompensationTable:
-    """Resample the table to an evenly spaced grid of `points` nodes over the same range, interpolating as a controller
-    does.
+    """Return the table on an evenly spaced grid over the same range, with the given number of `points` along each axis.
+    The corrections at the new nodes are interpolated trilinearly.
 
-    A new node is marked as extrapolated if an extrapolated node contributes to it.
+    A new node is marked as extrapolated if its interpolated value depends on an extrapolated node of the old grid.
     """
     if min(points) < 2:
         raise DataError(
@@ -98,9 +99,10 @@ def resample_table(table: CompensationTable, points: Shape) -> CompensationTable
 
 
 def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, float] | None) -> Array:
-    """Return the machine position (3,) mm of the reference point, by default the anchor.
+    """Return the machine position (3,) of the reference point in mm. If none is requested, it is the anchor of the
+    table.
 
-    Raises DataError if it is outside the grid.
+    Raises DataError if the reference point is outside the grid.
     """
     point = table.anchor.point_mm if wanted_mm is None else np.array(wanted_mm, dtype=np.float64)
     for axis, nodes, value in zip(AXES, table.nodes, point.tolist(), strict=True):
@@ -111,9 +113,9 @@ def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, flo
 
 
 def reference_nodes(table: CompensationTable, point: Array) -> Shape:
-    """Return the indices of the nodes at the reference point.
+    """Return for each axis the index of the node at the reference point.
 
-    Raises DataError if an axis has no node there.
+    Raises DataError if the grid has no node at the reference point along one of the axes.
     """
     indices = []
     for axis, nodes, value in zip(AXES, table.nodes, point.tolist(), strict=True):

@@ -1,9 +1,12 @@
-"""HEIDENHAIN nonlinear axis error compensation: one `.COM` table per causing axis, and a `.CMA` table that lists them.
+"""HEIDENHAIN nonlinear axis error compensation. It uses one `.COM` table for each causing axis, and a `.CMA` table that
+lists the `.COM` tables.
 
 The formats are described in the technical manuals MANUALplus 620, 6.10.3, and TNC 407. A `.COM` table has up to 256
-evenly spaced rows and a column for each affected axis. Its rows are positions of the causing axis, which is the axis in
-whose column the `.CMA` table lists the file. The tables contain the measured error, and the control moves against it.
-Only one line of the `.CMA` table is active, so two lines are two banks.
+evenly spaced rows. Each row belongs to a position of the causing axis and has a column for each affected axis. The
+causing axis is the one in whose column the `.CMA` table lists the file.
+
+The tables contain the measured error, and the control moves against it. Only one line of the `.CMA` table is active at
+a time, so two lines are two banks.
 """
 
 from __future__ import annotations
@@ -40,7 +43,9 @@ ACTIVE_BANK = FormatOption("cma_bank", OneOf(("A", "B")), "A", "HEIDENHAIN: acti
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write three `.COM` files of the requested bank, and `CONFIG.CMA` with that bank active."""
+    """Return the texts of three `.COM` files for the requested bank, and of `CONFIG.CMA`, in which this bank is
+    active.
+    """
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a .COM table")
     even_steps(table)

@@ -1,8 +1,9 @@
-"""LinuxCNC `COMP_FILE`, type 0: one file per joint with three numbers per row.
+"""LinuxCNC `COMP_FILE`, type 0. There is one file per joint, with three numbers per row.
 
-A row contains `nominal forward reverse`, with ascending nominal positions. The motion module computes trim = nominal -
-forward and adds the trim to the motor's command (`usrmotLoadComp` in usrmotintf.cc, `compute_screw_comp` in control.c).
-The reader stops silently at the first row that is not three numbers, so the file contains neither header nor comment.
+A row contains the numbers `nominal`, `forward` and `reverse`, and the rows are in ascending order of `nominal`. The
+motion module computes the trim, which is `nominal` minus `forward`, and adds it to the motor's command
+(`usrmotLoadComp` in usrmotintf.cc, `compute_screw_comp` in control.c). LinuxCNC stops reading at the first row that
+does not consist of three numbers, without a message. The file therefore has neither a header nor comments.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ LOSSES = (
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write `x.comp`, `y.comp` and `z.comp`, and the lines for the INI file of LinuxCNC."""
+    """Return the texts of `x.comp`, `y.comp` and `z.comp`, and the lines to be added to the INI file of LinuxCNC."""
     table = source.table
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a COMP_FILE")
     profiles = [

@@ -1,5 +1,5 @@
-"""Volumetric error that remains without a table, with the full table, and with the table in its reduced form for a
-controller.
+"""Volumetric error without a table, with the full table, and with the reduced form of the table that a controller
+supports.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ A rigid motion and the rounding of the table are not counted.
 
 @dataclass(frozen=True)
 class CompensationLoss:
-    """Volumetric error over the workspace.
+    """Volumetric error over the workspace without a table (`before`), with the full table, and with the reduced table.
 
-    `estimated`: True if the error is that of the estimated machine, False if the errors of the machine are inferred
-    from the table. `unknown_mm`: contribution of the parameter uncertainty (rms after the best rigid motion is
-    removed), which does not depend on the table; None if there is no estimate.
+    If `estimated` is True, the error is that of the estimated machine. If it is False, there is no estimate, and the
+    errors of the machine are inferred from the table. `unknown_mm` is the contribution of the uncertainty of the
+    parameters (rms after the best rigid motion is removed). It does not depend on the table. It is None if there is no
+    estimate.
     """
 
     before: VolumetricRms
@@ -40,17 +41,18 @@ class CompensationLoss:
 
     @property
     def retained_share(self) -> float:
-        """Improvement by the reduced table as a share of the improvement by the full table.
+        """Improvement by the reduced table divided by the improvement by the full table.
 
-        Both are computed from aligned errors, which means after the best rigid motion is removed.
+        Both improvements are computed from aligned errors, that is, after the best rigid motion is removed. The share
+        is 1 if the full table brings no improvement.
         """
         removed = self.before.aligned_mm - self.full.aligned_mm
         return (self.before.aligned_mm - self.reduced.aligned_mm) / removed if removed > 0.0 else 1.0
 
 
 def compensation_loss(source: ExportSource, correction: Correction) -> CompensationLoss:
-    """Compute the volumetric error on 60 × 20 × 20 points without a table, with the full table and with
-    `correction`.
+    """Compute the volumetric error on a grid of 60 × 20 × 20 points without a table, with the full table, and with the
+    function `correction`, which represents the reduced table.
     """
     table, identified = source.table, source.estimate
     grid = evaluation_grid(_ranges(table))
@@ -69,10 +71,10 @@ def compensation_loss(source: ExportSource, correction: Correction) -> Compensat
 
 
 def largest_correction(table: CompensationTable, correction: Correction) -> tuple[Array, Array]:
-    """Return the node (3,) mm with the largest correction, and the correction (3,) mm there.
+    """Return the table node (3,) with the largest correction, and the correction (3,) at this node, both in mm.
 
-    When the compensation is enabled at that node, the axes must move by that amount, which shows whether the sign is
-    right.
+    With these values the operator can check the sign. If the compensation is switched on while the axes are at this
+    node, they must move by this correction.
     """
     nodes = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     added = correction(nodes)
@@ -81,10 +83,12 @@ def largest_correction(table: CompensationTable, correction: Correction) -> tupl
 
 
 def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> None:
-    """Raise DataError if table and estimate do not belong to the same machine, the same tool and the same night.
+    """Raise DataError if the table and the estimate do not belong to the same machine, the same tool and the same
+    night.
 
-    `resolution_mm`: resolution of the numbers in which the table was stored. Rounding contributes at most half of it
-    (rms over three axes).
+    `resolution_mm` is the resolution of the numbers in the stored table. The permissible rms difference between table
+    and estimate is increased by `resolution_mm`. Rounding contributes only about half of it (rms length over three
+    axes).
     """
     identified, table = source.estimate, source.table
     if identified is None:
@@ -103,10 +107,11 @@ def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> No
 
 
 def rigid_difference(source: ExportSource) -> tuple[Array, Array]:
-    """Return the rigid motion (6,) and the residual (n, 3) mm that remain if the table corrects the estimated machine.
+    """Return the deviation that remains if the table corrects the estimated machine, in two parts: a rigid motion (6,)
+    and a residual (n, 3) in mm at the n nodes of the table.
 
-    The residual is given at the nodes of the table. The rigid motion is given as the coefficients of the six fields of
-    `rigid_fields` about the anchor.
+    The rigid motion is given by the coefficients of the six fields of `rigid_fields` about the anchor. Raises DataError
+    if there is no estimate.
     """
     identified, table = source.estimate, source.table
     if identified is None:

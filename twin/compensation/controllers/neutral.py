@@ -1,8 +1,9 @@
-"""One self-explanatory CSV file, for controllers whose own format is not public, and for spreadsheets.
+"""CSV file that explains itself. It is for controllers whose own format is not public, and for spreadsheets.
 
-The columns are `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um,extrapolated`: the axis position of a node, the correction that is
-added to the command there, and 1 if the node is outside the measured region, else 0. The rows contain the full grid, x
-slowest, z fastest.
+The columns are `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um,extrapolated`. The first three contain the axis position of a node.
+The next three contain the correction that is added to the command at this node. The last column is 1 if the node is
+outside the measured region, else 0. There is one row for each node of the grid. Z varies fastest from row to row, X
+slowest.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um", "extrapolated")
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write `compensation.csv`."""
+    """Return the text of `compensation.csv`."""
     table = source.table
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     corrections = 1e3 * choices.sign * table.corrections.reshape(-1, 3)

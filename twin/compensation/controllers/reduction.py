@@ -1,9 +1,12 @@
-"""Reduction of a table to what controllers support: functions of one axis position, and products of two of these.
+"""Reduction of a table to functions that controllers support. These are functions of one axis position, and products of
+two such functions.
 
-On an even grid a field decomposes into a mean, a main effect of each axis and an interaction of each pair of axes, all
-orthogonal to each other (analysis of variance). If some of these parts are omitted, the others are therefore still the
-best fit. Small rigid motions of the workspace consist of means and main effects only, so the reduction that is best
-before a rigid alignment is also the best after it.
+On an evenly spaced grid, a field is the sum of a mean, a main effect of each axis, an interaction of each pair of axes,
+and a remainder that depends on all three axes (analysis of variance). All these parts are orthogonal to each other. If
+some parts are omitted, the sum of the others is therefore still the best fit. The remainder is always omitted.
+
+A small rigid motion of the workspace consists only of means and main effects. The best reduction before a rigid
+alignment is therefore also the best after it.
 """
 
 from __future__ import annotations
@@ -25,9 +28,9 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Function of the position of the axis numbered `axis`, as values (n,) at nodes (n,).
+    """Function of the position of one axis, given by n values at n nodes. `axis` is the number of the axis.
 
-    It is linear between the nodes and constant beyond the ends.
+    The function is linear between the nodes and constant beyond the first and the last node.
     """
 
     axis: int
@@ -40,9 +43,10 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Correction added to the axis numbered `output`.
+    """Correction of the axis with the number `output`.
 
-    It is a profile in mm, optionally times a second, dimensionless profile `factor` with values of at most 1.
+    The correction is `profile` in mm, or the product of `profile` and `factor`. `factor` is a dimensionless profile
+    whose values are at most 1.
     """
 
     output: int
@@ -60,7 +64,8 @@ class Term:
 
 
 def own_axis_profiles(table: CompensationTable, reference: Array) -> tuple[Profile, Profile, Profile]:
-    """Return for each axis its correction as a function of its own position, averaged over the other two positions.
+    """Return for each axis its correction as a function of its own position. The correction is averaged over the
+    positions of the other two axes.
 
     Each profile is zero at the reference point (3,).
     """
@@ -69,8 +74,8 @@ def own_axis_profiles(table: CompensationTable, reference: Array) -> tuple[Profi
 
 
 def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tuple[Profile, ...], ...]:
-    """Return `[input][output]`: the correction of each axis `output` as a function of the position of each axis
-    `input`.
+    """Return the correction of every axis as a function of the position of every axis. The element `[input][output]` is
+    the correction of the axis `output` as a function of the position of the axis `input`.
 
     Each profile is zero at the reference point (3,).
     """
@@ -82,11 +87,16 @@ def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tup
 def select_terms(
     table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True
 ) -> tuple[Term, ...]:
-    """Select main effects and products, in descending order of the error that a term removes per table it needs.
+    """Select the main effects and products that reduce the error most, relative to the number of controller tables they
+    need.
 
-    Terms below `LEAST_RMS_MM` are omitted, as are those that no longer fit into `most_tables`. Interactions are
-    decomposed into products by a singular value decomposition; no other set of as many products leaves a smaller error.
-    The sum of all terms is zero at the reference point (3,) on every axis that has a main effect.
+    The terms are considered in descending order of the mean square error that they remove per table. Terms with an rms
+    below `LEAST_RMS_MM` are omitted. Terms for which fewer than the needed number of the `most_tables` tables remain
+    are also omitted.
+
+    Interactions are decomposed into products by a singular value decomposition. No other set of the same number of
+    products leaves a smaller error. If an axis has a main effect, the sum of all its terms is zero at the reference
+    point (3,).
     """
     found = [_as_term(_main_effect(table, source, output), output) for source in range(3) for output in range(3)]
     if products:
@@ -101,7 +111,7 @@ def select_terms(
 
 
 def sum_of_terms(kept: tuple[Term, ...], axis_positions: Array) -> Array:
-    """Return the sum (n, 3) mm of all terms at axis positions (n, 3)."""
+    """Return the sum of all terms in mm at n axis positions (n, 3), as an array (n, 3)."""
     total = np.zeros_like(axis_positions)
     for term in kept:
         total[:, term.output] += term.at(axis_positions)
@@ -109,7 +119,7 @@ def sum_of_terms(kept: tuple[Term, ...], axis_positions: Array) -> Array:
 
 
 def sum_of_own_axis_profiles(profiles: Sequence[Profile], axis_positions: Array) -> Array:
-    """Return the sum (n, 3) mm of own-axis profiles at axis positions (n, 3)."""
+    """Return the sum of own-axis profiles in mm at n axis positions (n, 3), as an array (n, 3)."""
     total = np.zeros_like(axis_positions)
     for profile in profiles:
         total[:, profile.axis] += profile.at(axis_positions)
@@ -117,7 +127,7 @@ def sum_of_own_axis_profiles(profiles: Sequence[Profile], axis_positions: Array)
 
 
 def sum_of_cross_axis_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_positions: Array) -> Array:
-    """Return the sum (n, 3) mm of cross-axis profiles at axis positions (n, 3)."""
+    """Return the sum of cross-axis profiles in mm at n axis positions (n, 3), as an array (n, 3)."""
     total = np.zeros_like(axis_positions)
     for row in by_input:
         for output, profile in enumerate(row):
@@ -126,8 +136,8 @@ def sum_of_cross_axis_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_p
 
 
 def describe_term(first: int, second: int | None, output: int) -> str:
-    """Return text such as `Y by Z` or `Y by Y·Z`: the corrected axis, and the axes on whose positions the term
-    depends.
+    """Return a text such as `Y by Z` or `Y by Y·Z`. It names the corrected axis, and then the axes on whose positions
+    the correction depends.
     """
     inputs = AXES[first] if second is None else f"{AXES[first]}·{AXES[second]}"
     return f"{AXES[output]} by {inputs}"
@@ -177,5 +187,5 @@ def _zeroed(profile: Profile, reference: Array) -> Profile:
 
 
 def round_profile(profile: Profile, decimals: int) -> Profile:
-    """Round the values of a profile to `decimals`, as written in the file; -0 becomes 0."""
+    """Return the profile with its values rounded to the number of decimals in the file. A value of -0 becomes 0."""
     return replace(profile, values=np.round(profile.values, decimals) + 0.0)

@@ -1,9 +1,9 @@
-"""SINUMERIK leadscrew and measuring system error compensation (LEC, MSEC): `$AA_ENC_COMP`.
+"""SINUMERIK leadscrew and measuring system error compensation (LEC, MSEC) with `$AA_ENC_COMP`.
 
 The source is the Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.2. A positive value makes the axis move
-in the negative direction. Values are linear between the points, constant beyond the ends and zero at the reference
-point. Loading is possible only while MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS gives the
-number of points.
+in the negative direction. The compensation is linear between the points and constant beyond the first and the last
+point. It is zero at the reference point. The values can be loaded only while MD32700 $MA_ENC_COMP_ENABLE is 0. The
+number of points is set in MD38000 $MA_MM_ENC_COMP_MAX_POINTS.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ENCODER = FormatOption("encoder", WholeNumber(0, 1), 0, "Siemens LEC: measuring 
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Write one INI file per axis."""
+    """Return the texts of three INI files, one for each axis."""
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD38000")
     steps = even_steps(table)
@@ -71,7 +71,9 @@ def _ini(name: str, profile: Profile, step: float, choices: ExportOptions) -> st
 
 
 def number(value: float) -> str:
-    """Format a position with as many digits as it needs and a decimal point, so that the control reads it as REAL."""
+    """Format a position with as many digits as it needs. The text contains a decimal point or an exponent, so the
+    control reads it as REAL.
+    """
     text = f"{value:.12g}"
     return text if "." in text or "e" in text else f"{text}.0"
 

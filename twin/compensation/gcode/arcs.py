@@ -1,4 +1,4 @@
-"""Circular and helical arcs (G2, G3) in the three planes, given by their centre or their radius."""
+"""Circular and helical arcs (G2, G3) in the three main planes. An arc is given by its centre or by its radius."""
 
 from __future__ import annotations
 
@@ -31,11 +31,14 @@ _MOST_TURNS = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """Arc of a block.
+    """Circular or helical arc of one block.
 
-    `axes`: first, second and normal axis. `centre`: coordinates in mm on the first two axes; angles are in rad, and
-    `sweep` is signed and includes full turns. The radius changes linearly from `radius` to `end_radius`, because
-    coordinates in programs are rounded and the two radii differ by about a µm.
+    `axes` contains the numbers of the two axes of the arc's plane and of the axis normal to it. `centre` contains the
+    coordinates of the centre in mm along the two axes of the plane. Angles are in rad. `sweep` is the signed angle from
+    start to end, including full turns.
+
+    Coordinates in programs are rounded, so the distances of start and end from the centre differ by about a µm. The
+    radius therefore changes linearly from `radius` to `end_radius`.
     """
 
     axes: Axes
@@ -56,10 +59,10 @@ def read_arc(
     unit_mm: float,
     centre_origin: Sequence[float] | None,
 ) -> Arc:
-    """Return the arc from `start` to `end` (mm, axis positions) of a block with G2 or G3 in effect.
+    """Return the arc from `start` to `end` (axis positions in mm) of a block that is executed with G2 or G3.
 
-    `centre_origin`: axis position of the program's zero if centres are absolute (G90.1); None if they are relative to
-    the start (G91.1). Raises FormatError if the block does not describe an arc.
+    If arc centres are absolute (G90.1), `centre_origin` is the axis position of the program's zero point. If they are
+    relative to the start of the arc (G91.1), it is None. Raises FormatError if the block does not describe an arc.
     """
     a, b, normal = axes
     if CENTRE_LETTERS[normal] in block.values:
@@ -79,10 +82,11 @@ def read_arc(
 
 
 def arc_points(arcs: Sequence[Arc], which: np.ndarray, share: Array, starts: Array, ends: Array) -> Array:
-    """Return points (n, 3) mm on m arcs: axis positions at the fraction `share` (n,) of the arc with index `which`
-    (n,).
+    """Return n points on m arcs, as axis positions (n, 3) in mm.
 
-    `starts`, `ends` (m, 3) mm: start and end of each arc; only their component along the normal is used.
+    A point is given by the index of its arc in `which` (n,), and by the fraction of this arc from its start to the
+    point in `share` (n,). `starts` and `ends` (m, 3) are the start and the end of each arc in mm. Only their component
+    along the normal of the arc is used.
     """
     axes = np.array([arc.axes for arc in arcs])[which]
     a0, b0, radius, end_radius, angle, sweep = np.array(

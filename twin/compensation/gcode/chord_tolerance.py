@@ -1,16 +1,25 @@
-"""Largest spacing of points on a corrected path at which the straight lines between them deviate less than a tolerance.
+"""Largest spacing of points on a corrected path for a given chord tolerance. The straight lines between the points then
+deviate from the path by less than the tolerance.
 
-The corrected path is P(s) = M(s) + c(M(s)), with M a line or an arc as a function of its length s, and the correction c
-trilinear in cells. For any function f that is zero at both ends of an interval of length h, |f| is at most h/4 times
-the total variation of f' (the Green's function of the string is at most h/4). With d the unit tangent of M, P' varies
+The uncorrected path is M(s), a line or an arc as a function of the path length s. The correction is c, which is
+trilinear in each cell of the table. The corrected path is P(s) = M(s) + c(M(s)). The unit tangent of M is d.
 
-- by |d_i| K_i where a node plane of axis i is crossed, K_i the largest jump of the slope of c along axis i,
-- by 2 (|d_y d_z| Q_yz + |d_x d_z| Q_xz + |d_x d_y| Q_xy) per mm inside a cell, Q the largest mixed second derivatives,
-- by k (1 + G) per mm on an arc of curvature k, G the largest slope of c; a smooth arc alone deviates only by k h²/8.
+The deviation of P from a chord is zero at both ends of the chord. Consider a function that is zero at both ends of an
+interval of length h. Its absolute value is at most h/4 times the total variation of its derivative, because the Green's
+function of the string is at most h/4. The derivative P' varies for three reasons:
 
-Node planes of an axis are at least one cell apart, so an interval crosses at most 1 + h |d_i| / cell_i of them (2 + ...
-for an arc, which may reverse within the interval). The tolerance thus becomes a quadratic inequality for h. K, Q and G
-are bounds over the whole table, so the spacing is never too large, but often smaller than necessary.
+- At each crossed node plane of axis i, P' changes by up to |d_i| K_i. Here K_i is the largest jump of the slope of c
+  along axis i.
+- Inside a cell, P' changes by up to 2 (|d_y d_z| Q_yz + |d_x d_z| Q_xz + |d_x d_y| Q_xy) per mm. Here Q_yz, Q_xz and
+  Q_xy are the largest mixed second derivatives of c.
+- On an arc of curvature k, P' changes by up to k (1 + G) per mm. Here G is the largest slope of c. The arc itself,
+  without a correction, deviates by only k h²/8.
+
+Two node planes of one axis are at least one cell apart. A line of length h therefore crosses at most 1 + h |d_i| /
+cell_i node planes of axis i, where cell_i is the smallest cell length. An arc may cross one more, because it may
+reverse within the interval. The condition that the deviation is below the tolerance is thus a quadratic inequality for
+h. K, Q and G are the largest values of the whole table. The computed spacing is therefore never too large, but often
+smaller than necessary.
 """
 
 from __future__ import annotations
@@ -28,11 +37,13 @@ _OTHERS = ((1, 2), (0, 2), (0, 1))
 
 @dataclass(frozen=True, eq=False)
 class TableCurvature:
-    """Bounds on the slope changes of a table's corrections, over the whole table.
+    """Upper bounds on the changes of slope of a table's corrections, valid for the whole table.
 
-    `kinks` (3,) mm/mm: largest jump of the slope along x, y, z; `mixed` (3,) 1/mm: largest mixed second derivatives yz,
-    xz, xy; `gradient` mm/mm: largest slope; `cells` (3,) mm: smallest cell of each axis; `planes`: node coordinates in
-    mm of each axis, at which the slope jumps.
+    - `kinks` (3,) contains the largest jump of the slope along x, y and z in mm/mm.
+    - `mixed` (3,) contains the largest mixed second derivatives yz, xz and xy in 1/mm.
+    - `gradient` is the largest slope in mm/mm.
+    - `cells` (3,) contains the length of the smallest cell along each axis in mm.
+    - `planes` contains the coordinates of the nodes of each axis in mm, at which the slope jumps.
     """
 
     planes: tuple[Array, Array, Array]
@@ -43,10 +54,10 @@ class TableCurvature:
 
     @classmethod
     def of(cls, table: CompensationTable, *, beyond: bool) -> TableCurvature:
-        """Return the bounds of a table.
+        """Compute the bounds of a table.
 
-        `beyond`: True if paths may leave the table's volume. Outside it the correction is constant, so the slope jumps
-        to zero at the border.
+        `beyond` is True if paths may leave the volume of the table. Outside this volume the correction is constant, so
+        the slope jumps to zero at the border.
         """
         slopes = [_slopes(table.corrections, nodes, axis) for axis, nodes in enumerate(table.nodes)]
         acting = [_with_border(slope, axis) if beyond else slope for axis, slope in enumerate(slopes)]
@@ -61,9 +72,9 @@ class TableCurvature:
         )
 
     def line_pieces(self, starts: Array, ends: Array, limit_mm: float) -> NDArray[np.int64]:
-        """Return for each line the number of equal pieces (n,) into which it has to be divided.
+        """Return the number of equal pieces into which each of n lines has to be divided.
 
-        `starts`, `ends` (n, 3) mm.
+        `starts` and `ends` (n, 3) are the ends of the lines in mm. `limit_mm` is the chord tolerance.
         """
         way = ends - starts
         length = np.sqrt((way * way).sum(axis=1))
@@ -76,10 +87,11 @@ class TableCurvature:
     def arc_pieces(
         self, lower: Array, upper: Array, length: Array, curvature: Array, sweep: Array, limit_mm: float
     ) -> NDArray[np.int64]:
-        """Return for each arc the number of pieces (n,) into which it has to be divided.
+        """Return the number of pieces into which each of n arcs has to be divided.
 
-        `lower`, `upper` (n, 3) mm: box that contains the arc; `length` mm: length along the helix; `curvature` 1/mm:
-        largest curvature; `sweep` rad. A piece is never more than a quarter of a turn.
+        `lower` and `upper` (n, 3) are corners in mm of a box that contains the arc. `length` is the length along the
+        helix in mm, `curvature` is the largest curvature in 1/mm, and `sweep` is the angle of the arc in rad.
+        `limit_mm` is the chord tolerance. No piece is longer than a quarter of a turn.
         """
         jumps = self.kinks * self._crossed(lower, upper)
         inside = 2.0 * float(self.mixed.sum())

@@ -1,7 +1,8 @@
-"""G and M codes that are interpreted or passed on, and the reasons for refusing the others.
+"""G and M codes that are interpreted or passed on unchanged, and the reasons why other codes are refused.
 
-Codes are stored as ten times the number of the word. Their meanings are those of RS-274/NGC (NISTIR 6556), LinuxCNC and
-Grbl 1.1; codes that these and Fanuc-like controllers interpret differently are refused.
+A code is stored as ten times its number in the program, for example 911 for G91.1. The meanings of the codes are those
+in RS-274/NGC (NISTIR 6556), LinuxCNC and Grbl 1.1. If Fanuc-like controllers interpret a code differently, the code is
+refused.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ _ROTARY = frozenset("ABCUVW")
 
 
 def check_codes(block: Block, kept_g: frozenset[int]) -> None:
-    """Refuse a block with a G or M code that cannot be interpreted, or with two codes of one group."""
+    """Refuse a block that contains a G or M code that cannot be interpreted, or two G codes of the same group."""
     seen: set[str] = set()
     for code in block.g:
         group = GROUP_OF.get(code)
@@ -104,7 +105,7 @@ def check_codes(block: Block, kept_g: frozenset[int]) -> None:
 
 
 def check_letters(block: Block) -> None:
-    """Refuse a block with O-words or with words of axes that the table does not have."""
+    """Refuse a block that contains an O-word or the word of an axis that the table does not have."""
     values = block.values
     if "O" in values:
         block.refuse("an O-word begins or calls a subprogram", "Set the post-processor to write a single program")

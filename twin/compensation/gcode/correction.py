@@ -1,4 +1,4 @@
-"""Correction of a part program line by line, with memory use independent of its length."""
+"""Correction of a part program line by line. The memory needed does not depend on the length of the program."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ def correct_program(
     *,
     name: str = "",
 ) -> CorrectionSummary:
-    """Pass the text of the corrected program to `emit`, in batches of some thousand lines, and return a summary.
+    """Correct a part program with a compensation table and return a summary of the correction.
 
-    `lines` include their line ends; the output uses the line end of the first one. `name`: name of the table, which is
-    written in the comment that marks the program as corrected; without a name there is no such comment. Raises
-    FormatError naming the first line that cannot be corrected; the caller must then discard the output that `emit` has
-    already received.
+    The text of the corrected program is passed to the function `emit` in batches of some thousand lines. Each element
+    of `lines` includes its line end, and the output uses the line end of the first line. `name` is the name of the
+    table. It is written in a comment that marks the program as corrected. If it is empty, no comment is written.
+
+    Raises FormatError if a line cannot be corrected. The error names the first such line. The caller must then discard
+    all output that `emit` has already received.
     """
     unit_mm = ModalState(setup).unit_mm
     writer = ProgramWriter(table, options, setup.start or UNKNOWN, unit_mm, emit)

@@ -7,13 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class CorrectionSummary:
-    """Counts of a corrected program.
+    """Counts of moves and points in a corrected program.
 
-    `moves`: corrected moves; `divided`: corrected moves that were written as several lines; `arcs`: corrected arcs,
-    which were written as straight moves. `not_corrected`: rapid moves before all three axes had a known position.
-    `outside`: points beyond the table's volume; `held`: points at which the correction was limited, because it would
-    have left the volume. For both, the largest amount is stored too. `extrapolated`: points in cells with nodes outside
-    the measured region.
+    - `moves` is the number of corrected moves.
+    - `divided` is the number of corrected moves that were written as several lines.
+    - `arcs` is the number of corrected arcs. They were written as straight moves.
+    - `not_corrected` is the number of rapid moves that were left unchanged, because the position of an axis was not
+      known yet.
+    - `outside` is the number of points outside the volume of the table, and `outside_mm` is the largest distance of
+      such a point from the volume.
+    - `held` is the number of corrected points that would have been outside the volume and were moved to its border.
+      `held_mm` is the largest such displacement.
+    - `extrapolated` is the number of points whose correction depends on a node outside the measured region.
     """
 
     lines: int = 0

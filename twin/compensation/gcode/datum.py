@@ -1,6 +1,6 @@
-"""Handling of blocks with axis words that are not plain moves.
+"""Treatment of blocks whose axis words are not plain moves.
 
-These are G92, G28, G30, G43.1, and moves from an unknown position.
+They are blocks with G92, G28, G30 or G43.1, and moves from an unknown position.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def axes_in_block(block: Block) -> list[int]:
 
 
 def program_zero(block: Block, modal: ModalState) -> Triple:
-    """Return the axis position (mm) of the program's zero point.
+    """Return the axis position in mm of the program's zero point.
 
     Raises FormatError if the work offset is not known.
     """
@@ -34,7 +34,9 @@ def program_zero(block: Block, modal: ModalState) -> Triple:
 
 
 def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
-    """Return the programmed axis position after the block; axes without a word keep their programmed position."""
+    """Return the programmed axis position after the block. An axis without a word in the block keeps its programmed
+    position.
+    """
     values, unit, position = block.values, modal.unit_mm, modal.position
     if machine:
         base: Triple | list[float] = NO_OFFSET
@@ -49,10 +51,11 @@ def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
 
 
 def set_datum(block: Block, code: int, modal: ModalState, writer: ProgramWriter) -> None:
-    """Handle G92 and its variants.
+    """Execute G92 and its variants G92.1, G92.2 and G92.3.
 
-    G92 assigns given coordinates to the present position. The controller is at the corrected position, so the
-    correction is added to the coordinates. The offset in the controller is then the offset that the program intends.
+    G92 assigns the given coordinates to the present position. The controller is actually at the corrected position, so
+    the correction is added to the coordinates that are written. The offset in the controller is then the offset that
+    the program intends, except for the rounding of the written coordinates.
     """
     writer.flush()
     if code == 920:
@@ -90,10 +93,11 @@ def _set_zero(block: Block, modal: ModalState, writer: ProgramWriter) -> None:
 
 
 def go_to_reference(block: Block, name: str, modal: ModalState, writer: ProgramWriter) -> None:
-    """Handle G28 or G30: move through a corrected intermediate point, then to the controller's stored reference point.
+    """Execute G28 or G30. The axes move through a corrected intermediate point to the reference point stored in the
+    controller.
 
-    At the reference point the axes are not corrected. The axis words select the axes that move; without axis words all
-    axes move.
+    The reference point is not corrected. Only the axes with a word in the block move. If the block has no axis words,
+    all axes move.
     """
     writer.flush()
     axes = axes_in_block(block)
@@ -117,7 +121,7 @@ def _through_words(axes: list[int], point: Triple, modal: ModalState, writer: Pr
 
 
 def set_tool_length(block: Block, modal: ModalState) -> None:
-    """Handle G43.1, whose axis words are the tool lengths."""
+    """Execute G43.1. Its axis words give the tool lengths."""
     lengths = list(modal.tool_offset)
     for axis in axes_in_block(block):
         lengths[axis] = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
@@ -127,9 +131,10 @@ def set_tool_length(block: Block, modal: ModalState) -> None:
 def move_from_unknown_position(
     block: Block, end: Triple, machine: bool, modal: ModalState, writer: ProgramWriter
 ) -> None:
-    """Write a rapid move unchanged, because the position of some axis is unknown even after it.
+    """Write a rapid move unchanged. It cannot be corrected, because the position of at least one axis is unknown even
+    after the move.
 
-    The positions of the axes named in the block are recorded.
+    The new positions of the axes named in the block are recorded.
     """
     writer.flush()
     frame = (*NO_OFFSET, True) if machine else modal.frame
@@ -143,14 +148,14 @@ def move_from_unknown_position(
 
 
 def forget_position(modal: ModalState, writer: ProgramWriter) -> None:
-    """Mark the position of all axes as unknown, as after a tool change."""
+    """Mark the positions of all axes as unknown, as required after a tool change."""
     writer.flush()
     modal.position = [math.nan] * 3
     writer.resume_at(_triple(modal.position), [math.nan] * 3, modal.unit_mm)
 
 
 def replace_axis_words(block: Block, texts: dict[int, str]) -> str:
-    """Return the text of the block with other numbers in its axis words."""
+    """Return the text of the block with new numbers in its axis words."""
     words = []
     for letter, number, _ in block.tokens:
         axis = AXIS_LETTERS.find(letter)

@@ -1,7 +1,7 @@
-"""Interpreter of a part program: modal state and programmed axis positions, block by block.
+"""Interpreter of a part program. It tracks the modal state and the programmed axis positions from block to block.
 
-The codes of a block are executed in the order of RS-274/NGC (NISTIR 6556, table 8): feed mode, tool, plane, units, tool
-length, coordinate system, distance mode, then the codes that use the axis words, then stops.
+The codes of one block are executed in the order of RS-274/NGC (NISTIR 6556, table 8). The order is: feed mode, tool,
+plane, units, tool length, coordinate system, distance mode, codes that use the axis words, and stops.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ _UNSURE = "M{} takes effect before the motion on some controllers and after it o
 
 
 class Interpreter:
-    """Interpreter that passes moves and unchanged lines to a writer.
+    """Interpreter of a part program that passes moves and unchanged lines to a writer.
 
-    `heading`: comment that is written before the first block.
+    `heading` is a comment that is written before the first block.
     """
 
     def __init__(self, setup: PartSetup, options: CorrectionOptions, writer: ProgramWriter, heading: str) -> None:
@@ -64,7 +64,9 @@ class Interpreter:
         self._flowing = False
 
     def feed(self, line: int, text: str) -> None:
-        """Process one line, given without its line end; raises FormatError if it cannot be corrected."""
+        """Process one line of the program. `text` is the line without its line end. Raises FormatError if the line
+        cannot be corrected.
+        """
         if self._flowing and self._plain_move(line, text):
             return
         if text.lstrip().startswith("%"):

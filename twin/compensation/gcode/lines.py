@@ -1,4 +1,4 @@
-"""Formatting of the lines that are written for a move."""
+"""Formatting of the program lines for a move."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ ALL_AXES = 7
 
 
 class MoveBlock(NamedTuple):
-    """Block with a move: the text before (`head`) and after (`tail`) its axis words.
+    """Block of a part program that commands a move.
 
-    `code`: G0 or G1 as it is to be written; `coded`: True if the block states it. `mask`: bits of the axes named in the
-    block. `stop`: words that take effect after the motion; `comment`: comment at the end of the line. `inverse`: F of a
-    block with G93, else 0. `whole`: reason why the move must not be divided, or an empty string.
+    - `head` and `tail` are the texts before and after the axis words.
+    - `code` is the code to be written, G0 or G1. `coded` is True if the block itself contains the code.
+    - `mask` is a bit mask of the axes named in the block.
+    - `stop` contains the words that take effect after the motion.
+    - `comment` is the comment at the end of the line.
+    - `inverse` is the value of F if the block has G93, else 0.
+    - `whole` is the reason why the move must not be divided. It is an empty string if the move may be divided.
     """
 
     line: int
@@ -31,9 +35,9 @@ class MoveBlock(NamedTuple):
 
 
 class LineFormatter:
-    """Formatter of successive moves.
+    """Formatter of the lines for successive moves.
 
-    It tracks the motion code in effect; `forget` must be called if this code is no longer known.
+    The formatter tracks the motion code (G0 or G1) in effect. `forget` must be called if this code is no longer known.
     """
 
     def __init__(self, decimals: int) -> None:
@@ -45,7 +49,9 @@ class LineFormatter:
         self._code = ""
 
     def line(self, move: MoveBlock, values: Sequence[float], axes: int) -> str:
-        """Return the program line that commands a move. `axes` is a bit mask of the axis words to write."""
+        """Return the program line that commands an undivided move. `axes` is a bit mask of the axis words to be
+        written.
+        """
         words = self._axis_words(values, axes)
         code = self._motion(move, forced=move.coded)
         if not (move.stop or move.inverse):
@@ -54,12 +60,12 @@ class LineFormatter:
         return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}{move.comment}"
 
     def lines(self, move: MoveBlock, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
-        """Yield the lines of a divided move.
+        """Yield the program lines of a divided move.
 
-        There is one line for each piece that changes a rounded axis word, and one for the last piece.
+        A piece gets a line if at least one of its rounded axis words changes. The last piece always gets a line.
 
-        With G93, F is the reciprocal of the time in minutes, so the F of each piece is computed from its share of the
-        total time.
+        With G93, F is the reciprocal of the time for a line in minutes. The value of F in each line is therefore
+        computed from the line's share of the total time.
         """
         count, waiting, first = len(values), 0, True
         for number, (piece, bits) in enumerate(zip(values, axes, strict=True), start=1):

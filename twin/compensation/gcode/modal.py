@@ -1,4 +1,4 @@
-"""Modal state of a part program between two of its lines."""
+"""Modal state of a part program after one line and before the next."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ SYSTEM_CODES = {round(10.0 * float(name[1:])): name for name in SYSTEMS}
 class ModalState:
     """Modal state of the interpreter.
 
-    G codes are stored as ten times their number. Lengths are in mm; positions are axis positions, NaN if unknown.
-    `position`: programmed axis position, without corrections. `g92`: G92 offset as the program intends it;
-    `g92_written`: G92 offset as stored in the controller. The two differ, because the controller sets its offset at a
-    corrected and rounded position.
+    G codes are stored as ten times their number. Lengths are in mm. Positions are axis positions, or NaN if they are
+    unknown. `position` is the programmed axis position, without corrections. `g92` is the G92 offset that the program
+    intends, and `g92_written` is the G92 offset that the controller has stored. The two differ by the rounding of the
+    written G92 words.
     """
 
     setup: PartSetup
@@ -61,7 +61,9 @@ class ModalState:
         self.update_frame()
 
     def update_frame(self) -> None:
-        """Recompute `offset` (None if the work offset is not known) and `frame` after a change of the state."""
+        """Recompute `offset` and `frame` after a change of the state. `offset` becomes None if the work offset is not
+        known.
+        """
         work = self.setup.work_offsets.get(self.system)
         self.offset = None if work is None else _sum(work, self.g92, self.tool_offset)
         written = _sum(work or UNKNOWN, self.g92_written, self.tool_offset)

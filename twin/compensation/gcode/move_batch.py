@@ -1,4 +1,6 @@
-"""Numerical processing of many moves at once: division into pieces, correction of points, rounding of axis words."""
+"""Numerical processing of many moves at once. Moves are divided into pieces, points are corrected, and axis words are
+rounded.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class MovePaths:
-    """Paths of m consecutive moves: `starts`, `ends` (m, 3), axis positions in mm, and `arcs` for the moves that are
-    arcs.
+    """Paths of m consecutive moves. `starts` and `ends` (m, 3) are axis positions in mm. `arcs` maps the index of a
+    move to its arc if the move is an arc.
     """
 
     starts: Array
@@ -29,7 +31,7 @@ class MovePaths:
     arcs: Mapping[int, Arc]
 
     def pieces(self, bending: TableCurvature, dividable: Flags, limit_mm: float) -> Indices:
-        """Return the number of pieces (m,) into which each move has to be divided."""
+        """Return the number of pieces into which each of the m moves has to be divided."""
         count = bending.line_pieces(self.starts, self.ends, limit_mm)
         count[~dividable] = 1
         if self.arcs:
@@ -38,10 +40,11 @@ class MovePaths:
         return count
 
     def points(self, first: int, pieces: Indices) -> tuple[Array, Indices, Flags]:
-        """Return the end points of all pieces of the moves from index `first` on.
+        """Return the end points of all pieces of consecutive moves. `first` is the index of the first of these moves,
+        and `pieces` contains the number of pieces of each.
 
-        The result is the points (n, 3) mm, the index of the move of each point, and for each point a flag that is True
-        if its piece is the last of a move.
+        The result consists of three arrays with one element per point: the points (n, 3) in mm, the index of the
+        point's move, and a flag. The flag is True if the point is the end of its move.
         """
         total = int(pieces.sum())
         rows = np.repeat(np.arange(len(pieces)), pieces) + first
@@ -86,8 +89,8 @@ class MovePaths:
 class AxisWords:
     """Rounded axis words of n points.
 
-    `values` (n, 3): numbers of the X, Y, Z words; `changed` (n, 3): True if the word has to be written; `position` (n,
-    3) mm: axis position of the controller after the words.
+    `values` (n, 3) contains the numbers of the X, Y and Z words. `changed` (n, 3) is True if the word has to be
+    written. `position` (n, 3) contains the axis positions of the controller in mm after execution of the words.
     """
 
     values: Array
@@ -98,11 +101,13 @@ class AxisWords:
 def round_to_words(
     points: Array, frames: Sequence[Frame], rows: Indices, position: Sequence[float], unit_mm: float, decimals: int
 ) -> AxisWords:
-    """Round `points` (n, 3) mm to words with `decimals` decimals.
+    """Convert n corrected points (n, 3) in mm to axis words with `decimals` decimals.
 
-    `rows` (n,) gives the index of each point's frame in `frames`, and the frame determines whether its words are
-    absolute or incremental. Absolute words are rounded to a lattice that starts at the frame's zero, incremental words
-    to a lattice that starts at the last absolute position or at `position`, the initial position of the controller.
+    `rows` (n,) contains the index of each point's frame in `frames`. The frame determines whether the words of the
+    point are absolute or incremental. An absolute word is the rounded distance of the point from the zero point of the
+    frame. An incremental word is the rounded distance of the point from the position that the controller reaches with
+    the preceding words. Rounding errors do not accumulate. `position` is the position of the controller before the
+    first point.
     """
     step = unit_mm * 10.0**-decimals
     frame = np.array(frames)[rows]
@@ -121,11 +126,13 @@ def round_to_words(
 
 @dataclass(frozen=True, eq=False)
 class CorrectedPoints:
-    """Corrected points and their amounts outside the table's volume.
+    """Corrected points, and their distances from the volume of the table.
 
-    `points` (n, 3) mm: axis positions to command. `largest_mm`: length of the largest correction. `beyond_mm` (n,):
-    distance of the programmed point outside the table's volume; `held_mm` (n,): amount by which the correction was
-    limited to stay inside. `extrapolated`: number of points that depend on a node outside the measured region.
+    - `points` (n, 3) contains the axis positions to be commanded in mm.
+    - `largest_mm` is the length of the largest correction.
+    - `beyond_mm` (n,) is the distance of each programmed point from the volume if it is outside.
+    - `held_mm` (n,) is the amount by which the correction of each point was limited to keep the point in the volume.
+    - `extrapolated` is the number of points whose correction depends on a node outside the measured region.
     """
 
     points: Array
@@ -136,10 +143,11 @@ class CorrectedPoints:
 
 
 def correct_points(table: CompensationTable, points: Array, *, held: bool) -> CorrectedPoints:
-    """Add the table's correction to points (n, 3) mm.
+    """Add the corrections of the table to points (n, 3) in mm.
 
-    `held`: if True, the results are limited to the table's volume. The volume usually equals the travel, and a
-    controller stops with an error at a position a µm beyond it.
+    If `held` is True, corrected points outside the volume of the table are moved to its border. The border of the
+    volume is usually the limit of the travel, and a controller stops with an error if a position exceeds this limit by
+    a µm.
     """
     lower = np.array([nodes[0] for nodes in table.nodes])
     upper = np.array([nodes[-1] for nodes in table.nodes])

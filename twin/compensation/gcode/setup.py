@@ -1,4 +1,4 @@
-"""Setup of a part program that the program itself does not state.
+"""Setup of a part program that is not stated in the program itself.
 
 It consists of work offsets, tool lengths and the initial state of the controller.
 """
@@ -17,12 +17,14 @@ NO_OFFSET: Triple = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class PartSetup:
-    """Setup of a part program. All lengths are in mm, all positions are axis positions (machine coordinates).
+    """Setup of a part program. All lengths are in mm, and all positions are axis positions (machine coordinates).
 
-    `work_offsets`: axis positions of the zero points of G54 and so on; `reference_points`: end points of G28 and G30;
-    `tools`: map from the number of H to the length that G43 adds to the programmed position; `g92`: G92 offset that an
-    earlier program has left in effect. `start`: position of the axes before the first line, None if it is unknown.
-    `tool_change_moves`: True if M6 may move the axes.
+    - `work_offsets` contains the axis positions of the zero points of G54 and the other coordinate systems.
+    - `reference_points` contains the end points of G28 and G30.
+    - `tools` maps an H number to the length that G43 adds to the programmed position.
+    - `g92` is the G92 offset that an earlier program has left in effect.
+    - `start` is the position of the axes before the first line, or None if it is unknown.
+    - `tool_change_moves` is True if M6 may move the axes.
     """
 
     work_offsets: Mapping[str, Triple] = field(default_factory=dict)
@@ -41,12 +43,14 @@ class PartSetup:
 
 @dataclass(frozen=True)
 class CorrectionOptions:
-    """Options of the correction.
+    """Options for the correction of a part program.
 
-    `max_chord_error_mm`: largest permissible distance of the written lines from the corrected curve, rounding included.
-    `decimals`: number of decimals of a coordinate in mm; coordinates in inches have one more. `outside`: behaviour
-    beyond the table's volume. `kept_g`: G codes, as ten times their number, that are passed on although they are not
-    supported.
+    - `max_chord_error_mm` is the largest permissible distance between the written straight lines and the corrected
+      curve, including the rounding of the words.
+    - `decimals` is the number of decimals of a coordinate in mm. A coordinate in inches has one more.
+    - `outside` determines whether a point outside the volume of the table is refused ("refuse") or corrected as at the
+      border of the table ("clamp").
+    - `kept_g` contains G codes that are passed on unchanged although they are not supported, as ten times their number.
     """
 
     max_chord_error_mm: float

@@ -1,8 +1,7 @@
 """Parsing of one line of a part program into words.
 
-A word is a letter and a decimal number (RS-274/NGC, NISTIR 6556, section 3.3). Computed numbers (expressions,
-parameters) and jumps (O-words, macros) are refused, because only the controller knows the tool position that results
-from them.
+A word is a letter followed by a decimal number (RS-274/NGC, NISTIR 6556, section 3.3). Computed numbers (expressions,
+parameters) and jumps (O-words, macros) are refused, because only the controller knows the resulting tool position.
 """
 
 from __future__ import annotations
@@ -28,11 +27,13 @@ _FLOW = "variables, expressions and O-words are computed by the controller"
 
 @dataclass(slots=True)
 class Block:
-    """Words of one line.
+    """Words of one line of a part program.
 
-    `text`: the line without its line end. `g` and `m`: ten times the numbers of the G and M words, for example 911 for
-    G91.1. `values`: numbers of all other letters, each of which may occur only once; `tokens`: all words in their
-    order; `comments`: comments as written.
+    - `text` is the line without its line end.
+    - `g` and `m` contain ten times the numbers of the G and M words, for example 911 for G91.1.
+    - `values` maps each other letter to its number. Each of these letters may occur only once in a line.
+    - `tokens` contains all words in their order.
+    - `comments` contains the comments as written.
     """
 
     line: int
@@ -49,16 +50,16 @@ class Block:
 
 
 def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
-    """Return the error for a line that cannot be corrected; its message contains the line."""
+    """Return an error for a line that cannot be corrected. The message of the error contains the text of the line."""
     shown = "".join(sign if sign.isprintable() else "?" for sign in text.strip()[:61])
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return FormatError(f"{message}: {shown}", hint=hint, line=line)
 
 
 def read_block(text: str, line: int) -> Block:
-    """Parse the words of one line, given without its line end.
+    """Parse one line of a part program, given without its line end, into words.
 
-    Raises FormatError if the line contains anything but plain words.
+    Raises FormatError if the line contains anything other than plain words and comments.
     """
     block = Block(line, text)
     code = text.upper()
@@ -83,10 +84,10 @@ def read_block(text: str, line: int) -> Block:
 
 
 def read_plain(text: str) -> tuple[str | None, ...] | None:
-    """Return the texts of N, G (0 or 1), X, Y, Z, F of a line that has no other words; None for any other line.
+    """Return the texts of the numbers after N, G, X, Y, Z and F if the line has no other words, otherwise None.
 
-    Each word may occur once at most, in this order. Nine out of ten lines of a CAM program have this form, and a single
-    regular expression match reads them.
+    The words must be in this order, each may occur at most once, and G must be 0 or 1. Nine out of ten lines of a CAM
+    program have this form, and a single match with a regular expression parses such a line.
     """
     found = _PLAIN.match(text)
     return found.groups() if found else None
@@ -94,7 +95,9 @@ def read_plain(text: str) -> tuple[str | None, ...] | None:
 
 @lru_cache(maxsize=1024)
 def code_number(number: str) -> int:
-    """Return ten times the number of a G or M word: `01` is 10, `91.1` is 911; -1 if it cannot be a code."""
+    """Convert the number of a G or M word to ten times its value. For example, `01` gives 10 and `91.1` gives 911.
+    Return -1 if the number cannot be a code.
+    """
     tenfold = float(number) * 10.0
     return round(tenfold) if tenfold >= 0.0 and abs(tenfold - round(tenfold)) < 1e-6 else -1
 

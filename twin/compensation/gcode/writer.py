@@ -1,7 +1,7 @@
-"""Writer that collects moves over many lines, corrects them in batches and writes them.
+"""Writer of the corrected program. It collects moves over many lines, corrects them in batches, and passes on the text.
 
-The position of the controller is tracked with every number rounded as written. Rounding errors therefore do not
-accumulate, not even with incremental words.
+The writer tracks the position of the controller, computed from the rounded numbers that were written. Rounding errors
+therefore do not accumulate, even if the words are incremental.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _AXIS_BITS = np.array([1, 2, 4])
 
 
 class ProgramWriter:
-    """Writer that passes moves and unchanged lines in their order to `emit` as text.
+    """Writer that converts moves to corrected lines and passes all lines of the program in their order to `emit`.
 
-    `position` (mm): axis position of the controller after everything written so far, NaN if unknown. `newline` ends
-    each line.
+    `position` is the axis position of the controller in mm after all lines written so far, or NaN if it is unknown.
+    `newline` is the line end of the written lines.
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class ProgramWriter:
         self.resume_at(start, list(start), unit_mm)
 
     def resume_at(self, programmed: Triple, position: list[float], unit_mm: float) -> None:
-        """Continue from a given state.
+        """Set the state from which the writer continues.
 
-        `programmed`: axis position according to the program, mm; `position`: actual axis position, mm; `unit_mm`: unit
-        of the words.
+        `programmed` is the axis position according to the program in mm. `position` is the actual axis position of the
+        controller in mm. `unit_mm` is the length of the program's unit in mm.
         """
         self._programmed = programmed
         self.position = position
@@ -72,13 +72,15 @@ class ProgramWriter:
         self._pen = LineFormatter(self.decimals)
 
     def write_unchanged(self, text: str) -> None:
-        """Write a line unchanged."""
+        """Add a line to the output without changing it."""
         self._items.append(text)
         if len(self._items) >= _BATCH_LINES:
             self._write_batch()
 
     def move(self, move: MoveBlock, end: Triple, frame: Frame, arc: Arc | None) -> None:
-        """Collect a move to the uncorrected axis position `end` (mm), to be written with words relative to `frame`."""
+        """Collect a move to the uncorrected axis position `end` in mm. The move is written later, with words relative
+        to `frame`.
+        """
         if arc is not None:
             self._arcs[len(self._ends)] = arc
         self._items.append(move)
@@ -88,14 +90,14 @@ class ProgramWriter:
             self._write_batch()
 
     def flush(self) -> None:
-        """Write all collected lines, so that `position` is up to date; the move written next states its G code."""
+        """Write all collected lines, which brings `position` up to date. The next move is written with its G code."""
         self._write_batch()
         self._pen.forget()
 
     def corrected_point(self, point: Triple, block: Block) -> Triple:
-        """Return the corrected axis position of `point` in mm, without adding it to the counts of the summary.
+        """Return the corrected axis position of `point` in mm. The point is not included in the counts of the summary.
 
-        `block` is refused if the point is outside the table's volume and this is not allowed.
+        If the point is outside the volume of the table and this is not permitted, `block` is refused.
         """
         points = np.array([point])
         found = correct_points(self.table, points, held=self._held)
