@@ -19,9 +19,8 @@ from agent.runs.run_request import RunRequest, Source
 
 @dataclass(frozen=True)
 class Question:
-    """Question of the run to a person. The run waits until `Control.answer` is called with the `number` of the
-    question.
-    """
+    """Question that a run asks a person. The run waits until `Control.answer` is called with the `number` of the
+    question."""
 
     number: int
     text: str

@@ -62,12 +62,12 @@ class RoleSettings(StrictModel):
 
 
 class StationSettings(StrictModel):
-    """Stations of the mount. `places_mm` is the position of the mount's foot at each station in the workpiece frame;
-    stations are numbered from 1.
+    """Stations of the mount. `places_mm` contains the position of the mount's foot at each station in the workpiece
+    frame; stations are numbered from 1.
 
-    If each station has a mount of its own, `artefacts` lists one artefact file per station and `parked_deg` is the
-    azimuth and elevation of the mounts at which no artefact is being measured. `artefacts` is omitted if one artefact
-    is moved between the mounts.
+    If each station has a mount of its own, `artefacts` lists one artefact file per station. It is omitted if a single
+    artefact is moved between the mounts. `parked_deg` contains the azimuth and elevation of the mounts at which no
+    artefact is being measured.
     """
 
     places_mm: list[Coordinates] = Field(min_length=1)

@@ -51,7 +51,7 @@ def saving(rows: Verdicts, variant: int) -> float | None:
     """Return the share by which the VCE with the largest tilt is smaller than the VCE without tilt.
 
     The VCE is taken after the best-fitting rigid motion is removed. `variant` is the index of the identification
-    variant. Return None if the machine is not identified with one of the two tilts.
+    variant. Return None if the machine is not identified with the largest tilt or without tilt.
     """
     straight, tilted = aligned_um(rows[0][variant]), aligned_um(rows[-1][variant])
     return None if straight is None or tilted is None else 1.0 - tilted / straight

@@ -1,4 +1,5 @@
-"""Clock of a resumed run. During the replay of recorded steps it returns their recorded times; afterwards it runs."""
+"""Clock of a resumed run. It shows the recorded times while recorded steps are replayed, and runs normally
+afterwards."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ from drivers.clock import Clock
 
 
 class ResumedClock:
-    """Clock that gives the machine seconds of a run as if it had not been interrupted.
+    """Clock that gives the machine seconds of a run as if the run had not been interrupted.
 
     During the replay the clock returns recorded times, so that decisions that depend on time are repeated. After the
     replay it runs on from the time passed to `start_running`.

@@ -46,8 +46,8 @@ class CommandRequest:
 
     @property
     def content(self) -> tuple[int | str | None, ...]:
-        """All values except the access code. With them, a repetition can be distinguished from a different command that
-        has the same sequence number."""
+        """All values except the access code. They distinguish a repetition of a command from a different command with
+        the same sequence number."""
         return (*(value for name, value in self.numbers.items() if name != "access_code"), self.text)
 
     def command(self) -> Command | None:

@@ -21,7 +21,7 @@ _BEAT = PANEL[0].address
 
 
 class PanelSession:
-    """`RegisterTable` of one connection. Only one thread may use it."""
+    """Registers and abort coil of one panel connection, as a `RegisterTable`. Only one thread may use the object."""
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway

@@ -2,7 +2,7 @@
 
 Every wait of a driver and every step reports a beat, that is, a sign that the thread is alive. While the machine can
 move, the thread is considered hung after some seconds without a beat. While the thread computes (preflight,
-identification, writing results after the final state), it gives no beats and is considered hung only after some
+identification, writing results after the final state), it reports no beats and is considered hung only after some
 minutes. Between runs the thread is never considered hung.
 """
 

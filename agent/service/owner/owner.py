@@ -131,7 +131,7 @@ class Owner:
     def reload(self, settings: Settings) -> None:
         """Use `settings` for the next runs.
 
-        Raise Busy while a run is in progress, and UserError if the new settings have another `state_directory`.
+        Raise Busy while a run is in progress, and UserError if `settings` names a different `state_directory`.
         """
         with self._changed:
             self._require_nothing_runs()

@@ -43,9 +43,8 @@ class LiveView:
         self._current = None
 
     def plan(self, settings: Settings, base: Path) -> Document:
-        """Return the plan of the run in progress. If no run is in progress, return the plan of the next run, in which
-        `run_id` is null.
-        """
+        """Return the plan of the run in progress. If no run is in progress, return the plan of the next run; `run_id`
+        is then null."""
         current = self._current
         run_id = None if current is None else current[0]
         key = (run_id, None if run_id else settings.model_dump_json())
