@@ -1,20 +1,20 @@
-"""Errors of the application: outcomes that a run decides itself and no device can raise.
+"""Errors of the application. The run raises them because of its own decisions; a device cannot raise them.
 
 ::
 
     VolcalError (drivers/errors.py)
-    └── RunError                  the run itself decided                              exit code 4
-        ├── PlanRefused           preflight found a limit, a collision, an unreachable ball
+    └── RunError                  the run itself decided to end                       exit code 4
+        ├── PlanRefused           the preflight found a violated limit, a collision or an unreachable ball
         ├── GateRefused           the estimate must not become a table
         ├── MeasurementFault      a ball, a probe check or a drift is out of its limits
         ├── PlanDiverged          recorded steps do not match the rebuilt plan
         ├── JournalFailed         events can no longer be recorded durably (disk full, disk gone)
         ├── Busy                  another run owns the machine
-        ├── Aborted               somebody requested the abort                        exit code 5
+        ├── Aborted               a person requested the abort                        exit code 5
         └── Interrupted           the program had to end; the run can be resumed      exit code 5
 
-Wrong input (`UserError`) and device errors (`DeviceError`) are the branches in `drivers/errors.py`; drivers and
-simulators raise them too.
+The branches for wrong input (`UserError`) and for errors of devices (`DeviceError`) are in `drivers/errors.py`, because
+drivers and simulators raise these errors too.
 """
 
 from __future__ import annotations

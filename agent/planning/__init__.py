@@ -1,1 +1,1 @@
-"""Everything that is decided before anything moves: job, measuring order, cycle time, preflight."""
+"""Planning of a run before anything moves: job, measuring order, cycle time and preflight."""

@@ -28,10 +28,13 @@ def load_case(
     stations: int | None = None,
     tool: str | None = None,
 ) -> Job:
-    """Return the job of a settings file, optionally with another machine or artefact file, with `stations` stations
-    spaced evenly along X, or with another tool of the machine.
+    """Return the job of a settings file.
 
-    Raises ConfigurationError naming file and key.
+    If `machine`, `artefact` or `tool` is given, it replaces the machine file, the artefact file or the tool of the
+    settings. If `stations` is given, the stations of the settings are replaced by this number of stations, spaced
+    evenly along X.
+
+    Raises ConfigurationError, which names the file and the key, if the settings cannot be used.
     """
     with naming(config):
         settings = load_settings(config)

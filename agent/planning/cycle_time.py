@@ -1,8 +1,9 @@
-"""Machine time of a set of positions before anything moves. The plan of the run is executed on an ideal machine.
+"""Machine time of a set of positions, computed before anything moves. The plan of the run is executed on an ideal
+machine.
 
-No physics is simulated and no device is contacted. Executing several thousand steps takes a fraction of a second, so
-many designs can be compared by their cost. `agent.planning.preflight` simulates the physics too; both use the same
-`TimeModel`.
+No physics is simulated and no device is contacted. The execution of several thousand steps takes a fraction of a
+second. The costs of many designs can therefore be compared. In contrast, `agent.planning.preflight` also simulates the
+physics; both modules use the same `TimeModel`.
 """
 
 from __future__ import annotations
@@ -40,8 +41,11 @@ _MOTION = {OrientTo: TURNING, MoveTo: MOVING, TouchTowards: TOUCHING}
 
 @dataclass(frozen=True)
 class TimedStep:
-    """Step with its time in s. `motion_s` is the time of the motion of axes or mount. `overhead_s` is the latency of
-    the command, or the time that the operator takes."""
+    """Step with its time in s.
+
+    `motion_s` is the time in which the axes or the mount move. `overhead_s` is the latency of the command or, for a
+    question to the operator, the time that the operator takes.
+    """
 
     step: Step
     motion_s: float
@@ -58,9 +62,12 @@ class TimedStep:
 
 @dataclass(frozen=True)
 class MachineMinutes:
-    """Machine time in minutes. `total` is the sum of `carrying` (by the operator, between stations) and of all times in
-    `per_position`. The time of a position includes the turn of the mount and the path to it; it is zero if fewer than
-    three balls are within reach."""
+    """Machine time of a set of positions, in minutes.
+
+    `per_position` contains the time of each position, which includes the turn of the mount and the path to the
+    position. This time is zero if fewer than three balls are within reach. `carrying` is the time in which the operator
+    carries the artefact between stations. `total` is the sum of `carrying` and all values of `per_position`.
+    """
 
     total: float
     per_position: Mapping[Position, float]
@@ -68,10 +75,10 @@ class MachineMinutes:
 
 
 def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
-    """Return the machine time of measuring `positions` in the given order. Positions at the same station must be
-    contiguous.
+    """Return the machine time for measuring `positions` in the given order.
 
-    The axes start at the lower end of their travel, and the mount at zero. Held-out positions are not added.
+    Positions at the same station must be contiguous. At the start, the axes are at the lower end of their travel, and
+    both angles of the mount are zero. The time of the held-out positions is not included.
     """
     order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)
     _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules))
@@ -87,10 +94,10 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
 
 
 def position_minutes(job: Job, position: Position) -> float:
-    """Return the machine minutes that one more position adds at a station.
+    """Return the machine minutes that one more position adds at its station.
 
-    With free paths, the time is counted from the end of a measurement of ball 0 with the mount at zero until the last
-    ball of `position` is measured. With plain paths, the tip starts and ends at the park location.
+    With free paths, the time begins at the end of a measurement of ball 0 with both mount angles zero, and ends after
+    the last ball of `position`. With plain paths, the tip starts and ends at the park location.
     """
     retreat = job.rules.retreat
     if retreat.path_rules is None:
@@ -104,14 +111,20 @@ def position_minutes(job: Job, position: Position) -> float:
 
 
 def without_optimisation(job: Job) -> Job:
-    """Return the job with stations and positions in their listed order and with plain paths."""
+    """Return a copy of `job` with plain paths and with an order that is not optimised.
+
+    Stations and positions are then measured in the order in which they are listed.
+    """
     procedure = job.settings.procedure.model_copy(update={"paths": "plain", "optimise_order": False})
     rules = replace(job.rules, retreat=replace(job.rules.retreat, path_rules=None))
     return replace(job, settings=job.settings.model_copy(update={"procedure": procedure}), rules=rules)
 
 
 def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
-    """Return station → part (each of `PARTS`) → minutes."""
+    """Return the machine minutes of each station, divided into the parts listed in `PARTS`.
+
+    The result maps the number of each station to a mapping from the name of each part to minutes.
+    """
     minutes: dict[int, dict[str, float]] = defaultdict(lambda: dict.fromkeys(PARTS, 0.0))
     for timed in steps:
         station = minutes[_station_of(timed.step)]
@@ -124,8 +137,11 @@ def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
 
 
 def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:
-    """Execute `plan` on an ideal machine. Return its result, and the steps that take time, in order. `start_mm` gives
-    the axis positions at the start; if it is None, they are at the lower end of the travel."""
+    """Execute `plan` on an ideal machine. Return the result of the plan and the steps that take time, in order.
+
+    `start_mm` contains the axis positions at the start in mm. If `start_mm` is None, the axes start at the lower end of
+    the travel.
+    """
     steps: list[TimedStep] = []
 
     def note(step: Step, motion_s: float, overhead_s: float) -> None:

@@ -1,7 +1,7 @@
-"""Ideal machine, which executes each step at once and reports the time that the step would take. It uses neither
-simulated physics nor a device.
+"""Ideal machine for timing a plan. It executes each step at once and reports the time that the step would take.
 
-It provides actions for the engine, so that the same plans that a run executes can be timed.
+The ideal machine uses neither simulated physics nor a device. It provides the actions that the engine needs, so the
+plans of a run can be timed without change.
 """
 
 from __future__ import annotations
@@ -20,11 +20,14 @@ from twin.collision.motion_law import StraightPath, entry_distance, straight_pat
 
 
 class IdealMachine:
-    """Ideal machine whose axes start at `start_mm`. A single mount starts at zero; if every station has its own mount,
-    each mount starts at the angles of its first turn.
+    """Ideal machine whose axes start at `start_mm`.
 
-    `spent(step, motion_s, overhead_s)` is called for every step that takes time. The balls are at their nominal
-    locations in `layout`, and the probe trips at contact.
+    A single mount starts with both angles zero. If every station has its own mount, each mount starts at the angles of
+    its first turn, which therefore takes no motion time. The balls are at their nominal locations in `layout`, and the
+    probe trips at contact.
+
+    `spent(step, motion_s, overhead_s)` is called for every step that takes time, with the time of the motion and the
+    additional time, both in s.
     """
 
     def __init__(
@@ -38,7 +41,7 @@ class IdealMachine:
         self._balls: list[Point] = []
 
     def actions(self) -> dict[type, Action]:
-        """Return the engine's actions for the steps of a measuring plan."""
+        """Return a mapping from each type of step of a measuring plan to the action that carries it out."""
         return {
             s.MoveTo: self._move,
             s.TouchTowards: self._touch,

@@ -1,5 +1,7 @@
-"""Identifiability of a machine by a procedure. It is computed before any measurement, from settings files and names of
-sets."""
+"""Identifiability of the errors of a machine by a measuring procedure.
+
+The identifiability is computed before any measurement, from settings files and the names of position sets.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,12 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class RankRequest:
-    """Files and choices for `rank`. `position_set`: names of sets joined by +, or a position file. `tools`: names of
-    tools in the machine file. `stations`: number of stations spaced evenly along X. `formulation`: formulation of the
-    identification. If a choice is None (`tools`: empty), the value of the settings is used."""
+    """Files and choices for the function `rank`.
+
+    `position_set` contains the names of sets joined by +, or the path of a position file. `tools` contains names of
+    tools in the machine file. `stations` is a number of stations, which are spaced evenly along X. `formulation` is the
+    formulation of the identification. If a choice is None or `tools` is empty, the value of the settings is used.
+    """
 
     config: Path
     machine: Path | None = None
@@ -46,8 +51,11 @@ class RankRequest:
 
 @dataclass(frozen=True, eq=False)
 class RankResult:
-    """Result of `rank`. `vce` has the expected VCE for each error field in `seen.fields`, that is, for each tool.
-    `advice` has proposed additions to the procedure, the best one first."""
+    """Result of the function `rank`.
+
+    `vce` contains the expected VCE of each error field in `seen.fields`; there is one error field for each tool.
+    `advice` contains proposed additions to the procedure, the best addition first.
+    """
 
     job: Job
     position_set: str
@@ -85,8 +93,10 @@ class RankResult:
 
 
 def rank(question: RankRequest) -> RankResult:
-    """Assess the identifiability. Raises UserError with file, key and valid values if the input is unusable or
-    empty."""
+    """Determine which errors of the machine the measuring procedure in `question` can identify.
+
+    Raises UserError, which names the file, the key and the valid values, if the input is unusable or empty.
+    """
     job = load_case(
         question.config,
         machine=question.machine,

@@ -1,4 +1,4 @@
-"""Job of a run, prepared from the settings and the files that they name, without contacting a device."""
+"""Job of a run. It is prepared from the settings and from the files that the settings name; no device is contacted."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ from twin.machine.machine_description import MachineDescription
 
 @dataclass(frozen=True)
 class Job:
-    """Calibration that can be listed, checked by a preflight and carried out. The positions `held_out` are never used
-    for the estimate."""
+    """Prepared calibration, which can be listed, checked by a preflight and carried out.
+
+    The positions `held_out` are never used for the estimate.
+    """
 
     settings: Settings
     machine: MachineDescription
@@ -56,15 +58,18 @@ class Job:
 
     @property
     def procedure(self) -> Procedure:
-        """Procedure for design and error budget: layout and covariance of ball centres, without devices or measuring
-        order."""
+        """Measuring procedure for the design of position sets and for the error budget.
+
+        It consists of the layout and of the covariance of the ball centres, and contains neither devices nor a
+        measuring order.
+        """
         probing = self.rules.probing
         covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
         return Procedure({self.settings.tool: self.layout}, covariance)
 
     @cached_property
     def measuring_order(self) -> MeasuringOrder:
-        """Order in which the position set and the held-out positions are measured, before the new table is active."""
+        """Order in which the position set and the held-out positions are measured before the new table is active."""
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
         standing_at = self.settings.stations.standing_at if carried else None
@@ -79,27 +84,36 @@ class Job:
 
     @property
     def repeat_rules(self) -> RepeatRules:
-        """Rules for measuring the first positions again at the end; held-out positions are not repeated."""
+        """Rules for measuring the first positions again at the end of the measurements.
+
+        Held-out positions are not repeated.
+        """
         chosen = self.settings.temperature
         return RepeatRules(
             chosen.repeat_after_change_k, chosen.declared_change_k, chosen.repeat_positions, self.positions
         )
 
     def preparation_plan(self) -> Plan[PreparationResult]:
-        """Return the plan of the checks that precede all measurements: probe check, qualification and reversal."""
+        """Return the plan of the checks before all measurements: probe check, qualification and reversal test."""
         return prepare_probe(self.measuring_order, self.layout, self.rules, self.preparation)
 
     def verification_order(self, standing_at: int | None) -> MeasuringOrder:
-        """Return the measuring order of the held-out positions with the new table, starting at the station of the
-        artefact if held-out positions are measured there."""
+        """Return the order in which the held-out positions are measured with the new table.
+
+        `standing_at` is the station of the artefact. The order starts there if held-out positions are measured at this
+        station.
+        """
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         if not self.settings.procedure.optimise_order:
             return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
         return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
 
     def balls_of(self, measured: MeasuredPositions, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
-        """Return the balls of the held-out positions, or of all others if `held_out` is False, numbered as in
-        `artefact`. If `again` is True, the repeated measurement of the first ball of each position is included."""
+        """Return the measured balls of the held-out positions or, if `held_out` is False, of all other positions.
+
+        The balls are numbered as in `artefact`. If `again` is True, the repeated measurement of the first ball of each
+        position is included.
+        """
         kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
         return [
             replace(ball, ball=ball.ball + self.layout.first_ball(ball.station))
@@ -110,9 +124,10 @@ class Job:
 
 
 def prepare_job(settings: Settings, base: Path) -> Job:
-    """Load the files that the settings name and check that they are consistent. Raises ConfigurationError if not.
+    """Load the files that the settings name, check that they are consistent, and return the job.
 
-    `base`: folder to which the path of a position file is relative.
+    `base` is the folder to which the path of a position file is relative. Raises ConfigurationError if a file cannot be
+    used or if the files and settings are not consistent.
     """
     check_stations(settings)
     machine = load_machine(settings.machine)

@@ -1,5 +1,7 @@
-"""Comparison of the time model with a finished run. It gives predicted and observed times of the steps, and fitted
-latencies."""
+"""Comparison of the time model with a finished run.
+
+The comparison gives the predicted and the observed times of the steps, and fitted latencies.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,11 @@ _Angles: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class ObservedStep:
-    """Step of a finished run, with times in s. `motion_s` is the time of the motion alone, computed with the motion
-    law. `observed_s` is the time that the step took in the run."""
+    """Step of a finished run, with times in s.
+
+    `motion_s` is the time of the motion alone, computed with the motion law. `observed_s` is the whole time that the
+    step took in the run.
+    """
 
     kind: str
     motion_s: float
@@ -34,9 +39,13 @@ class ObservedStep:
 
 @dataclass(frozen=True)
 class StepKindTiming:
-    """Times of all steps of one kind, in seconds. `observed_s`, `predicted_s`: sums over the steps. `latency_s`,
-    `suggested_latency_s`: time of a step in excess of its motion (for an AskOperator step, its whole time), from the
-    settings and from the fit. `rest_s`: rms of the residuals with the fitted latency."""
+    """Times of all steps of one kind, in seconds.
+
+    `observed_s` and `predicted_s` are the sums of the observed and of the predicted times of the steps. `latency_s` is
+    the latency of one step in the settings, and `suggested_latency_s` is the fitted latency. The latency is the time of
+    a step minus the time of its motion; for an AskOperator step, it is the whole time. `rest_s` is the rms of the
+    residuals with the fitted latency.
+    """
 
     kind: str
     count: int
@@ -48,20 +57,21 @@ class StepKindTiming:
 
 
 def observed_steps(steps: Iterable[StepRow], model: TimeModel) -> list[ObservedStep]:
-    """Return the steps of a run with their times; positions of axes and mount are tracked through the steps.
+    """Return the steps of a run with their times.
 
-    A step that starts from an unknown position, or that did not end, is left out.
+    The positions of the axes and the angles of the mount are tracked from step to step. A step is left out if it starts
+    from an unknown position or did not end.
     """
     replay = _Replay(model)
     return [observed for step in steps if (observed := replay.observed(step)) is not None]
 
 
 def refit(model: TimeModel, observed: Sequence[ObservedStep]) -> TimeModel:
-    """Return `model` with a fitted latency for each kind of step that was observed. Motion times and all other
-    latencies are unchanged.
+    """Return a copy of `model` with a fitted latency for each kind of step in `observed`.
 
-    The latency of a step is its time minus the time of its motion, and the least-squares estimate of a constant is the
-    mean. A negative mean (the machine is faster than its file states) is set to zero.
+    Motion times and all other latencies are unchanged. The latency of a step is its time minus the time of its motion.
+    The fitted latency is the mean over the steps of one kind, which is the least-squares estimate of a constant. A
+    negative mean is replaced by zero; it occurs if the machine is faster than its file states.
     """
     return replace(
         model,
@@ -78,7 +88,7 @@ def _fitted(kind: str, given_s: float, observed: Sequence[ObservedStep]) -> floa
 
 
 def step_kind_timings(model: TimeModel, observed: Sequence[ObservedStep]) -> list[StepKindTiming]:
-    """Return predicted and observed times for every kind of step that was observed."""
+    """Return the predicted and the observed times for every kind of step in `observed`."""
     given, fitted = _latencies(model), _latencies(refit(model, observed))
     table = []
     for kind in KINDS:
@@ -89,7 +99,7 @@ def step_kind_timings(model: TimeModel, observed: Sequence[ObservedStep]) -> lis
 
 
 def suggested_settings(model: TimeModel) -> dict[str, float]:
-    """Return the latencies of `model` under their keys in the section `timing` of the settings."""
+    """Return the latencies of `model` by their keys in the section `timing` of the settings."""
     return {
         "command_latency_s": round(model.command_latency_s, 4),
         "touch_latency_s": round(model.touch_latency_s, 4),

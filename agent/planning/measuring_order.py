@@ -1,8 +1,9 @@
-"""Order of stations and positions that takes the least machine time, computed once before a run.
+"""Order of stations and positions that takes the least machine time. The order is computed once before a run.
 
-It depends only on the settings, so that a resumed run has the same order. The cost of a change of position is the time
-of the mount's turn plus the time of two paths: from the last ball to a point clear of the turning artefact, and from
-that point to the next ball. The cost of a change of station is the time to carry the artefact.
+The order depends only on the settings, so a resumed run has the same order. The cost of a change of position is the
+time of the mount's turn plus the time of two paths. The first path leads from the last ball to a point clear of the
+turning artefact, and the second leads from that point to the next ball. The cost of a change of station is the time to
+carry the artefact.
 """
 
 from __future__ import annotations
@@ -36,25 +37,36 @@ Angles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class OrderOptimiser:
-    """Optimiser of the order of positions in one layout. All plain paths between positions, by way of the retreat
-    plane, take about the same time, so if paths are plain, only the turns of the mount are counted."""
+    """Optimiser of the order of positions in one layout.
+
+    If paths are plain, only the turns of the mount are counted. Plain paths lead by way of the retreat plane, and all
+    of them take about the same time.
+    """
 
     layout: MeasuringLayout
     rules: PositionRules
     times: TimeModel
 
     def stations(self, listed: Sequence[int], standing_at: int | None, last_at: Sequence[int]) -> tuple[int, ...]:
-        """Return `listed` in the order that starts at the artefact's station and needs the fewest carries.
+        """Return the stations `listed` in the order in which the artefact has to be carried least often.
 
-        Carries to the stations `last_at`, which are measured next, are counted too. Ties are decided by the distance
-        along X, then by the listed order."""
+        The order starts at the station `standing_at`, where the artefact stands. The stations `last_at` are measured
+        afterwards, and the carries to them are counted too. If two orders need the same number of carries, the order
+        with the shorter distance along X is chosen, then the listed order.
+
+        If there are more than `MAX_PERMUTED_STATIONS` stations, the station `standing_at` comes first and the others
+        follow as listed.
+        """
         if len(listed) > MAX_PERMUTED_STATIONS:
             return (*(s for s in listed if s == standing_at), *(s for s in listed if s != standing_at))
         return min(permutations(listed), key=lambda order: self._carrying(order, standing_at, last_at))
 
     def positions(self, positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
-        """Return the positions station by station. At each station they are in the fastest order that starts from the
-        previous angles of the mount; positions with too few balls within reach come last."""
+        """Return the positions in the order of `stations`, with all positions of a station together.
+
+        At each station, the positions are in the fastest order that starts from the previous angles of the mount.
+        Positions with too few balls within reach come last.
+        """
         angles, done = AT_REST_DEG, list[Position]()
         for station in stations:
             here = [position for position in positions if position.station == station]

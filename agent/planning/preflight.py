@@ -1,6 +1,7 @@
-"""Preflight: execution of the complete plan on the simulated machine in virtual time, before the real machine moves.
+"""Preflight, which executes the complete plan on a simulated machine before the real machine moves.
 
-The simulated machine moves like the real one; `agent.planning.time_model` adds the latencies of its commands.
+The simulation runs in virtual time. The simulated machine moves like the real machine, and `agent.planning.time_model`
+adds the latencies of the commands.
 """
 
 from __future__ import annotations
@@ -28,8 +29,12 @@ and the measurements that verify the new table."""
 
 @dataclass(frozen=True)
 class PreflightResult:
-    """Result of a simulated run. `timeline`: step key → machine time in s at the end of that step; `steps`: steps that
-    take time, in order; `machine_seconds`: simulated time; `wall_seconds`: computing time."""
+    """Result of a preflight.
+
+    `timeline` maps the key of each step to the machine time in s at the end of the step. `steps` contains the steps
+    that take time, in order. `machine_seconds` is the simulated time of the whole plan, and `wall_seconds` is the time
+    of the computation.
+    """
 
     measured: MeasuredPositions
     verified: MeasuredPositions
@@ -45,7 +50,7 @@ class PreflightResult:
 
 
 def never_interrupted() -> None:
-    """Do nothing; the default callback of a preflight that cannot be interrupted."""
+    """Do nothing. This is the default callback of a preflight that cannot be interrupted."""
 
 
 def run_preflight(
@@ -54,11 +59,14 @@ def run_preflight(
     procedure: Procedure | None = None,
     watch: Callable[[], None] = never_interrupted,
 ) -> PreflightResult:
-    """Run the whole procedure, by default that of a calibration, on a simulated machine without errors.
+    """Execute the plan of a whole run on a simulated machine without errors.
 
-    `start_mm`: axis positions of the real machine; if None, the simulated machine starts at its own initial positions.
-    `watch` is called at every step. Raises PlanRefused with the step and, for a collision, the two bodies;
-    ConfigurationError if no held-out position can be measured; and the errors raised by `watch`.
+    `start_mm` contains the axis positions of the real machine in mm. If `start_mm` is None, the simulated machine
+    starts at its own initial positions. `procedure` returns the plan; by default, it is the plan of a calibration.
+    `watch` is called after every step.
+
+    Raises PlanRefused, which names the step and, for a collision, the two bodies. Raises ConfigurationError if no
+    held-out position can be measured. Errors raised by `watch` are passed on.
     """
     plan = (procedure or whole_procedure)(job)
     began = wall_seconds()
@@ -121,8 +129,11 @@ def _require_proof(verified: MeasuredPositions) -> None:
 
 
 def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-    """Return the plan of a calibration: prepare the probe, measure the set and the held-out positions, and measure the
-    held-out positions again."""
+    """Return the plan of a calibration, which has three parts.
+
+    The plan prepares the probe, measures the position set and the held-out positions, and then measures the held-out
+    positions again as with the new table.
+    """
     prepared = yield from job.preparation_plan()
     order = replace(job.measuring_order, standing_at=prepared.standing_at)
     measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.repeat_rules)

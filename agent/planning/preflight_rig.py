@@ -1,4 +1,4 @@
-"""Rig of the preflight, in which one simulated device has every role."""
+"""Rig of the preflight, in which one simulated device has all roles."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from drivers.roles import CompensationStore, Machine, Operator, Probe, Thermomet
 
 
 def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None) -> Rig:
-    """Return a rig in which one device of the plugin named by `preflight.driver` has every role.
+    """Return a rig in which one simulated device has all roles.
 
-    The device has the files and geometry of the machine but no errors, because a preflight checks only the procedure.
+    The setting `preflight.driver` names the driver of this device. The device has the files and the geometry of the
+    machine but no errors, because a preflight checks only the procedure.
     """
     settings = job.settings
     options: dict[str, object] = {

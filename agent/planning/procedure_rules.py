@@ -1,4 +1,4 @@
-"""Rules of the procedure, built from the settings: probing, checks before a run, layout and safe paths."""
+"""Rules of the procedure, derived from the settings: probing, checks before a run, layout and safe paths."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from twin.units import MM_PER_UM
 
 
 def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefact) -> ProbingParameters:
-    """Return the probing parameters, with the same approach vectors for every ball."""
+    """Return the probing parameters. Every ball is touched from the same directions."""
     return ProbingParameters(
         directions=approach_directions(chosen.touches_per_ball, STYLUS_AXIS),
         stylus_axis=STYLUS_AXIS,
@@ -57,8 +57,10 @@ def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefa
 def preparation_of(
     settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: ProbingParameters
 ) -> Preparation:
-    """Return the checks before a run. Raises ConfigurationError if the artefact does not have the configured datum
-    ball."""
+    """Return the checks that precede a run.
+
+    Raises ConfigurationError if the artefact does not have the ball that the settings name as datum ball.
+    """
     _refuse_unknown_datum(settings.qualification, artefacts.kind)
     check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
     dense = replace(probing, directions=ring_directions(QUALIFYING_RINGS, STYLUS_AXIS))
@@ -89,8 +91,11 @@ def _refuse_unknown_datum(qualification: QualificationSettings, artefact: Artefa
 def layout_of(
     settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: ProbingParameters
 ) -> MeasuringLayout:
-    """Return the measuring layout. Its limits are the axes' travel, reduced by the travel that the touch pattern of
-    `probing` needs around a ball."""
+    """Return the measuring layout.
+
+    The limits of the layout are the travel of the axes, reduced by the travel that the touch pattern of `probing` needs
+    around a ball.
+    """
     travel = np.array(machine.limits)
     below, above = probing.required_travel_mm
     return MeasuringLayout(
@@ -115,8 +120,11 @@ def layout_of(
 def retreat_of(
     stations: StationSettings, procedure: ProcedureSettings, timing: TimingSettings, machine: MachineDescription
 ) -> Retreat:
-    """Return the retreat plane, a park location within the travel beside each station, and the path rules. Raises
-    ConfigurationError if there is no room for a park location."""
+    """Return the retreat plane, a park location beside each station, and the rules of the paths.
+
+    Each park location is within the travel of the axes. Raises ConfigurationError if there is no room for a park
+    location.
+    """
     (x_low, x_high), (y_low, _), _ = machine.limits
     park = {}
     for number, (x, _, _) in enumerate(stations.places_mm, start=1):
@@ -133,8 +141,10 @@ def retreat_of(
 
 
 def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> FreePathRules:
-    """Return the rules of free paths. They have the same dynamics and command latency as the computation of machine
-    time."""
+    """Return the rules of free paths.
+
+    The rules use the same dynamics and the same command latency as the computation of machine time.
+    """
     times = time_model(machine, timing)
     travel = np.array(machine.limits)
     return FreePathRules(

@@ -1,5 +1,7 @@
-"""Safety rules for every measuring plan. The preflight checks them at each step, even if the simulated machine would
-permit more."""
+"""Safety rules that apply to every measuring plan.
+
+The preflight checks the rules at each step, because the simulated machine may permit more than they do.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,11 @@ SECONDS_A_MINUTE = 60.0
 def checked_plan(
     plan: s.Plan[T], procedure: ProcedureSettings, stations: StationSettings, *, carried: bool
 ) -> s.Plan[T]:
-    """Return a plan with the steps and the result of `plan` that checks each step before it is executed. The plan
-    raises PlanRefused with the step's key if a step breaks a rule.
+    """Return a plan that yields the steps of `plan` and checks each step before it is executed.
 
-    `carried`: True if one mount and its artefact are carried from station to station.
+    The result of the returned plan is the result of `plan`. If a step breaks a safety rule, the returned plan raises
+    PlanRefused with the key of the step. `carried` is True if one mount and its artefact are carried from station to
+    station.
     """
     fastest = max(procedure.touch_feed_mm_per_min, procedure.first_touch_feed_mm_per_min) / SECONDS_A_MINUTE
     rules = _Rules(fastest, len(stations.places_mm), carried, stations.standing_at)

@@ -1,5 +1,8 @@
-"""Mounts and artefacts at the stations. Either one mount is carried, or each station has a mount, or each station has
-both a mount and an artefact."""
+"""Mounts and artefacts at the stations.
+
+There are three arrangements: one mount is carried from station to station, or each station has its own mount, or each
+station has both its own mount and its own artefact.
+"""
 
 from __future__ import annotations
 
@@ -24,21 +27,29 @@ from twin.collision.neighbour_stations import neighbour_bodies
 
 @dataclass(frozen=True, eq=False)
 class Artefacts:
-    """Artefacts of a run. `all` joins the balls of all artefacts into one artefact, numbered as in an estimate. `own`
-    maps each station to the artefact that always stands there; it is empty if one artefact is carried."""
+    """Artefacts of a run.
+
+    `all` is one artefact with the balls of all artefacts, numbered as in an estimate. `own` maps each station to the
+    artefact that always stands there; it is empty if one artefact is carried.
+    """
 
     all: Artefact
     own: Mapping[int, Artefact] = field(default_factory=dict)
 
     @property
     def kind(self) -> Artefact:
-        """One of the artefacts, as an example; all have the same number of balls of the same size."""
+        """One of the artefacts, which represents all of them.
+
+        All artefacts have the same number of balls of the same size.
+        """
         return self.own.get(1, self.all)
 
 
 def load_artefacts(artefact: Path, stations: StationSettings) -> Artefacts:
-    """Read the file `artefact`, or the files of the artefacts at the stations. Raises ConfigurationError if they cannot
-    be combined."""
+    """Read the file `artefact`, or the files of the artefacts at the stations if the settings name them.
+
+    Raises ConfigurationError if the artefacts cannot be combined.
+    """
     if stations.artefacts is None:
         return Artefacts(load_artefact(artefact))
     own = {number: load_artefact(path) for number, path in enumerate(stations.artefacts, start=1)}
@@ -47,7 +58,7 @@ def load_artefacts(artefact: Path, stations: StationSettings) -> Artefacts:
 
 
 def station_change(roles: RoleSettings, stations: StationSettings) -> StationChange:
-    """Return the rules for the change from station to station."""
+    """Return the rules for the change from one station to another."""
     if isinstance(roles.mount, str):
         return StationChange()
     carried = CarriedItem.ARTEFACT if stations.artefacts is None else CarriedItem.NOTHING
@@ -57,8 +68,10 @@ def station_change(roles: RoleSettings, stations: StationSettings) -> StationCha
 def bodies_around(
     mount: MountGeometry, stations: StationSettings, change: StationChange, artefacts: Artefacts
 ) -> Mapping[int, tuple[Body, ...]]:
-    """Return station → bodies of the mounts and artefacts at the other stations, which the probe must avoid; empty if
-    the mount is carried."""
+    """Return a mapping from each station to the bodies of the mounts and artefacts at the other stations.
+
+    The probe must avoid these bodies. The mapping is empty if the mount is carried.
+    """
     if not change.own_mounts:
         return {}
     places = {number: np.array(place) for number, place in enumerate(stations.places_mm, start=1)}
@@ -66,7 +79,10 @@ def bodies_around(
 
 
 def check_stations(settings: Settings) -> None:
-    """Raise ConfigurationError with the key if the settings of mounts and artefacts contradict each other."""
+    """Check the settings of mounts and artefacts.
+
+    Raises ConfigurationError, which names the key, if the settings contradict each other.
+    """
     named = settings.roles.mount
     if isinstance(named, str):
         if settings.stations.artefacts is not None:

@@ -1,1 +1,4 @@
-"""Design of a position set for a job, with its machine minutes and its valuation (`volcal design`)."""
+"""Design of a position set for a job (`volcal design`).
+
+The design includes the machine minutes and the valuation of the set.
+"""

@@ -1,5 +1,8 @@
-"""Variants of the ball bar of a case. A variant has another number of balls or another tilt of the ball holders; all
-other properties are those of the certificate."""
+"""Variants of the ball bar of a job.
+
+A variant has another number of balls or another tilt of the ball holders. All other properties are those of the
+certificate.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,11 @@ _ALIKE_MM = 1.0  # largest deviation of a calibrated centre from the drawing
 
 @dataclass(frozen=True, eq=False)
 class Bar:
-    """Ball bar. `certified` is the bar as described by its certificate, `length_mm` the distance between its end balls
-    along the bar, and `tilt_deg` the tilt of its ball holders."""
+    """Ball bar with its properties as described by its certificate.
+
+    `certified` is the artefact with the calibrated ball centres. `length_mm` is the distance between the two end balls
+    along the bar. `tilt_deg` is the tilt of the ball holders.
+    """
 
     certified: Artefact
     length_mm: float
@@ -25,8 +31,10 @@ class Bar:
 
     @classmethod
     def of(cls, artefact: Artefact) -> Bar:
-        """Return `artefact` as a bar. Raises DataError if it is not a bar of equally spaced balls on alternately tilted
-        holders."""
+        """Return `artefact` as a bar.
+
+        Raises DataError if the artefact does not consist of equally spaced balls on alternately tilted holders.
+        """
         along = artefact.balls[:, 0]
         length_mm = float(np.ptp(along))
         holder_mm = artefact.holder_length_mm
@@ -49,8 +57,10 @@ class Bar:
         return float(np.sqrt(np.diagonal(self.certified.covariance).mean()))
 
     def with_(self, balls: int | None = None, tilt_deg: float | None = None) -> Artefact:
-        """Return a nominal bar of the same length with another number of balls or another tilt of the holders. If an
-        argument is None, the value of the certified bar is used."""
+        """Return a nominal bar of the same length with `balls` balls and with holders tilted by `tilt_deg`.
+
+        If an argument is None, the value of the certified bar is used.
+        """
         count = self.certified.count if balls is None else balls
         tilt = self.tilt_deg if tilt_deg is None else tilt_deg
         artefact = self.certified

@@ -1,4 +1,4 @@
-"""Comparison of the designs for several measuring variants. The design that meets the goal best is marked."""
+"""Comparison of designs for several measuring variants. The design that meets the goal best is marked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from twin.design.goals import Goal, TargetErrorGoal
 
 @dataclass(frozen=True, eq=False)
 class VariantDesign:
-    """Design of one variant. `design` is None if the goal cannot be reached with this variant; `reason` states why."""
+    """Design of one variant.
+
+    If the goal cannot be reached with this variant, `design` is None and `reason` states the cause.
+    """
 
     variant: Variant
     design: DesignResult | None
@@ -23,7 +26,7 @@ class VariantDesign:
 
     @property
     def result(self) -> DesignResult:
-        """Design of this variant. Raises ValueError with `reason` if `design` is None."""
+        """Design of this variant. Access raises ValueError with the text `reason` if `design` is None."""
         if self.design is None:
             raise ValueError(self.reason)
         return self.design
@@ -32,8 +35,11 @@ class VariantDesign:
 def compare_variants(
     variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say
 ) -> list[VariantDesign]:
-    """Return a design for each variant, and mark the best one. If no variant reaches the goal, the error of the first
-    variant is raised."""
+    """Return a design for each variant, and mark the best one.
+
+    If the goal is a target error, the design that takes the least time is the best. For any other goal, the design with
+    the smallest expected VCE is the best. If no variant reaches the goal, the error of the first variant is raised.
+    """
     choices: list[VariantDesign] = []
     errors: list[UserError] = []
     for variant in variants:

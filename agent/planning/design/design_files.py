@@ -18,15 +18,19 @@ FIGURE_SIZE_IN = (7.0, 4.2)
 
 
 def check_target(path: Path) -> None:
-    """Raise InputError if `calibrate` would not accept the file name as that of a position file."""
+    """Raise InputError if the name of `path` does not end in ``.csv``.
+
+    `volcal calibrate` would not accept such a file as a position set.
+    """
     if path.suffix != ".csv":
         raise InputError("a position set is written as CSV", hint=f"call it {path.stem}.csv", key="--out")
 
 
 def write_design(found: DesignResult, rivals: Sequence[ReferenceSet], path: Path) -> list[Path]:
-    """Write all files into the folder of `path`, or none of them. Return their paths, those of the position sets first.
+    """Write all files of a design into the folder of `path`, or none of them.
 
-    There is one position file for each tool, because a run uses one tool. The sets `rivals` are drawn for comparison.
+    Return the paths of the files, with the position sets first. There is one position file for each tool, because a run
+    uses one tool. The sets `rivals` are drawn in the figure for comparison.
     """
     contents: dict[str, str | bytes] = {}
     by_tool = list(found.problem.by_tool(found.positions))

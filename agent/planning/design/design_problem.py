@@ -24,9 +24,13 @@ _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost car
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """Design problem. `jobs`: tool → job with that tool, the tool of the settings first. `grid_deg`: spacing of the
-    orientations. `refused`: positions refused by a preflight. `feasibility`: tool → feasibility check; the checks stay
-    valid if further positions are refused."""
+    """Design problem: candidate positions, their cost and their feasibility.
+
+    `jobs` maps the name of each tool to the job with that tool; the tool of the settings is the first. `grid_deg` is
+    the spacing of the candidate orientations in degrees. `refused` contains the positions that a preflight has refused.
+    `feasibility` maps the name of a tool to the feasibility check with that tool; the checks remain valid if further
+    positions are refused.
+    """
 
     jobs: Mapping[str, Job]
     grid_deg: float
@@ -39,8 +43,10 @@ class DesignProblem:
 
     @property
     def options(self) -> Options:
-        """Options of the identification whose expected VCE is minimised. It uses ball centres, and all uncertainties as
-        stated in the files."""
+        """Options of the identification whose expected VCE is minimised.
+
+        The identification uses ball centres and takes all uncertainties as stated in the files.
+        """
         return Options(estimate_scales=False, outliers="none")
 
     @property
@@ -60,8 +66,11 @@ class DesignProblem:
 
     @cached_property
     def candidates(self) -> CandidatePositions:
-        """Candidate positions of the grid, each with its information about the error field. Raises TwinError if none is
-        within reach."""
+        """Candidate positions, and the information about the error field that a measurement of each position would
+        give.
+
+        Raises TwinError if no candidate is within reach.
+        """
         job = self.job
         grid = evaluation_grid(job.machine.model.ranges_mm)
         offered = [position for position in self._offered() if position not in self.refused]
@@ -75,7 +84,7 @@ class DesignProblem:
         )
 
     def passes(self, position: Position) -> bool:
-        """Return whether `position` can be measured without a collision."""
+        """Return True if `position` can be measured without a collision."""
         return not self.feasibility_of(position).hit(position)
 
     def prices(self, candidates: CandidatePositions) -> MeasuringCosts:
@@ -90,7 +99,10 @@ class DesignProblem:
         )
 
     def in_order(self, chosen: Sequence[Position]) -> tuple[Position, ...]:
-        """Return the positions tool by tool and station by station, ordered for small turns of the mount."""
+        """Return the positions sorted by tool, then by station.
+
+        The positions at one station are ordered for small turns of the mount.
+        """
         ordered: list[Position] = []
         for name in self.jobs:
             tool = None if name == self.job.settings.tool else name
@@ -100,8 +112,10 @@ class DesignProblem:
         return tuple(ordered)
 
     def by_tool(self, chosen: Sequence[Position]) -> Iterator[tuple[Job, tuple[Position, ...]]]:
-        """Yield the job of each tool in use, and the positions measured with that tool. The yielded positions name no
-        tool, because the job names it."""
+        """Yield the job of each tool in use, together with the positions measured with that tool.
+
+        The yielded positions name no tool, because the job names it.
+        """
         for name, job in self.jobs.items():
             tool = None if name == self.job.settings.tool else name
             own = tuple(replace(position, tool=None) for position in chosen if position.tool == tool)
@@ -109,7 +123,10 @@ class DesignProblem:
                 yield job, own
 
     def minutes(self, chosen: Sequence[Position]) -> float:
-        """Return the machine minutes of the whole set in the given order, computed from the plan of the run."""
+        """Return the machine minutes of all positions `chosen`, measured in the given order.
+
+        The time is computed from the plan of the run.
+        """
         return sum(machine_minutes(job, own).total for job, own in self.by_tool(chosen))
 
     def _offered(self) -> Iterator[Position]:

@@ -1,5 +1,7 @@
-"""Finished design. Its positions are selected, put in measuring order, timed with the plan of the run, and checked by a
-preflight."""
+"""Finished design of a position set.
+
+The positions are selected, put in measuring order, timed with the plan of the run, and checked by a preflight.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,13 @@ _MARGIN = 1.3  # factor on the excess over a slot, so that one more search usual
 
 @dataclass(frozen=True, eq=False)
 class DesignResult:
-    """Finished design. `chosen`: indices of the selected candidates of `problem`; `positions`: the same positions in
-    measuring order; `minutes`: machine time computed from the plan of the run; `held_out`: positions for verification,
-    if requested; `preflight_passed`: True if a preflight ran and passed."""
+    """Finished design of a position set.
+
+    `chosen` contains the indices of the selected candidates of `problem`. `positions` contains the selected positions
+    in measuring order. `minutes` is the machine time in minutes, computed from the plan of the run. `held_out` contains
+    the positions for verification, if they were requested. `preflight_passed` is True if a preflight was carried out
+    and passed.
+    """
 
     problem: DesignProblem
     chosen: tuple[int, ...]
@@ -45,7 +51,7 @@ class DesignResult:
 
     @cached_property
     def front(self) -> tuple[FrontPoint, ...]:
-        """Pareto front of expected error against machine minutes."""
+        """Pareto front of the expected error against machine minutes."""
         return front_of(self.problem.search, self.chosen, self.minutes)
 
     @property
@@ -54,12 +60,13 @@ class DesignResult:
 
 
 def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
-    """Return the best set found for `goal`. If the preflight refuses a position, that position is excluded and the
-    search is repeated.
+    """Return the best position set found for `goal`.
 
-    If `verify` is true, held-out positions are selected too. `say` is called with the current activity. Raises
-    InputError if the goal cannot be reached, ConfigurationError if no position is within reach or every attempt is
-    refused.
+    If the preflight refuses a position, the position is excluded and the search is repeated. If `verify` is True,
+    held-out positions are selected too. `say` is called with the name of the current activity.
+
+    Raises InputError if the goal cannot be reached. Raises ConfigurationError if no position is within reach or if
+    every attempt is refused. Raises PlanRefused if the preflight refuses a step that belongs to no selected position.
     """
     for _ in range(_MAX_ATTEMPTS):
         say("candidates")

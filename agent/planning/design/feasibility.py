@@ -1,7 +1,8 @@
-"""Feasibility of a position: whether its plan is free of collisions, and how many minutes it takes.
+"""Feasibility of a position: freedom of its plan from collisions, and the minutes that its measurement takes.
 
-The preflight simulates the physics of the finished set. A search evaluates hundreds of positions, so here only the
-straight moves of the plan are checked against the nominal bodies, which takes milliseconds per position.
+A search evaluates hundreds of positions. This module therefore checks only the straight moves of the plan against the
+nominal bodies, which takes milliseconds per position. The finished set is checked by a preflight, which simulates the
+physics.
 """
 
 from __future__ import annotations
@@ -34,22 +35,28 @@ _Key = tuple[float, float, float, float, float, bytes]
 
 @dataclass(frozen=True, eq=False)
 class FeasibilityCheck:
-    """Feasibility check of the positions of a job. Results are cached, because a result at one station also holds at
-    every station with the same Y, Z, distance to the park location and balls within reach."""
+    """Feasibility check of the positions of a job.
+
+    Results are cached. The result for an orientation at one station is used at other stations too if they have the same
+    Y, the same Z, the same distance to the park location and the same balls within reach.
+    """
 
     job: Job
     _minutes: dict[_Key, float] = field(default_factory=dict, init=False, repr=False)
     _hits: dict[_Key, str] = field(default_factory=dict, init=False, repr=False)
 
     def minutes(self, position: Position) -> float:
-        """Return the machine minutes of `position` if the mount already stands at its station."""
+        """Return the machine minutes of `position`, if the artefact already stands at the station of the position."""
         key = self._key(position)
         if key not in self._minutes:
             self._minutes[key] = position_minutes(self.job, position)
         return self._minutes[key]
 
     def hit(self, position: Position) -> str:
-        """Return the names of the two bodies of the first collision, as text; empty if there is none."""
+        """Return a text that names the two bodies of the first collision in the plan of `position`.
+
+        The text is empty if there is no collision.
+        """
         key = self._key(position)
         if key not in self._hits:
             self._hits[key] = self._first_hit(position)

@@ -1,4 +1,7 @@
-"""Figure of the Pareto front: expected VCE against machine minutes, with the design and reference sets."""
+"""Figure of the Pareto front of expected VCE against machine minutes.
+
+The figure also shows the design and the reference sets.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from agent.planning.design.pareto_front import FrontPoint
 
 @dataclass(frozen=True)
 class ReferenceSet:
-    """Existing position set for comparison, such as the set of the settings."""
+    """Existing position set that is compared with a design, such as the position set of the settings."""
 
     name: str
     minutes: float
@@ -21,7 +24,7 @@ class ReferenceSet:
 
 
 def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[ReferenceSet]) -> None:
-    """Draw the front, the design and the reference sets `rivals` on an empty figure in the house style."""
+    """Draw the Pareto front, the design and the reference sets `rivals` on an empty figure in the house style."""
     axes = figure.subplots()
     best = [point for point in points if point.best]
     axes.plot([p.minutes for p in best], [p.vce_um for p in best], "-o", color=BLUE, label="Pareto front of the design")

@@ -18,8 +18,11 @@ FURTHEST = 24
 
 @dataclass(frozen=True)
 class FrontPoint:
-    """Evaluated set. `valuation` is in percent. `best` is True if no faster set is as good. `design` is True for the
-    requested design."""
+    """Evaluated set of positions, drawn as one point of the Pareto front.
+
+    `valuation` is the expected reduction of the volumetric error in percent. `best` is True if every faster set has a
+    larger expected VCE. `design` is True for the set that is the requested design.
+    """
 
     positions: int
     minutes: float
@@ -30,8 +33,11 @@ class FrontPoint:
 
 
 def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> tuple[FrontPoint, ...]:
-    """Return the evaluated sets, sorted by machine minutes. Each set adds to the one before it the position with the
-    largest gain per minute. The design, with the positions `chosen` and the time `minutes`, is included."""
+    """Return the evaluated sets and the requested design, sorted by machine minutes.
+
+    The evaluated sets grow one position at a time: each set adds to the previous set the position with the largest gain
+    per minute. The design consists of the candidates with the indices `chosen` and takes `minutes`.
+    """
     candidates = search.candidates
     before = candidates.vce([]).aligned_um
     furthest = max(FURTHEST, len(chosen))

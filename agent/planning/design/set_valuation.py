@@ -1,4 +1,4 @@
-"""Valuation of any set of positions without a measurement."""
+"""Valuation of any set of positions before it is measured."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from twin.machine.volumetric import evaluation_grid
 
 
 def valuation_of(job: Job, positions: Sequence[Position]) -> Valuation:
-    """Return the valuation of `positions`, if they are measured with the rules of `job`, and the machine is identified
-    from ball centres with the prior.
+    """Return the valuation of `positions`, which contains the expected VE before and after compensation.
 
-    Raises ConfigurationError if none of the positions is within reach.
+    The valuation assumes that the positions are measured with the rules of `job`, and that the machine is identified
+    from ball centres with the prior. Raises ConfigurationError if none of the positions is within reach.
     """
     with translated(ConfigurationError, key="procedure.position_set"):
         return valuation(

@@ -1,5 +1,8 @@
-"""Measuring variants that differ from the settings in touches per ball, number of balls, tilt of the holders or
-tools."""
+"""Measuring variants that differ from the settings in the procedure or the equipment.
+
+A variant may have another number of touches per ball, another number of balls, another tilt of the ball holders, or
+other tools.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,12 @@ from twin.artefact.artefact import Artefact
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """Measuring variant. `jobs`: tool → job. `made_up` is True if the artefact is a nominal bar instead of the artefact
-    of the settings. `theta_deg` is the tilt of the ball holders of that bar, or None if `made_up` is False."""
+    """Measuring variant.
+
+    `jobs` maps the name of each tool to the job with that tool. `made_up` is True if a nominal bar replaces the
+    artefact of the settings. `theta_deg` is the tilt of the ball holders of the nominal bar in degrees; it is None if
+    `made_up` is False.
+    """
 
     touches: int
     balls: int
@@ -36,10 +43,11 @@ def variants_of(
     balls: Sequence[int] = (),
     thetas_deg: Sequence[float] = (),
 ) -> list[Variant]:
-    """Return the variants for all combinations of the given choices; if a choice is omitted, the value of the job is
-    used.
+    """Return the variants for all combinations of the given choices.
 
-    Raises ConfigurationError for an unknown tool, or for an artefact whose balls or tilt cannot be changed."""
+    If a choice is omitted, the value of `job` is used. Raises ConfigurationError if a tool is unknown, or if the balls
+    or the tilt of the artefact cannot be changed.
+    """
     made_up = bool(balls or thetas_deg)
     with translated(ConfigurationError, file=str(job.settings.artefact)):
         bar = Bar.of(job.artefact) if made_up else None

@@ -1,2 +1,4 @@
-"""Preview of a plan before anything moves: a picture, and an interactive page on which a user steps through the
-positions."""
+"""Preview of a plan before anything moves.
+
+The preview consists of a picture and of an interactive page on which a user steps through the positions.
+"""

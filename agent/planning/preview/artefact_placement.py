@@ -1,4 +1,7 @@
-"""Artefact in one position, with its bodies. For each ball that the probe cannot measure, the reason is given."""
+"""Artefact in one position, with the bodies of artefact and mount.
+
+For each ball that the probe cannot measure, the reason is given.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +35,10 @@ def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> Ar
 
 
 def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
-    """Return the bodies of artefact and mount in `position`, the table and the neighbouring bodies; the mount is at its
-    nominal location."""
+    """Return the bodies of artefact and mount in `position`, the table and the bodies at neighbouring stations.
+
+    The mount is at its nominal location.
+    """
     place = job.layout.location(position.station)
     pose = _pose(job, position, place)
     geometry = job.layout.mount
@@ -43,7 +48,10 @@ def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
 
 
 def obstruction_of(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
-    """Return the reason why the probe cannot measure ball `number`, whose axis positions are `axes_mm` (3,)."""
+    """Return the reason why the probe cannot measure the ball with the number `number`.
+
+    `axes_mm` contains the axis positions of the ball in mm, shape (3,).
+    """
     layout = job.layout
     ends = zip("XYZ", axes_mm.tolist(), layout.lower_mm.tolist(), layout.upper_mm.tolist(), strict=True)
     outside = [

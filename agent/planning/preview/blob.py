@@ -1,7 +1,8 @@
-"""Preview as one compact JSON text for the page, in integer tenths of a millimetre and hundredths of a second.
+"""Preview as one compact JSON text for the page. Lengths are in tenths of a millimetre and times in hundredths of a
+second, both as integers.
 
-The path is stored as differences between points, so that the text of ten thousand points is short. The differences are
-taken between rounded numbers, so that rounding errors do not add up.
+The path is stored as differences between consecutive points, because the text of ten thousand points is then short. The
+differences are taken between rounded values, so rounding errors do not add up.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ NO_BALL = -1
 
 
 def embedded(preview: Preview) -> str:
-    """Return the preview as JSON that can be embedded in a `<script>` element, because no text in it can end the
-    element."""
+    """Return the preview as JSON text that can be embedded in a `<script>` element.
+
+    The text contains no character ``<`` and therefore cannot end the element.
+    """
     text = json.dumps(document(preview), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c")
 

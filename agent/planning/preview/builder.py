@@ -23,9 +23,11 @@ MARGIN_MM = 200.0
 
 
 def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
-    """Return the preview of `job`. `refused` is the error with which the preflight refused the plan, or None if the
-    plan passed. `waypoints` is a path that is already computed; if None, the path of the whole calibration is
-    computed."""
+    """Return the preview of `job`.
+
+    `refused` is the error with which the preflight refused the plan, or None if the plan passed. `waypoints` is a path
+    that has already been computed. If `waypoints` is None, the path of the whole calibration is computed.
+    """
     if waypoints is None:
         waypoints = walk_waypoints(job, refused)
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))

@@ -1,4 +1,7 @@
-"""Preview as one picture: a view in space, and views to scale from above (XY) and along X (YZ)."""
+"""Preview as one picture with three views.
+
+One view is three-dimensional. The other two are views to scale: from above (XY) and along X (YZ).
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,10 @@ _EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4)
 
 
 def draw_png(preview: Preview) -> bytes:
-    """Return a PNG of the whole plan; the picture of a refused plan marks the two bodies that would collide."""
+    """Return a PNG image of the whole plan.
+
+    If the plan was refused because of a collision, the two bodies that would collide are marked.
+    """
     return picture("plan", lambda figure: _draw(figure, preview), SIZE_IN).png
 
 

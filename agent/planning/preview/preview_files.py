@@ -1,4 +1,7 @@
-"""Files of a preview: a picture, and a self-contained page that needs no network. Both are written, or neither."""
+"""Files of a preview: a picture, and a self-contained page that needs no network.
+
+Either both files are written, or neither of them.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +25,17 @@ PROGRAM = ("camera.js", "model.js", "shapes.js", "painting.js", "controls.js", "
 
 
 def write_preview(job: Job, folder: Path, refused: PlanRefused | None = None) -> list[Path]:
-    """Write the preview of `job` into `folder` and return the paths of its files. `refused`: error by which the
-    preflight refused the plan."""
+    """Write the preview of `job` into `folder` and return the paths of its files.
+
+    `refused` is the error with which the preflight refused the plan, or None if the plan passed.
+    """
     preview = preview_of(job, refused)
     write_all_atomically(folder, {PICTURE: draw_png(preview), PAGE: render_page(preview)})
     return [folder / PICTURE, folder / PAGE]
 
 
 def render_page(preview: Preview) -> str:
-    """Return the HTML text of a preview; the text depends only on `preview`."""
+    """Return the HTML text of the page that shows `preview`. The text depends only on `preview`."""
     environment = Environment(
         loader=PackageLoader("agent.planning.preview", package_path=""),
         autoescape=select_autoescape(["html"]),

@@ -17,8 +17,11 @@ from twin.collision.geometry import Point, point, translate_point
 
 
 def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], visit: int) -> Refusal:
-    """Return the refusal. `waypoints` are those up to the refused step, which is the last one. `visit` is the index of
-    the visit to which that step belongs."""
+    """Return the refusal of a plan as it is shown in the preview.
+
+    `refused` is the error raised by the preflight. `waypoints` contains the waypoints of the plan; the last one is that
+    of the refused step. `visit` is the index of the visit to which the refused step belongs.
+    """
     bodies: tuple[str, ...] = ()
     tip = translate_point(lower_end(job), point(job.tool_offset_mm))
     if waypoints:
@@ -34,7 +37,10 @@ def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], vi
 
 
 def named_in(message: str, moving: Sequence[Body], standing: Sequence[Body]) -> tuple[str, ...]:
-    """Return the names of the moving and the stationary body in `message`; empty unless it contains both."""
+    """Return the names of the moving body and of the stationary body that `message` contains.
+
+    The result is empty if `message` does not contain a name of both kinds.
+    """
     groups = [{body.name for body in group if _has(message, body.name)} for group in (moving, standing)]
     return tuple(max(names, key=len) for names in groups) if all(groups) else ()
 

@@ -1,6 +1,6 @@
-"""Contents of a preview as immutable values, without drawing or files.
+"""Contents of a preview as immutable values. This module neither draws nor uses files.
 
-Lengths are in mm, in the workpiece frame. The path is that of the stylus tip's centre.
+Lengths are in mm, in the workpiece frame. The path is that of the centre of the stylus tip.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ from twin.collision.geometry import Box, Point
 
 @dataclass(frozen=True)
 class PreviewBall:
-    """Ball of a preview. `obstruction`: reason why the probe cannot measure it; empty if it can."""
+    """Ball of a preview.
+
+    `obstruction` is the reason why the probe cannot measure the ball; it is empty if the ball can be measured.
+    """
 
     number: int
     centre_mm: Point
@@ -28,8 +31,11 @@ class PreviewBall:
 
 @dataclass(frozen=True)
 class ArtefactPlacement:
-    """Artefact in one position, with the mount that holds it. `bodies`: balls, posts, bar, shaft and pedestal, and
-    other stationary bodies except the table."""
+    """Artefact in one position, with the mount that holds it.
+
+    `bodies` contains the balls, posts and bar of the artefact, the shaft and pedestal of the mount, and all other
+    stationary bodies except the table.
+    """
 
     position: Position
     held_out: bool
@@ -43,10 +49,11 @@ class ArtefactPlacement:
 
 @dataclass(frozen=True)
 class Visit:
-    """One measurement of a position, or a position not measured. `placement`: index of the position's placement;
-    `first`, `end` (exclusive): range of its waypoints in the path.
+    """One measurement of a position, or a position that is not measured.
 
-    `note` is the reason why the position is not measured; it is empty if the position is measured.
+    `placement` is the index of the placement of the artefact in this position. The waypoints of the visit have the
+    indices from `first` to `end` in the path; `end` is exclusive. `note` is the reason why the position is not
+    measured; it is empty if the position is measured.
     """
 
     phase: str
@@ -58,8 +65,11 @@ class Visit:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """Point of the path. `ends_s` is the time at which the tip reaches the point. `ball` is the number of the ball
-    being measured. `touch` is True if the step is a touch."""
+    """Point of the path, reached at the end of a step.
+
+    `ends_s` is the time in s at which the tip reaches the point. `ball` is the number of the ball that is being
+    measured, or None. `touch` is True if the step is a touch.
+    """
 
     tip_mm: Point
     ends_s: float
@@ -69,8 +79,12 @@ class PathPoint:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Refusal by the preflight: message, step, names of the two colliding bodies, and tip centre at the collision.
-    `visit`: index of the visit to which the step belongs."""
+    """Refusal of a plan by the preflight.
+
+    `message` is the text of the refusal, and `step` is the key of the refused step. `bodies` contains the names of the
+    two colliding bodies; it is empty if they are not known. `tip_mm` is the tip centre at the collision. `visit` is the
+    index of the visit to which the step belongs.
+    """
 
     message: str
     step: str
@@ -81,8 +95,11 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Preview:
-    """Preview of a plan. `travel` is the travel of the tip, and `table` the drawn part of the table. `probe` has the
-    bodies of the probe, relative to the tip centre."""
+    """Preview of a plan.
+
+    `travel` is the box in which the tip centre can move, and `table` is the drawn part of the table. `probe` contains
+    the bodies of the probe, with coordinates relative to the tip centre.
+    """
 
     machine: str
     artefact: str
@@ -105,7 +122,10 @@ class Preview:
 
     @property
     def minutes(self) -> float:
-        """Machine time in minutes of the whole path. If the plan was refused, the path ends at the refusal."""
+        """Machine time of the whole path in minutes.
+
+        If the plan was refused, the path ends at the refusal.
+        """
         return self.path[-1].ends_s / 60.0 if self.path else 0.0
 
     @property

@@ -1,4 +1,4 @@
-"""Path of the stylus tip through the steps of a plan, executed on an ideal machine."""
+"""Path of the stylus tip through the steps of a plan. The plan is executed on an ideal machine."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ _BALL = re.compile(r"/ball-(\d+)")
 
 @dataclass(frozen=True)
 class Waypoint:
-    """State after a step. `tip_mm` is the tip centre in the workpiece frame, and `ends_s` the time in s since the start
-    of the plan. `standing` gives the station and the mount angles of the artefact."""
+    """State of the ideal machine after a step.
+
+    `tip_mm` is the tip centre in the workpiece frame. `ends_s` is the time in s since the start of the plan. `standing`
+    contains the station of the artefact and the angles of the mount.
+    """
 
     step: Step
     tip_mm: Point
@@ -44,9 +47,10 @@ class Waypoint:
 
 
 def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
-    """Return a waypoint for every step that moves something or takes time, in order.
+    """Return a waypoint for every step that moves or changes something, in the order of the steps.
 
-    The path of a refused plan ends at the refused step, or earlier if the plan stops earlier on the ideal machine.
+    The path of a refused plan ends at the refused step. It ends earlier if the ideal machine cannot carry out the plan
+    up to that step.
     """
     walker = _Walker(job)
     last = refused.where.get("step") if refused else None
@@ -56,8 +60,10 @@ def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoi
 
 
 def lower_end(job: Job) -> Point:
-    """Return the axis positions at the lower end of the travel. A plan is assumed to start there, as in the
-    preflight."""
+    """Return the axis positions at the lower end of the travel in mm.
+
+    The path of a plan is assumed to start there, as in the preflight.
+    """
     return point(low for low, _ in job.machine.limits)
 
 
