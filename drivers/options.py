@@ -1,4 +1,4 @@
-"""Options of a driver plugin: base class, and renamed keys."""
+"""Base class for the options of a driver plugin, and replacement of option keys that have been renamed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from pydantic import BaseModel, ConfigDict
 
 
 class DriverOptions(BaseModel):
-    """Base class of a driver's options and their sections. Instances are immutable; unknown keys are errors."""
+    """Base class for the options of a driver and for the sections of these options.
+
+    Instances are immutable. An unknown key is an error.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     former_keys: ClassVar[Mapping[str, str]] = {}
@@ -20,7 +23,10 @@ class DriverOptions(BaseModel):
 
 
 def rename_former_keys(options: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
-    """Return `options` with the former keys of `kind` and of its sections replaced by the current ones."""
+    """Return `options` with every former key replaced by its current name, including the keys of sections.
+
+    The options class `kind` and the classes of its sections state the former keys.
+    """
     former = _former_keys(kind)
     current = {former.get(name, name): value for name, value in options.items()}
     for name, value in current.items():
@@ -31,7 +37,7 @@ def rename_former_keys(options: Mapping[str, Any], kind: type[BaseModel]) -> dic
 
 
 def find_former_key(options: Mapping[str, Any], kind: type[BaseModel]) -> tuple[tuple[str, ...], str] | None:
-    """Return the path of the first former key in `options`, and the current key; None if there is none."""
+    """Return the path of the first former key in `options` and its current name, or None if there is no former key."""
     former = _former_keys(kind)
     for name, value in options.items():
         if name in former:

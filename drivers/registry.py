@@ -1,7 +1,7 @@
-"""Driver plugins, found by entry point: a name, a settings model and a factory.
+"""Driver plugins, which are found by their entry points.
 
-A third party adds a driver by a package with an entry point in the group ``volcal.drivers`` that refers to a
-`DriverPlugin`; volcal's own code need not change.
+A third party adds a driver by installing a package with an entry point in the group ``volcal.drivers``. The entry point
+refers to a `DriverPlugin`. volcal's own code need not change.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ ENTRY_POINT_GROUP = "volcal.drivers"
 
 @dataclass(frozen=True)
 class DeviceContext:
-    """Inputs to a driver besides its settings: configured name, clock, and the base directory of relative paths."""
+    """Inputs to a driver in addition to its settings.
+
+    They are the configured name of the device, the clock, and the base directory of relative paths.
+    """
 
     name: str
     clock: Clock
@@ -36,11 +39,12 @@ class DeviceContext:
 
 @dataclass(frozen=True)
 class DriverPlugin:
-    """Driver plugin. `create(settings, context)` returns a device that is not yet open.
+    """Name, settings model and device factory of a driver.
 
-    The device has every role whose Protocol in `drivers.roles` it implements. `claims(settings)` returns the resources
-    that no other device of the same machine may use: readable texts, each mapped to the option that claims it.
-    `several_mounts` is True if the device serves a mount at each station (`drivers.roles.MultiStationMount`).
+    `create(settings, context)` returns a device that is not yet open. The device has every role whose Protocol in
+    `drivers.roles` it implements. `claims(settings)` returns the resources that no other device of the same machine may
+    use. Each resource is a readable text and is mapped to the option that claims it. `several_mounts` is True if the
+    device serves a mount at each station (`drivers.roles.MultiStationMount`).
     """
 
     name: str
@@ -51,20 +55,21 @@ class DriverPlugin:
 
 
 def installed_plugins() -> list[str]:
-    """Return the names of the installed plugins in alphabetical order, without loading any."""
+    """Return the names of the installed plugins in alphabetical order, without loading the plugins."""
     return sorted(entry.name for entry in _entries())
 
 
 def create_device(driver: str, options: Mapping[str, object], context: DeviceContext) -> Device:
-    """Return the device that plugin `driver` creates from `options`; it is not open yet."""
+    """Create a device with the plugin `driver` from `options`, and return the device before it is opened."""
     plugin = _plugin(driver, context.name)
     return plugin.create(_validated(plugin, options, context.name), context)
 
 
 def check_options(driver: str, options: Mapping[str, object], name: str) -> Mapping[str, str]:
-    """Return the resources that the device claims exclusively, each with the option that claims it.
+    """Check the options of a device, and return the resources that only this device may use.
 
-    Raises ConfigurationError for an unknown driver or invalid options.
+    Each resource is mapped to the option that claims it. Raises ConfigurationError if the driver is unknown or an
+    option is invalid.
     """
     plugin = _plugin(driver, name)
     return plugin.claims(_validated(plugin, options, name))
@@ -73,7 +78,8 @@ def check_options(driver: str, options: Mapping[str, object], name: str) -> Mapp
 def current_options(driver: str, options: Mapping[str, object]) -> dict[str, object]:
     """Return `options`, which may come from an earlier version, with former keys replaced by the current ones.
 
-    If the driver cannot be loaded, the options are returned unchanged; the error is raised when the device is created.
+    If the driver cannot be loaded, the options are returned unchanged. The error is then raised when the device is
+    created.
     """
     try:
         plugin = _plugin(driver, driver)
@@ -83,7 +89,7 @@ def current_options(driver: str, options: Mapping[str, object]) -> dict[str, obj
 
 
 def has_several_mounts(driver: str, name: str) -> bool:
-    """Return True if one device of `driver` serves a mount at each station."""
+    """Return True if a single device of plugin `driver` serves a mount at each station."""
     return _plugin(driver, name).several_mounts
 
 

@@ -1,9 +1,9 @@
 """Device roles. A device implements one or more of them, and its callers depend only on the roles.
 
-Units: mm, mm/s, s, °C; mount angles in degrees. Axis positions are the displayed ones, in the order X, Y, Z.
-Every method may raise `DeviceError`. Every wait has a deadline inside the driver and sleeps on the clock passed to
-the driver. If an exception of any kind ends a wait, the driver first stops the motion that it started, then propagates
-the exception.
+Lengths are in mm, speeds in mm/s, times in s, temperatures in °C, and mount angles in degrees. Axis positions are the
+displayed ones, in the order X, Y, Z. Every method may raise `DeviceError`. Every wait has a deadline inside the driver
+and sleeps on the clock passed to the driver. If an exception of any kind ends a wait, the driver stops the motion that
+it started before the exception propagates.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ class AxisLimits:
 
 
 class Permission(Enum):
-    """Conditions for moving the machine (operating conditions of ISO 16090-1); values are the words for messages."""
+    """Conditions that must be met before the machine may move (operating conditions of ISO 16090-1).
+
+    The value of each member is the text for messages.
+    """
 
     AUTOMATIC = "controller in automatic mode"
     DOORS_CLOSED = "doors closed"
@@ -70,14 +73,17 @@ class ProbeStatus:
 
 @dataclass(frozen=True)
 class Touch:
-    """Result of a probe trip. `position_mm` is the position latched at the trip, not where the axes stopped."""
+    """Result of a touch that ended with a trip of the probe.
+
+    `position_mm` is the position latched at the trip, not the position at which the axes stopped.
+    """
 
     position_mm: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Miss:
-    """Probing move that reached its target without a trip: a result, not a fault."""
+    """Result of a touch that reached its target without a trip. A miss is not a fault."""
 
     position_mm: tuple[float, float, float]
 
@@ -101,8 +107,9 @@ class Activation(Enum):
 class TableImage:
     """Compensation table as stored in a controller: corrections added to the commanded position.
 
-    `counts` has shape (nx, ny, nz, 3), int32, x slowest; one count is `resolution_mm`. The grid nodes are at
-    `origin_mm + index * step_mm`, in displayed axis positions.
+    `counts` is an int32 array of shape (nx, ny, nz, 3): the numbers of grid nodes along x, y and z, and the three
+    components of a correction. One count is `resolution_mm`. The grid nodes are at `origin_mm + index * step_mm`, in
+    displayed axis positions.
     """
 
     origin_mm: tuple[float, float, float]
@@ -149,8 +156,8 @@ class Machine(Protocol):
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         """Move in a straight line to `target_mm` and return when the axes are in position.
 
-        A feed of None means rapid traverse. If the probe trips in a guarded move, the axes stop, and the method clears
-        the fault and raises `GuardTripped`, so the withdrawal can start at once.
+        A feed of None means rapid traverse. If the probe trips in a guarded move, the axes stop. The method then clears
+        the fault and raises `GuardTripped`, and the probe can be withdrawn at once.
         """
 
     def hold(self) -> None: ...
@@ -158,21 +165,24 @@ class Machine(Protocol):
     def resume(self) -> None: ...
 
     def reset(self) -> None:
-        """Clear a fault whose cause has been removed; does nothing if there is no fault. Moves nothing.
+        """Clear a fault whose cause has been removed, without moving an axis. Does nothing if there is no fault.
 
-        Raises CommandRejected while the cause persists.
+        Raises CommandRejected if the cause persists.
         """
 
     def stop(self) -> None:
-        """Stop motion now; idempotent, and safe to call in any state."""
+        """Stop all motion at once. The call is safe in any state and may be repeated."""
 
 
 @runtime_checkable
 class StepTracing(Protocol):
-    """Device that reports to the controller's own log which step of the procedure a motion belongs to."""
+    """Device that tells the controller to which step of the procedure each motion belongs.
+
+    The controller can then write the step to its own log.
+    """
 
     def trace(self, tag: int) -> None:
-        """Assign all further motions to the step with this tag, a 32-bit number other than 0."""
+        """Assign all further motions to the step with the number `tag`, which has 32 bits and is not 0."""
         ...
 
 
@@ -199,7 +209,7 @@ class RotaryMount(Protocol):
     def home(self) -> None: ...
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
-        """Turn, wait until both axes are in position and settled, and return the encoder angles."""
+        """Turn to the given angles, wait until both axes are in position and settled, and return the encoder angles."""
 
     def orientation(self) -> Orientation: ...
 
@@ -222,17 +232,17 @@ class CompensationStore(Protocol):
     def active_bank(self) -> int: ...
 
     def pending_bank(self) -> int | None:
-        """Return the bank that becomes active at the next reset, restart or referencing; None if there is none."""
+        """Return the bank that becomes active at the next reset, restart or referencing; None if no bank is pending."""
         ...
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the whole table after checking its CRC-32; None if the bank is empty."""
+        """Return the whole table of `bank` after checking its CRC-32, or None if the bank is empty."""
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Write a table to an inactive bank and commit it with its CRC-32. Raises StoreError for the active bank."""
+        """Write a table to an inactive bank and commit it with its CRC-32. Raises StoreError if the bank is active."""
 
     def activate(self, bank: int) -> None:
-        """Activate `bank` in two steps, arm and confirm; return once the controller reports it as active."""
+        """Activate `bank` in two steps, arm and confirm. Returns once the controller reports the bank as active."""
 
 
 @runtime_checkable
@@ -250,9 +260,10 @@ class OperatorTask(Enum):
 
 @dataclass(frozen=True)
 class OperatorRequest:
-    """Yes/no question to the operator; "done" counts as yes.
+    """Question to the operator, to be answered with yes or no. "Done" counts as yes.
 
-    `station` is the station that the task concerns, counted from 1; None if it concerns none.
+    `station` is the number of the station that the task concerns, counted from 1, or None if the task concerns no
+    station.
     """
 
     task: OperatorTask
@@ -262,7 +273,7 @@ class OperatorRequest:
 
 @runtime_checkable
 class Operator(Protocol):
-    """Person at the machine, reached through a console or a panel, or simulated."""
+    """Person at the machine, who is reached through a console or a panel. A program may simulate this person."""
 
     def ask(self, request: OperatorRequest) -> bool: ...
 
@@ -280,7 +291,7 @@ class Device(Protocol):
     """Interface of every device that a plugin creates, in addition to its roles."""
 
     def open(self) -> None:
-        """Connect and verify the identity of the peer; moves nothing."""
+        """Connect, and verify the identity of the connected equipment. Moves nothing."""
 
     def close(self) -> None: ...
 

@@ -1,6 +1,6 @@
 """Duration of a straight move, distance from its path, and limits along its direction.
 
-With the duration, a wait can sleep until just before the end of the move.
+A caller that knows the duration can sleep until just before the end of the move.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -
 
 
 def limit_along_direction(components: Sequence[float], per_axis: Sequence[float]) -> float:
-    """Return the largest speed or acceleration along a direction at which no axis exceeds its own limit.
+    """Return the largest speed or acceleration along a direction that keeps every axis within its own limit.
 
-    `components` are the absolute components |d_i| of the unit direction vector. The result is the minimum over the axes
-    of limit_i / |d_i|.
+    `components` are the absolute components |d_i| of the unit direction vector d. The result is the minimum of limit_i
+    / |d_i| over the axes i.
     """
     return min(limit / part for part, limit in zip(components, per_axis, strict=True) if part > 0.0)

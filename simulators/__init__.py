@@ -1,4 +1,7 @@
-"""Simulated machine: physics of a world that a clock advances, and protocol servers that handle only bytes."""
+"""Simulated machine: a world with physics that a clock advances, and protocol servers that give access to the world.
+
+The servers exchange only bytes with their clients.
+"""
 
 SIMULATE_HELP = "Run the simulated machine on real links until it is stopped."
 """Help line of `volcal simulate`. It is defined here because the list of commands imports only this package."""

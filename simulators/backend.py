@@ -1,7 +1,7 @@
-"""One device that plays all device roles with a simulated world in this process, for preflights and tests.
+"""One device that implements all device roles with a simulated world in this process. It serves preflights and tests.
 
-Sleeping on the given clock advances the world, exactly to the end of each motion; this instant is known when the motion
-begins.
+The end of each motion is known when the motion begins. The device sleeps exactly until this end on the given clock, and
+the sleep advances the world.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ MOTION_MARGIN_S = 60.0
 
 
 class SimulatedMachineDevice:
-    """Machine, probe, rotary mount, compensation store, thermometer and operator in one device."""
+    """Device that is machine, probe, rotary mount, compensation store, thermometer and operator at the same time."""
 
     def __init__(self, world: World, clock: Clock) -> None:
         self.world = world
@@ -48,9 +48,10 @@ class SimulatedMachineDevice:
     # ------------------------------------------------------------------ device
 
     def open(self) -> None:
-        """Connect to the clock.
+        """Connect the world to the clock.
 
-        A virtual clock advances the world; with any other clock, the world catches up before each answer.
+        A virtual clock advances the world with every sleep. With any other clock, the device advances the world to the
+        present time before each answer.
         """
         if isinstance(self._clock, VirtualClock) and not self._subscribed:
             self._clock.subscribe(self.world.advance_to)
@@ -128,7 +129,7 @@ class SimulatedMachineDevice:
         self.orient_to(0.0, 0.0)
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
-        """Turn the mount that holds the artefact, and return the angles read by the encoders afterwards."""
+        """Turn the mount that holds the artefact, and return the encoder angles after the motion, in degrees."""
         return self.turn(self.world.workpiece.mount, azimuth_deg, elevation_deg)
 
     def turn(self, mount: MountPhysics, azimuth_deg: float, elevation_deg: float) -> Orientation:
@@ -156,7 +157,7 @@ class SimulatedMachineDevice:
         return self._controller.active_bank
 
     def pending_bank(self) -> int | None:
-        """Return None: in this process an activation takes effect at once."""
+        """Return None, because an activation in this process takes effect at once."""
         return None
 
     def read_table(self, bank: int) -> TableImage | None:
@@ -179,7 +180,10 @@ class SimulatedMachineDevice:
         return self._controller.temperatures()
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Move the artefact if the request asks for it, and always return True (consent)."""
+        """Move the artefact if the request asks for a move, and return True for consent.
+
+        Returns False only if a request to move the artefact names no station.
+        """
         if request.task is OperatorTask.MOVE_ARTEFACT:
             if request.station is None:
                 return False

@@ -177,7 +177,9 @@ def simulate(
 
 @dataclass
 class Shutdown:
-    """Reason and exit code of the process end: a signal, closed standard input, or a failed server."""
+    """Reason for the end of the process, and its exit code. A reason is a signal, closed standard input or a failed
+    server.
+    """
 
     reason: str = ""
     exit_code: int = 0

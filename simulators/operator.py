@@ -31,7 +31,7 @@ class SimulatedOperatorSettings(DriverOptions):
 
 
 class SimulatedOperator:
-    """`drivers.roles.Operator` that fulfils and confirms every request at once."""
+    """Simulated person with the role `drivers.roles.Operator`, who fulfils and confirms every request at once."""
 
     def __init__(self, settings: SimulatedOperatorSettings, name: str) -> None:
         self._settings = settings
@@ -63,9 +63,9 @@ class SimulatedOperator:
         return [DiagnosticFinding(self._name, ok=True, text=text)]
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Place the artefact at the requested station, if any, and return True: consent is always given.
+        """Place the artefact at the requested station if the request names one, and return True for consent.
 
-        Raises CommandRejected if the simulator refuses, and LinkError if it does not answer.
+        Raises CommandRejected if the simulator refuses the request, and LinkError if the simulator does not answer.
         """
         if request.task is OperatorTask.MOVE_ARTEFACT:
             if request.station is None:

@@ -1,6 +1,7 @@
 """Plugin `simulated`: a machine in this process, for preflights and trials.
 
-The settings are either the path of a scenario file or the keys of a scenario; `ideal = true` removes all errors.
+The settings are either the path of a scenario file or the keys of a scenario. `ideal = true` removes all errors of the
+simulated machine.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ class SimulatedSettings(BaseModel):
         return self
 
     def world(self, base: Path) -> World:
-        """Return the world described by the settings; paths are relative to `base`."""
+        """Return the world that the settings describe. Relative paths in the settings are relative to the directory
+        `base`.
+        """
         if self._document is not None:
             return World(build_scenario(self._document, base))
         scenario = read_scenario(base / (self.scenario or Path()))

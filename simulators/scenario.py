@@ -1,7 +1,7 @@
-"""Scenario of a simulation: one TOML file, or the same keys inline. Unknown keys are refused.
+"""Scenario of a simulation, given as a TOML file or as the same keys in the settings. Unknown keys are refused.
 
-The name of a key includes its unit unless that is mm. If a section (`[truth]`, `[mount]`, …) is missing, its defaults
-apply. `ideal = true` removes every error, as for a preflight.
+The name of a key with a unit ends with the unit. If a section (`[truth]`, `[mount]`, …) is missing, its defaults apply.
+`ideal = true` removes every error, as for a preflight.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ Value = TypeVar("Value")
 
 
 class TruthSettings(StrictModel):
-    """True errors of the machine. `scale` multiplies the error amplitudes of the machine family."""
+    """Settings for the true errors of the simulated machine, which are drawn from the machine family.
+
+    `scale` multiplies the error amplitudes of the family.
+    """
 
     seed: int = Field(default=21, ge=0)
     legendre_order: int = Field(default=7, ge=0, le=20)
@@ -38,8 +41,10 @@ class TruthSettings(StrictModel):
 
 
 class ArtefactTruthSettings(StrictModel):
-    """Deviation of the bar from its certificate, in units of the standard uncertainties of the certificate and of
-    the CTE.
+    """Deviation of the true artefact from its certificate.
+
+    `certificate_error` is in units of the certificate's standard uncertainties, and `cte_error` is in units of the
+    standard uncertainty of the CTE.
     """
 
     seed: int = Field(default=4, ge=0)
@@ -48,7 +53,10 @@ class ArtefactTruthSettings(StrictModel):
 
 
 class TriggerSettings(StrictModel):
-    """Trip behaviour of the probe. `lobing_um` is the amplitude of a three-lobed pretravel around the stylus."""
+    """Trip behaviour of the probe.
+
+    `lobing_um` is the amplitude in µm of a pretravel variation with three lobes around the stylus.
+    """
 
     pretravel_um: NonNegativeFloat = 8.0
     lobing_um: NonNegativeFloat = 0.5
@@ -57,10 +65,11 @@ class TriggerSettings(StrictModel):
 
 
 class AxisBehaviour(StrictModel):
-    """Residual errors after a motion: repeatability of every axis, and backlash, of which half opposes the last motion.
+    """Errors of the axis positions after a motion: repeatability of every axis, and backlash.
 
-    `backlash_um`: one value for all axes, or one each for X, Y, Z; `backlash_growth_um_per_m`: its growth along each
-    axis' own travel, from axis position 0.
+    Half of the backlash acts against the direction of the last motion. `backlash_um` is one value for all axes, or one
+    value each for X, Y and Z, and applies at axis position 0. `backlash_growth_um_per_m` is the increase of the
+    backlash per metre of each axis' own travel.
     """
 
     repeatability_um: NonNegativeFloat = 0.2
@@ -74,7 +83,7 @@ class AxisBehaviour(StrictModel):
 
 
 class MountBehaviour(StrictModel):
-    """Errors of the rotary mount and of its placement by hand; they move the bar as a whole."""
+    """Errors of the rotary mount and of its placement by hand. They displace the artefact as a rigid body."""
 
     index_error_deg: NonNegativeFloat = 0.01
     wobble_um: NonNegativeFloat = 20.0
@@ -96,12 +105,14 @@ class StoreSettings(StrictModel):
 
 
 class AgeingSettings(StrictModel):
-    """Change of the machine from night to night. `night` selects the night to simulate (0: machine as drawn).
+    """Change of the machine from night to night.
 
-    `seasonal_um_per_m`: amplitudes of the changes of the scale errors of X, Y, Z, which are sines of period
-    `season_nights` with the phases `phases_deg`. `walk_um`: rms over the working volume of the deviation that the
-    random walk of all errors adds per night. `collision`: jumps of errors in the night of the collision, in µm or µrad;
-    a key is the ISO name of an error; with a Legendre order added, it names one coefficient of that error.
+    `night` is the number of the night to simulate. In night 0, the machine has the errors drawn for it. The scale
+    errors of X, Y and Z change as sines with the amplitudes `seasonal_um_per_m`, the phases `phases_deg` and the period
+    `season_nights`. All errors also change in a random walk. `walk_um` is the rms over the working volume of the
+    deviation that one night of this walk adds. In night `collision_night`, errors jump by the values of `collision`, in
+    µm or µrad. A key of `collision` is the ISO name of an error; with a Legendre order added, it names one coefficient
+    of that error.
     """
 
     night: int = Field(default=0, ge=0)
@@ -117,11 +128,13 @@ class AgeingSettings(StrictModel):
 class ScenarioDocument(StrictModel):
     """Keys of a scenario.
 
-    `start_mm`: axis positions at the start; by default the lower ends of travel. `own_mounts`: every station has its
-    own mount, instead of one mount that is moved with the artefact; the artefact is then moved from mount to mount
-    unless `artefacts` gives one for each station. `mounts_deg`: azimuth and elevation of each mount at the start, by
-    default zero. `noise_by_step`: noise depends on the step tag that an agent sends with a motion, so a repeated step
-    has the same noise; otherwise noise depends on the number of the motion.
+    `start_mm` gives the axis positions at the start; by default these are the lower ends of travel. If `own_mounts` is
+    True, every station has its own mount; otherwise one mount is moved together with the artefact. `artefacts` gives
+    one artefact for each station with its own mount. If `artefacts` is empty, one artefact is moved from mount to
+    mount. `mounts_deg` gives azimuth and elevation of each mount at the start, by default zero.
+
+    If `noise_by_step` is True, noise depends on the step tag that an agent sends with a motion, and a repeated step has
+    the same noise. Otherwise, noise depends on the number of the motion.
     """
 
     machine: Path
@@ -150,7 +163,10 @@ class ScenarioDocument(StrictModel):
 
 @dataclass(frozen=True)
 class Scenario:
-    """Scenario with the contents of its files. `artefacts`: one per station, if each station has its own."""
+    """Scenario with the contents of the files that it names.
+
+    `artefacts` holds one artefact for each station if each station has its own, and is empty otherwise.
+    """
 
     settings: ScenarioDocument
     machine: MachineDescription
@@ -200,15 +216,19 @@ class Scenario:
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Return the scenario of a TOML file; paths in it are relative to it. Raises ConfigurationError if a file is
-    invalid.
+    """Return the scenario in a TOML file. Paths in the file are relative to the directory of the file.
+
+    Raises ConfigurationError if a file is invalid.
     """
     document = _read(path, lambda: read_toml(_text(path), str(path), ScenarioDocument))
     return build_scenario(document, path.parent)
 
 
 def build_scenario(document: ScenarioDocument, base: Path) -> Scenario:
-    """Return the scenario of `document`, and read the files that it names relative to `base`."""
+    """Return the scenario that `document` describes, with the contents of the files that it names.
+
+    Relative paths in `document` are relative to the directory `base`.
+    """
     machine = base / document.machine
     return Scenario(
         ideal_document(document) if document.ideal else document,
@@ -219,7 +239,9 @@ def build_scenario(document: ScenarioDocument, base: Path) -> Scenario:
 
 
 def ideal_document(document: ScenarioDocument) -> ScenarioDocument:
-    """Return `document` without any error of machine, probe, mount or artefact."""
+    """Return a copy of `document` without any error of machine, probe, mount or artefact, and with constant
+    temperatures.
+    """
     return document.model_copy(
         update={
             "ideal": True,

@@ -1,4 +1,4 @@
-"""Section `[temperatures]` of a scenario: initial temperatures, heating, and the thermal effects."""
+"""Section `[temperatures]` of a scenario: initial temperatures, their change, thermal effects and thermometers."""
 
 from __future__ import annotations
 
@@ -14,20 +14,23 @@ Hours = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 class ThermalSettings(StrictModel):
-    """Initial temperatures and their change. By default all temperatures are constant.
+    """Initial temperatures and their change, thermal effects, and thermometers. By default all temperatures are
+    constant.
 
-    The ambient temperature rises by `ambient_rise_k` as 1 - exp(-t/τ), where τ is `ambient_time_constant_h`. If τ is
-    0, it rises at once, as when the doors are opened. Artefact and machine follow it, each with its own time constant;
-    one whose time constant is None does not follow. In addition both may drift linearly with time, in K per hour.
+    The ambient temperature rises by `ambient_rise_k` in proportion to 1 - exp(-t/τ). Here t is the time since the
+    start, and τ is `ambient_time_constant_h`. If τ is 0, the ambient temperature rises at once, as when the doors are
+    opened. Artefact and machine each follow the ambient temperature with a time constant, unless this time constant is
+    None. In addition, the temperatures of artefact and machine may drift linearly with time, in K per hour.
 
-        Thermal effects, per kelvin since the start: `growth_um_per_k` moves the tip (spindle and ram grow);
-    `scale_um_per_m_k` stretches the scale of each axis about its zero; `bend_um_per_k` displaces the top of the column
-    forwards, with an additional lag `bend_time_constant_h` behind the machine's thermometer; `artefact_bow_um_per_k`
-    displaces the middle of the bar, per kelvin by which the ambient has warmed more than the bar.
+    The thermal effects are proportional to the temperature change since the start. `growth_um_per_k` moves the tip,
+    because spindle and ram grow. `scale_um_per_m_k` stretches the scale of each axis about its zero. `bend_um_per_k`
+    displaces the top of the column forwards; this bending lags behind the machine's thermometer with the time constant
+    `bend_time_constant_h`. `artefact_bow_um_per_k` displaces the middle of the bar, per kelvin by which the ambient
+    temperature has risen more than the temperature of the bar.
 
-        Thermometers: `artefact_sensors` is their number on the artefact, `sensor_offset_k` their offsets by name
-    (``artefact``, ``artefact-2``, ``machine``, ``ambient``), `sensor_noise_k` the noise of each reading, and
-    `sensor_lag_s` the lag of the readings.
+    `artefact_sensors` is the number of thermometers on the artefact. `sensor_offset_k` gives the offset of each
+    thermometer by its name (``artefact``, ``artefact-2``, ``machine``, ``ambient``). `sensor_noise_k` is the noise of
+    each reading, and `sensor_lag_s` is the lag of the readings.
     """
 
     artefact_c: Temperature = 20.0

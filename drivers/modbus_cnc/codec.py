@@ -1,6 +1,6 @@
-"""Conversion between register blocks and values.
+"""Conversion between blocks of Modbus registers and typed values.
 
-One `struct` call converts a block for any number type and word order.
+Each block is packed or unpacked by one `struct` call, for any number type and word order.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ _REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """Transmission format of values with type f64 in the register map.
+    """Format in which values of the register map's type f64 are transmitted.
 
-    Such a value occupies four registers. They hold either a float64 or, in the first two registers, an int32; the value
-    is then this integer times `scale`. `word_order` is the order of the registers of a value, and `byte_order`
-    is the order of the two bytes in each register. Both apply to all values of more than one
-    register; u16 values are always big-endian.
+    Each such value occupies four registers. Either the four registers hold a float64, or the first two hold an int32.
+    An int32 is multiplied by `scale` to give the value. `word_order` is the order of the registers of a value, and
+    `byte_order` is the order of the two bytes in each register. Both orders apply to every value of more than one
+    register. A value of type u16 is always big-endian.
     """
 
     kind: Literal["float64", "int32"] = "float64"
@@ -34,7 +34,7 @@ class NumberFormat:
 
 @dataclass(frozen=True)
 class RegisterField:
-    """Named field of a block: a scalar if `count` is 1, otherwise a tuple of `count` values."""
+    """Named field of a register block. Its value is a scalar if `count` is 1, otherwise a tuple of `count` values."""
 
     name: str
     kind: RegisterType
@@ -61,7 +61,7 @@ class RegisterLayout:
         return self._struct.size // 2
 
     def offset(self, name: str) -> int:
-        """Return the offset of the first register of `name` from the start of the block."""
+        """Return the offset, in registers, of the field `name` from the start of the block."""
         offset = 0
         for register in self._registers:
             if register.name == name:
@@ -83,7 +83,9 @@ class RegisterLayout:
             at += register.count
 
     def pack(self, values: Sequence[Any]) -> bytes:
-        """Pack one value per field into bytes, the inverse of `unpack`. Raises ValueError if one does not fit."""
+        """Pack one value per field into bytes, as the inverse of `unpack`. Raises ValueError if a value does not fit
+        its field.
+        """
         flat: list[Any] = []
         for register, value in zip(self._registers, values, strict=True):
             flat.extend((value,) if register.count == 1 else value)
@@ -95,7 +97,10 @@ class RegisterLayout:
             raise ValueError(str(error)) from error
 
     def reordered(self, data: bytes) -> bytes:
-        """Convert the bytes of the whole block from big-endian to wire order or back; both are the same swap."""
+        """Return the bytes of the whole block, converted from big-endian order to wire order.
+
+        The same swap of bytes also converts wire order to big-endian order.
+        """
         return data if self._order is None else bytes([data[index] for index in self._order])
 
     def _kinds(self) -> Iterator[RegisterType]:

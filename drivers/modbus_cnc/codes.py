@@ -1,4 +1,4 @@
-"""Codes of the register map, sections 3, 5 and 9 of docs/reference/modbus-register-map.md."""
+"""Codes from sections 3, 5 and 9 of the register map (docs/reference/modbus-register-map.md)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CommandCode(IntEnum):
 
 
 class MotionOutcome(IntEnum):
-    """Outcome of a motion."""
+    """Codes for the outcome of a motion."""
 
     NONE = 0
     UNDER_WAY = 1
@@ -120,7 +120,7 @@ NO_TEMPERATURE = -(2**31)
 
 
 def fault_text(code: int) -> str:
-    """Return the text of a fault code; an empty string for 0."""
+    """Return the text of a fault code, or an empty string for code 0."""
     return f"{FAULTS.get(code, 'unknown fault')} (code {code})" if code else ""
 
 

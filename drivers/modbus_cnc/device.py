@@ -1,4 +1,4 @@
-"""Device for one controller with the roles Machine, Probe, CompensationStore and Thermometer."""
+"""Device that gives one Modbus controller the roles Machine, Probe, CompensationStore and Thermometer."""
 
 from __future__ import annotations
 
@@ -42,7 +42,11 @@ This bound and `MIN_DYNAMICS` reveal a wrong word or byte order, which makes a f
 
 
 class ModbusCnc:
-    """Controller with Modbus registers. Motion, probing and store share a session; they exist while it is open."""
+    """CNC controller that is reached through Modbus registers.
+
+    The parts for motion, probing and the compensation store share one session. They exist only while the session is
+    open.
+    """
 
     def __init__(self, settings: ModbusCncSettings, clock: Clock, name: str) -> None:
         self._session = ModbusSession(create_link(settings, clock, name), clock, settings)

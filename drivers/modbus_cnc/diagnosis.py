@@ -1,4 +1,4 @@
-"""Self-diagnosis for `volcal doctor`; reads only."""
+"""Self-diagnosis of a `modbus-cnc` device for `volcal doctor`. It only reads from the controller."""
 
 from __future__ import annotations
 
@@ -23,7 +23,11 @@ HEARTBEAT_PAUSE_S = 0.3
 
 
 def diagnose(session: ModbusSession) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order; an error ends them and becomes the last one."""
+    """Return the findings in troubleshooting order.
+
+    A device error ends the checks and is added as a finding. If the link was opened here and the error suggests wrong
+    line settings, one finding about the baud rate follows.
+    """
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:

@@ -9,9 +9,10 @@ from drivers.errors import LinkLost
 
 
 class PeerHeartbeat:
-    """Monitor that raises LinkLost if observations over more than `lost_after_s` show the same heartbeat.
+    """Monitor that raises LinkLost if the controller's heartbeat has not changed for more than `lost_after_s` seconds.
 
-    If two observations are further apart than that, an equal heartbeat proves nothing, so monitoring restarts.
+    If more than `lost_after_s` seconds pass between two observations, an unchanged heartbeat proves nothing, and the
+    monitor starts again.
     """
 
     def __init__(self, clock: Clock, lost_after_s: float, where: Mapping[str, str]) -> None:

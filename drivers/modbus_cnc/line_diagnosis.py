@@ -21,7 +21,10 @@ WATCHDOG_S = 1.0
 
 
 def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[DiagnosticFinding]:
-    """Yield the duration of a poll and the number of repeated requests; call it after the link has been used."""
+    """Yield findings about the duration of a poll and about the number of requests that had to be repeated.
+
+    Call this function after the link has been used, because it reads the counters of the link.
+    """
     poll_s = session.poll_wire_time_s
     left_s = WATCHDOG_S - max(session.settings.poll_interval_s, poll_s) - poll_s - session.settings.timeout_s
     text = (
@@ -39,9 +42,10 @@ def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[Diagnost
 def search_baud_rate(
     settings: ModbusCncSettings, clock: Clock, device: str, error: DeviceError
 ) -> Iterator[DiagnosticFinding]:
-    """Search the baud rate and parity at which the controller answers, if `error` is a time-out or a damaged frame.
+    """Yield one finding about the baud rate and parity at which a silent controller answers.
 
-    Each usual combination is tried by reading one register. Yields one finding.
+    One register is read with each usual combination of baud rate and parity. There is a finding only if the link is a
+    serial line and `error` is a time-out or a damaged frame.
     """
     if settings.serial is None or not isinstance(error, LinkTimeout | DamagedFrame):
         return

@@ -1,4 +1,4 @@
-"""Motion commands, from acceptance to outcome."""
+"""Motion commands to a Modbus controller, followed from their acceptance to the outcome of the motion."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ It allows for feed override and look-ahead.
 
 
 class ModbusMotionResult(NamedTuple):
-    """Start position of a motion, and the status image that shows its outcome."""
+    """Result of a motion: its start position in mm, and the status image that shows its outcome."""
 
     start: Triple
     status: StatusImage
 
 
 class ModbusMotion:
-    """Starts motions, sends the heartbeat until they end, and returns their result or raises an error.
+    """Executor of motions. It starts a motion, sends the heartbeat until the motion ends, and returns the result.
 
-    If an exception ends a wait, STOP is sent before the exception propagates.
+    If an exception interrupts the wait for the end, STOP is sent before the exception propagates.
     """
 
     def __init__(self, session: ModbusSession, limits: AxisLimits) -> None:
@@ -61,7 +61,8 @@ class ModbusMotion:
     def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> ModbusMotionResult:
         """Carry out a motion and return its result.
 
-        A touch may end with a trip or a miss, any other motion only in position. Other outcomes raise an error.
+        A touch ends with a trip or a miss, and any other motion ends in position. Every other outcome raises a
+        DeviceError.
         """
         session = self._session
         target = self._validated_target(code, target_mm, feed_mm_per_s)
@@ -80,7 +81,10 @@ class ModbusMotion:
         return ModbusMotionResult(accepted.position, status)
 
     def stop(self) -> None:
-        """Send STOP without waiting for standstill, because the caller may be inside an interrupted sleep."""
+        """Send STOP and return before the axes are at rest.
+
+        The method does not wait for standstill because it may be called from inside a sleep of the clock.
+        """
         self._braking = True
         self._session.send_urgent(CommandCode.STOP)
 

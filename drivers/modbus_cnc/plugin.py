@@ -12,7 +12,10 @@ def create(settings: ModbusCncSettings, context: DeviceContext) -> ModbusCnc:
 
 
 def claims(settings: ModbusCncSettings) -> dict[str, str]:
-    """Return the claimed resources: the serial port, since a serial line has only one master. TCP claims none."""
+    """Return the serial port as a resource that no other device may use, because a serial line has only one master.
+
+    The result is empty for a TCP link.
+    """
     return {f"serial port {settings.serial.port}": "serial.port"} if settings.serial is not None else {}
 
 

@@ -22,9 +22,10 @@ _LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 
 
 class ModbusProbing:
-    """Touches with the controller's probe.
+    """Touches with the controller's touch-trigger probe.
 
-    A latched position is accepted only if it is marked with the touch's sequence number and lies on the touch's path.
+    A latched position is accepted only if it carries the sequence number of the touch and lies on the path of the
+    touch.
     """
 
     def __init__(self, session: ModbusSession, motion: ModbusMotion) -> None:

@@ -1,4 +1,4 @@
-"""Blocks of the register map as typed values; each field corresponds to one name in the documented table."""
+"""Blocks of the register map as typed values. Each field stands for one name in the tables of the documented map."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Triple = tuple[float, float, float]
 
 
 class StatusImage(NamedTuple):
-    """Status image of the controller. Positions in mm, temperatures in 0.001 °C."""
+    """Contents of the controller's status block. Positions are in mm, and temperatures are in units of 0.001 °C."""
 
     protocol: int
     version: int
@@ -49,7 +49,9 @@ class StatusImage(NamedTuple):
 
     @property
     def is_consistent(self) -> bool:
-        """True if both copies of the heartbeat agree; if not, the controller was writing the image during the read."""
+        """True if both copies of the heartbeat in the image agree. They differ if the controller wrote the image during
+        the read.
+        """
         return self.heartbeat == self.heartbeat_copy
 
     @property
@@ -70,7 +72,7 @@ class StatusImage(NamedTuple):
 
 
 class ControllerLimits(NamedTuple):
-    """Travel, dynamics and table limits reported by the controller; mm, mm/s, mm/s²."""
+    """Limits of travel, dynamics and tables, as reported by the controller in mm, mm/s and mm/s²."""
 
     lower: Triple
     upper: Triple
@@ -85,7 +87,7 @@ class ControllerLimits(NamedTuple):
 
 
 class CommandBlock(NamedTuple):
-    """Command block without heartbeat and sequence number, which the session adds."""
+    """Contents of the command block, except the heartbeat and the sequence number. The session adds these two."""
 
     code: int
     bank: int = 0
@@ -96,7 +98,10 @@ class CommandBlock(NamedTuple):
 
 
 class TableDescriptor(NamedTuple):
-    """Descriptor of a table: bank, grid in mm, resolution of its counts in mm, and CRC-32."""
+    """Descriptor of a table.
+
+    It contains the bank, the grid in mm, the resolution of the counts in mm, and the CRC-32 of the counts.
+    """
 
     bank: int
     nodes: tuple[int, int, int]
@@ -120,7 +125,10 @@ class BlockLayouts:
         self.block = RegisterLayout([RegisterField("counts", "i32", 60)], numbers)
 
     def decode_status(self, data: bytes, where: Mapping[str, str], first_register: int) -> StatusImage:
-        """Decode a status image. Raises ProtocolError, naming the register, for values that the map does not allow."""
+        """Decode a status image. Raises ProtocolError if a register has a value that the map does not allow.
+
+        The error names this register.
+        """
         status = StatusImage(*self.status.unpack(data))
         if status.protocol != PROTOCOL or status.version >> 8 != MAJOR_VERSION:
             raise ProtocolError(

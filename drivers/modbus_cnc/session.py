@@ -1,4 +1,4 @@
-"""Session with one controller: status images, heartbeat in both directions, commands and acknowledgements."""
+"""Session with one controller: status images, heartbeats in both directions, commands and acknowledgements."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ URGENT_WITHIN_S = 1.0
 
 
 class ModbusSession:
-    """Session with one controller. All traffic passes through it, so it alone sets sequence numbers and heartbeat."""
+    """Session with one controller. All traffic passes through the session, so only it sets sequence numbers and
+    heartbeat.
+    """
 
     def __init__(self, link: ModbusLink, clock: Clock, settings: ModbusCncSettings) -> None:
         self.link = link
@@ -53,7 +55,7 @@ class ModbusSession:
     def open(self) -> StatusImage:
         """Connect, verify protocol and version, and continue from the controller's current sequence number.
 
-        Clears the controller's fault if its only cause is the lost heartbeat of an earlier session.
+        If the controller is in a fault only because the heartbeat of an earlier session was lost, the fault is cleared.
         """
         self.link.open()
         status = self.read_status_unchecked()
@@ -67,20 +69,23 @@ class ModbusSession:
         self.link.close()
 
     def status(self) -> StatusImage:
-        """Read one status image and check it; writes nothing."""
+        """Read one status image, and check its heartbeat and acknowledgement. Writes nothing."""
         return self._check_status(self.read_status_unchecked())
 
     def read_status_unchecked(self) -> StatusImage:
-        """Read one status image without checking heartbeat and acknowledgement, which another client may control."""
+        """Read one status image without checking its heartbeat and acknowledgement.
+
+        The two are not checked because another client may be using the controller.
+        """
         return self._consistent_status(self._read_status())
 
     @property
     def poll_wire_time_s(self) -> float:
-        """Transmission time of a poll in s; 0 if unknown."""
+        """Transmission time of one poll in s, or 0 if it is unknown."""
         return self.link.exchange_wire_time_s(1, self.layouts.status.size)
 
     def poll(self) -> StatusImage:
-        """Write the heartbeat and read one status image."""
+        """Write a new heartbeat, and read and check one status image."""
         return self.write_and_read_status(
             self.settings.blocks.command, self._next_heartbeat().to_bytes(2, "big"), idempotent=True
         )
@@ -91,13 +96,16 @@ class ModbusSession:
         return self._check_status(self._consistent_status(self._decoded(answer)))
 
     def command(self, command: CommandBlock, *, within_s: float | None = None) -> StatusImage:
-        """Send a command and wait for its acknowledgement. Raises CommandRejected or PermissionMissing if refused."""
+        """Send a command, wait for its acknowledgement, and return the status image.
+
+        Raises CommandRejected or PermissionMissing if the controller refuses the command.
+        """
         return self.start(command, within_s=within_s)[1]
 
     def start(self, command: CommandBlock, *, within_s: float | None = None) -> tuple[int, StatusImage]:
-        """Send a command as `command` does; return its sequence number and the status.
+        """Send a command, wait for its acknowledgement, and return its sequence number and the status image.
 
-        The sequence number identifies the outcome of the command.
+        The sequence number identifies the outcome of the command. The exceptions are those of `command`.
         """
         sequence = self._next_sequence()
         status = self._send(command, sequence)
@@ -113,10 +121,11 @@ class ModbusSession:
         return sequence, self._accepted(command, self._results[sequence], status)
 
     def send_urgent(self, code: CommandCode) -> StatusImage:
-        """Send HOLD, RESUME or STOP and wait for the acknowledgement without sleeping on the clock.
+        """Send HOLD, RESUME or STOP, and wait for the acknowledgement without sleeping on the clock.
 
-        These commands are sent from inside a sleep of the clock (a hold, an abort), where another sleep would
-        recurse. HOLD and RESUME first wait for the acknowledgement of a command sent before; STOP may overwrite it.
+        A hold or an abort may be requested from inside a sleep of the clock, and a second sleep there would recurse.
+        HOLD and RESUME first wait until an earlier command is acknowledged. STOP does not wait, so it may overwrite an
+        earlier command.
         """
         if code is not CommandCode.STOP and self._unacknowledged:
             self._await_without_sleeping(self._unacknowledged, code)

@@ -35,7 +35,7 @@ Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
 class BlockAddresses(DriverOptions):
-    """First register of each block, as transmitted (0-based)."""
+    """Address of the first register of each block, counted from 0 as in a transmitted request."""
 
     status: Address = 1000
     limits: Address = 1100
@@ -58,7 +58,7 @@ class BlockAddresses(DriverOptions):
         return {name: range(first, first + sizes[name]) for name, first in self}
 
     def writable(self) -> tuple[range, ...]:
-        """Return the registers that the driver may write; no others are ever written."""
+        """Return the address ranges of the registers that the driver may write. All other registers are only read."""
         ranges = self.ranges()
         return tuple(ranges[name] for name in ("command", "descriptor", "data_window", "read_selector"))
 
@@ -77,7 +77,9 @@ class BlockAddresses(DriverOptions):
 
 
 class ModbusCncSettings(DriverOptions):
-    """Settings of driver `modbus-cnc`: over TCP with `host`, over a serial line (Modbus RTU) with `serial`."""
+    """Settings of driver `modbus-cnc`. The key `host` selects a TCP link, and `serial` selects a serial line (Modbus
+    RTU).
+    """
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "number": "number_format",

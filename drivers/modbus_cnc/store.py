@@ -32,7 +32,7 @@ COARSEST_POLL_S = 0.1
 
 
 class ModbusStore:
-    """Compensation store in the controller of the session."""
+    """Compensation store in the controller to which the session is connected."""
 
     def __init__(self, session: ModbusSession, limits: ControllerLimits) -> None:
         self._session = session
@@ -58,9 +58,9 @@ class ModbusStore:
         return None if pending == NO_BANK else pending
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the table of `bank`; None for bank 0 or a bank without a complete table.
+        """Return the table of `bank`, or None for bank 0 and for an inactive bank without a complete table.
 
-        Raises StoreError if the active bank holds no complete table.
+        Raises StoreError if the active bank has no complete table.
         """
         if bank == 0:
             return None
@@ -73,9 +73,10 @@ class ModbusStore:
         return self._reader.read(bank)[0]
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Transfer a table, commit it and read it back; the active bank is not touched.
+        """Transfer a table to an inactive bank, commit the table and read it back.
 
-        Raises ChecksumMismatch or ReadBackMismatch.
+        Raises StoreError if the table is refused, ChecksumMismatch if its CRC-32 differs in the controller, and
+        ReadBackMismatch if the table read back differs.
         """
         self._require_stageable(bank, table)
         data = table_bytes(table)
@@ -90,9 +91,11 @@ class ModbusStore:
         self._verify_read_back(bank, descriptor, data)
 
     def activate(self, bank: int) -> None:
-        """Read the table, arm the bank with the table's CRC-32, and confirm with the controller's nonce.
+        """Activate a bank in two steps, and return when it is active.
 
-        Returns when the bank is active, or pending if the controller does not activate it immediately.
+        The bank is first armed with the CRC-32 of its table, which is read for this purpose. The activation is then
+        confirmed with the nonce (a number used once) that the controller shows for the armed bank. If the controller
+        does not activate immediately, the method returns when the bank is pending.
         """
         crc = 0
         if bank != 0:

@@ -1,4 +1,4 @@
-"""Table files: one for each bank, and one that names the active bank.
+"""Files of the compensation tables: one file for each bank, and one file that names the active bank.
 
 After a power cut, each file has its complete old or its complete new contents.
 """
@@ -18,9 +18,9 @@ _ACTIVE = re.compile(r"volcal-active-bank 1\nbank (\d)\ncounts_crc32 ([0-9A-F]{8
 
 
 class BankFiles:
-    """Directory of the table files.
+    """Directory that contains the table files.
 
-    Methods raise StoreError if a file is invalid or inaccessible, ChecksumMismatch if a table was changed.
+    Methods raise StoreError if a file is invalid or inaccessible, and ChecksumMismatch if a stored table was changed.
     """
 
     def __init__(self, directory: Path, where: Mapping[str, str]) -> None:
@@ -28,7 +28,7 @@ class BankFiles:
         self._where = where
 
     def read(self, bank: int) -> TableImage | None:
-        """Return the table of `bank`; None if the bank has no file."""
+        """Return the table of `bank`, or None if the bank has no file."""
         path = self.directory / f"bank{bank}.table"
         text = read_if_exists(path)
         return None if text is None else parse_table(text, file=str(path), bank=bank, **self._where)

@@ -1,7 +1,7 @@
-"""Texts for the numbers after ``error:`` and ``ALARM:``.
+"""Texts for the numbers after ``error:`` and ``ALARM:`` in the lines of GRBL and grblHAL.
 
-Sources: gnea/grbl doc/csv/error_codes_en_US.csv and alarm_codes_en_US.csv (GRBL 1.1); grblHAL/core errors.h and
-alarms.h for the numbers that GRBL does not have. The wording is ours.
+Sources of the numbers: gnea/grbl doc/csv/error_codes_en_US.csv and alarm_codes_en_US.csv (GRBL 1.1); grblHAL/core
+errors.h and alarms.h for the numbers that GRBL does not have. The texts are not copied from these sources.
 """
 
 from __future__ import annotations

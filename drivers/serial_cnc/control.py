@@ -1,4 +1,7 @@
-"""Hold, resume, stop and reset. A stop has a second phase after the axes have come to rest."""
+"""Hold, resume, stop and reset of a GRBL controller.
+
+A stop has two phases: a feed hold, and a soft reset after the axes have come to rest.
+"""
 
 from __future__ import annotations
 
@@ -41,13 +44,16 @@ class MotionControl:
         self._conversation.realtime(RESUME)
 
     def stop(self) -> None:
-        """Send the feed hold without waiting for standstill, because the caller may be inside an interrupted sleep."""
+        """Send the feed hold and return before the axes are at rest.
+
+        The method does not wait for standstill because it may be called from inside a sleep of the clock.
+        """
         self._stopping = True
         self._conversation.realtime(CANCEL_JOG + HOLD)
         self.read_status()
 
     def read_status(self) -> TrackedStatus:
-        """Query the status and return it; if the axes have come to rest, first complete a pending stop."""
+        """Query the status, complete a pending stop if the axes have come to rest, and return the status."""
         status = self._tracker.read_status()
         if self._stopping and status.state is not MotionState.MOVING:
             if status.state is not MotionState.FAULT:
@@ -56,7 +62,7 @@ class MotionControl:
         return status
 
     def finish(self) -> None:
-        """Complete a pending stop before the line is closed; wait in wall time until the axes have come to rest."""
+        """Complete a pending stop before the line is closed. Waits in wall time until the axes have come to rest."""
         deadline_s = wall_seconds() + CLOSE_WITHIN_S
         while self._stopping and wall_seconds() < deadline_s:
             self.read_status()
@@ -65,7 +71,8 @@ class MotionControl:
     def require_ready(self, within_s: float) -> TrackedStatus:
         """Wait up to `within_s` for the end of a pending stop, and return a status in which a motion can start.
 
-        Raises DeadlineExpired, or PermissionMissing or CommandRejected if the machine is not ready.
+        Raises DeadlineExpired if the stop does not end in time. Raises PermissionMissing or CommandRejected if the
+        machine is not ready.
         """
         deadline = Deadline.after(self._clock, within_s)
         status = self.read_status()
@@ -90,9 +97,10 @@ class MotionControl:
         return status
 
     def reset(self) -> None:
-        """Unlock after an alarm in which the position remained known, or discard the motion after the door was closed.
+        """Unlock the controller after an alarm, or discard the rest of a motion that an open door has interrupted.
 
-        Does nothing if there is no fault. Raises CommandRejected if homing is needed.
+        An alarm is unlocked only if the position remained known; otherwise homing is needed, and CommandRejected is
+        raised. A motion is discarded only after the door has been closed. Does nothing if there is no fault.
         """
         status = self.read_status()
         if status.word == DOOR_CLOSED_AGAIN:

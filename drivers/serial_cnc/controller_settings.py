@@ -47,7 +47,7 @@ class ControllerSettings:
 
     @classmethod
     def of(cls, lines: Iterable[MessageLine | SettingLine]) -> ControllerSettings:
-        """Return the settings contained in `lines`; settings that are not numbers (names, passwords) are omitted."""
+        """Return the settings contained in `lines`. Settings that are not numbers (names, passwords) are omitted."""
         values: dict[int, float] = {}
         version = options = ""
         hal = False
@@ -86,9 +86,9 @@ class ControllerSettings:
         return 1.0 / self.values[STEPS + axis]
 
     def limits(self, axis_zero_mm: tuple[float, float, float]) -> AxisLimits:
-        """Return travel and dynamics in displayed axis positions.
+        """Return the travel in displayed axis positions, and the limits of speed and acceleration.
 
-        The machine's zero is at the upper end of travel unless it is set at the home position.
+        Machine zero is at the upper end of travel, unless the controller sets machine zero at the home position.
         """
         at_home = int(self.values[HOMING]) & HAL_ORIGIN_AT_HOME if self.hal else "Z" in self.options.split(",")[0]
         lower, upper = [], []
@@ -102,7 +102,11 @@ class ControllerSettings:
         return AxisLimits(_triple(lower), _triple(upper), _triple(rates), _triple(accelerations))
 
     def fatal(self) -> str:
-        """Return why probing is impossible (positions misread, limits unknown); an empty string if it is possible."""
+        """Return the reason why probing is impossible, or an empty string if it is possible.
+
+        A reason is a setting that is missing or invalid, or that makes positions be reported in inches or as work
+        positions.
+        """
         if self.missing:
             return f"the controller does not report ${', $'.join(map(str, self.missing))}"
         if self.inches:
@@ -114,7 +118,7 @@ class ControllerSettings:
         return ""
 
     def findings(self, *, manual_referencing: bool) -> Iterator[DiagnosticFinding]:
-        """Yield one finding for each group of settings. If a setting is bad, the finding gives the value to set."""
+        """Yield one finding for each group of settings. The finding about a bad setting states the value to set."""
         fatal = self.fatal()
         if fatal:
             yield DiagnosticFinding("settings", ok=False, text=fatal)

@@ -1,8 +1,8 @@
 """All traffic with a GRBL controller: lines sent, their answers, and other lines received.
 
-There is no receiving thread. The controller answers a status query at any time, and its lines arrive in order, so after
-the answer everything that it sent before has been read. Every wait in this module is for an immediate answer and
-bounded in wall time; callers make longer waits on the clock.
+There is no receiving thread. The controller answers a status query at any time, and its lines arrive in the order in
+which it sent them. After the answer to a query has been read, all earlier lines have therefore been read too. Every
+wait in this module is for an immediate answer and is bounded in wall time. Callers make longer waits on the clock.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LATE_WITHIN_S = 0.02
 
 @dataclass
 class SentLine:
-    """Line that was sent, and its answer, which is None until it arrives."""
+    """Line that was sent to the controller, and its answer. The answer is None until it arrives."""
 
     line: str
     answer: AnswerLine | None = None
@@ -58,7 +58,7 @@ class SentLine:
 class Conversation:
     """Conversation with one controller over its serial line.
 
-    Methods raise LinkLost, LinkTimeout and ProtocolError, each naming device and link.
+    Methods raise LinkLost, LinkTimeout or ProtocolError. Each error names the device and the link.
     """
 
     def __init__(self, line: SerialPort, settings: SerialCncSettings) -> None:
@@ -77,7 +77,7 @@ class Conversation:
     # ------------------------------------------------------------------ open
 
     def open(self) -> StatusReport:
-        """Connect and wait for a first status report. Call `synchronise` before sending lines. Moves nothing."""
+        """Connect and wait for the first status report. Call `synchronise` before sending lines. Moves nothing."""
         self.line.open()
         self._pending.clear()
         self._messages.clear()
@@ -112,9 +112,10 @@ class Conversation:
         )
 
     def synchronise(self) -> None:
-        """Discard late answers to lines of a previous user. The controller must be idle or locked.
+        """Discard late answers to lines that a previous user sent. The controller must be idle or locked.
 
-        An invalid line of our own is sent; answers up to its refusal, which is the last one, are discarded.
+        The method sends an invalid line, which the controller refuses. All answers up to and including the refusal are
+        discarded.
         """
         self.line.write(SYNCHRONISE.encode() + b"\n")
         deadline_s = wall_seconds() + self.settings.response_timeout_s
@@ -147,7 +148,10 @@ class Conversation:
     # ------------------------------------------------------------------ requests
 
     def report(self) -> StatusReport:
-        """Query the status and return it. The query is idempotent, so it is repeated after a lost or garbled answer."""
+        """Query the status and return the report.
+
+        A query has no side effect, so the query is repeated if its answer is lost or garbled.
+        """
         last: ProtocolError | None = None
         for _ in range(self.settings.retries + 1):
             before = self._reports
@@ -169,7 +173,9 @@ class Conversation:
         )
 
     def send(self, line: str) -> SentLine:
-        """Send a line without waiting for its answer. Waits while the controller's receive buffer has no room."""
+        """Send a line without waiting for its answer. If the controller's receive buffer is full, first wait until it
+        has room.
+        """
         sent = SentLine(line)
         deadline_s = wall_seconds() + self.settings.response_timeout_s
         while self._pending and self._buffered(line) >= self.settings.receive_buffer:
@@ -182,7 +188,7 @@ class Conversation:
     def ask(self, line: str) -> list[MessageLine | SettingLine]:
         """Send a line that is answered at once, and return the lines received before its ``ok``.
 
-        Raises CommandRejected for an ``error``.
+        Raises CommandRejected if the answer is an ``error``.
         """
         self._messages.clear()
         sent = self.send(line)
@@ -214,7 +220,9 @@ class Conversation:
         self.line.write(character)
 
     def reset(self) -> None:
-        """Send a soft reset and wait for the welcome line. Unanswered lines are discarded: they get no answer."""
+        """Send a soft reset and wait for the welcome line. Lines without an answer are discarded, because none will
+        come.
+        """
         restarts = self.restarts
         self.alarm = None
         self.line.write(SOFT_RESET)
@@ -226,11 +234,11 @@ class Conversation:
                 )
 
     def clear_alarm(self) -> None:
-        """Clear the stored alarm; called after a status report without an alarm state."""
+        """Clear the alarm stored in this object. Call it after a status report that shows no alarm state."""
         self.alarm = None
 
     def drain_for(self, wall_s: float) -> None:
-        """Process at most one line that arrives within `wall_s` of wall time."""
+        """Wait up to `wall_s` seconds of wall time for a line. If a line arrives, process it and return."""
         self._read_one(wall_seconds() + wall_s)
 
     # ------------------------------------------------------------------ receiving

@@ -18,7 +18,10 @@ The slope of a table is far below 1 (the gates allow 0.5 µm/mm), so each iterat
 
 
 class Correction:
-    """Correction by a table, or zero without a table. Table and positions refer to displayed axis positions in mm."""
+    """Correction that a compensation table defines. Without a table, the correction is zero.
+
+    The grid of the table and the positions are displayed axis positions in mm.
+    """
 
     def __init__(self, table: TableImage | None) -> None:
         self._table = table
@@ -29,7 +32,7 @@ class Correction:
             self._last = np.array(table.shape) - 1
 
     def at(self, position_mm: Vector) -> Vector:
-        """Return the correction at a displayed position, shape (3,), mm."""
+        """Return the correction in mm, shape (3,), at a displayed position."""
         if self._table is None:
             return np.zeros(3)
         # Grid coordinates, limited to the grid; `cell` is the lower node of the cell, `share` the position within it.
@@ -50,9 +53,9 @@ class Correction:
         return position_mm + self.at(position_mm)
 
     def remove(self, sent_mm: Vector) -> Vector:
-        """Return the displayed position for a commanded one, the inverse of `apply`.
+        """Return the displayed position for a commanded one, as the inverse of `apply`.
 
-        Fixed-point iteration: displayed = commanded - correction(displayed).
+        The position is found by the fixed-point iteration displayed = commanded - correction(displayed).
         """
         if self._table is None:
             return sent_mm

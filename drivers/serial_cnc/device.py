@@ -1,6 +1,6 @@
-"""Device for a GRBL controller with the roles Machine, Probe and CompensationStore.
+"""Device that gives a GRBL controller the roles Machine, Probe, CompensationStore and Thermometer.
 
-As Thermometer it returns temperatures that a person has read and entered in the settings.
+The temperatures are values that a person has read and entered in the settings.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ from drivers.serial_cnc.store import BankStore
 
 
 class SerialCnc:
-    """Device for a GRBL controller. Parts that need the controller's settings exist only while the device is open."""
+    """Device for a GRBL controller.
+
+    The parts of the device that need the controller's settings exist only while the device is open.
+    """
 
     def __init__(self, settings: SerialCncSettings, context: DeviceContext) -> None:
         address = SerialAddress(settings.port, settings.baud)
@@ -118,7 +121,9 @@ class SerialCnc:
         self._parts.control.stop()
 
     def probe_status(self) -> ProbeStatus:
-        """Return the probe status. The controller reports only deflection; the probe is assumed loaded and healthy."""
+        """Return the probe status. The controller reports only deflection; the probe is assumed to be loaded and
+        healthy.
+        """
         return ProbeStatus(loaded=True, healthy=True, deflected=self._open.control.read_status().deflected)
 
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
@@ -133,7 +138,7 @@ class SerialCnc:
         return self._store.active_bank()
 
     def pending_bank(self) -> int | None:
-        """Return None: activation is immediate."""
+        """Return None, because an activation takes effect at once."""
         return None
 
     def read_table(self, bank: int) -> TableImage | None:

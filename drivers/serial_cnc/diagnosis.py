@@ -1,4 +1,4 @@
-"""Self-diagnosis for `volcal doctor`; reads only, moves nothing."""
+"""Self-diagnosis of a GRBL controller for `volcal doctor`. It only reads and moves nothing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ SLOW_ROUND_TRIP_S = 0.1
 def diagnose(
     conversation: Conversation, settings: SerialCncSettings, store: BankStore, directory: Path
 ) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order. After a device error, only the tables are still reported."""
+    """Return the findings in troubleshooting order.
+
+    If a device error ends the checks of the controller, the last finding is still about the tables.
+    """
     findings: list[DiagnosticFinding] = []
     opened_here = not conversation.line.connected
     try:

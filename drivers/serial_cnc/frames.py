@@ -1,7 +1,7 @@
 """Conversion between displayed axis positions and machine coordinates.
 
-The sent position is the displayed one plus the correction. Machine coordinates (``MPos``) are the sent position plus
-the axis zero. Work coordinates are the machine coordinates minus the work offset.
+The position sent is the displayed position plus the correction. Machine coordinates (``MPos``) are the position sent
+plus the axis zero. Work coordinates are the machine coordinates minus the work offset.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ LIMIT_TOLERANCE_MM = 1e-6
 
 
 class CoordinateFrames:
-    """Coordinate conversion. `axis_zero_mm` holds the machine coordinates of the point with displayed position 0."""
+    """Conversion between displayed axis positions and machine coordinates.
+
+    `axis_zero_mm` holds the machine coordinates of the point whose displayed position is 0 on every axis.
+    """
 
     def __init__(
         self, limits: AxisLimits, axis_zero_mm: tuple[float, float, float], store: BankStore, where: Mapping[str, str]
@@ -31,7 +34,10 @@ class CoordinateFrames:
         self._where = where
 
     def to_machine(self, displayed_mm: Vector) -> Vector:
-        """Convert to machine coordinates, shape (3,), mm. The corrected position is limited to the travel."""
+        """Return the machine coordinates in mm, shape (3,), of a displayed position.
+
+        The correction is added, and the corrected position is limited to the travel.
+        """
         sent = np.clip(self._store.correction.apply(displayed_mm), self._lower, self._upper)
         result: Vector = sent + self._zero
         return result
@@ -40,7 +46,7 @@ class CoordinateFrames:
         return self._store.correction.remove(machine_mm - self._zero)
 
     def require_reachable(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """Raise CommandRejected for a target outside the travel or an invalid target or feed."""
+        """Raise CommandRejected if a target is outside the travel, or if the target or the feed is invalid."""
         if not np.all(np.isfinite(target_mm)) or not (feed_mm_per_s is None or 0.0 < feed_mm_per_s < math.inf):
             raise CommandRejected(f"to {target_mm} with feed {feed_mm_per_s}: not a motion", **self._where)
         for axis, value, low, high in zip("XYZ", target_mm.tolist(), self._lower, self._upper, strict=True):

@@ -18,7 +18,7 @@ RESPONSIVE_STATES = frozenset({"Idle", "Alarm"})
 
 @dataclass(frozen=True)
 class ControllerIdentity:
-    """Settings of the controller, its parameters (lines of ``$#``) and its modes (words of ``$G``)."""
+    """Settings of the controller, with its parameters (lines of ``$#``) and its modes (words of ``$G``)."""
 
     settings: ControllerSettings
     parameters: list[MessageLine]
@@ -33,7 +33,10 @@ def await_rest(conversation: Conversation, clock: Clock, within_s: float) -> Non
 
 
 def read_identity(conversation: Conversation) -> ControllerIdentity:
-    """Read the identity. Raises CommandRejected if the controller is busy, ProtocolError if it is not a GRBL."""
+    """Read the identity of a controller.
+
+    Raises CommandRejected if the controller is busy, and ProtocolError if it is not a GRBL controller.
+    """
     report = conversation.report()
     if report.state not in RESPONSIVE_STATES:
         raise CommandRejected(

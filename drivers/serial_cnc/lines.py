@@ -15,30 +15,36 @@ Triple = tuple[float, float, float]
 
 
 class GarbledLineError(ValueError):
-    """The line belongs to no known class, or its content is not allowed in its class."""
+    """Error for a line that belongs to no known class, or that has contents not allowed in its class."""
 
 
 @dataclass(frozen=True)
 class AnswerLine:
-    """Answer `ok` or `error:n`; there is exactly one for each line sent."""
+    """Answer ``ok`` or ``error:n``. The controller sends exactly one such answer for each line that it receives."""
 
     error: int | None
 
 
 @dataclass(frozen=True)
 class StatusReport:
-    """Answer to ``?``. `fields` holds the fields after the state: ``{"FS": "500,0"}``."""
+    """Status report, which is the answer to ``?``. `fields` maps field names to texts, as in ``{"FS": "500,0"}``."""
 
     state: str
     substate: int | None
     fields: Mapping[str, str]
 
     def triple(self, name: str) -> Triple | None:
-        """Return a field of three coordinates; None if absent. Raises GarbledLineError if it has other content."""
+        """Return the three coordinates in the field `name`, or None if the field is absent.
+
+        Raises GarbledLineError if the field has other contents.
+        """
         return _triple(self.fields[name]) if name in self.fields else None
 
     def pair(self, name: str) -> tuple[float, float] | None:
-        """Return the first two numbers of a field; None if absent. Raises GarbledLineError if it has fewer."""
+        """Return the first two numbers in the field `name`, or None if the field is absent.
+
+        Raises GarbledLineError if the field has fewer than two numbers.
+        """
         if name not in self.fields:
             return None
         values = _numbers(self.fields[name])
@@ -54,7 +60,7 @@ class AlarmLine:
 
 @dataclass(frozen=True)
 class ProbeResult:
-    """Probe result `[PRB:x,y,z:1]`, in machine coordinates."""
+    """Probe result ``[PRB:x,y,z:1]`` with the position in machine coordinates."""
 
     position: Triple
     tripped: bool
@@ -62,7 +68,7 @@ class ProbeResult:
 
 @dataclass(frozen=True)
 class MessageLine:
-    """Any other line in brackets: ``[MSG:...]``, ``[GC:...]``, ``[G54:...]``, ``[VER:...]``."""
+    """Line in brackets that is not a probe result: ``[MSG:...]``, ``[GC:...]``, ``[G54:...]``, ``[VER:...]``."""
 
     kind: str
     text: str
@@ -76,7 +82,7 @@ class MessageLine:
 
 @dataclass(frozen=True)
 class SettingLine:
-    """Setting in the form `$number=text`."""
+    """Line that gives one setting in the form ``$number=text``."""
 
     number: int
     text: str
@@ -91,7 +97,7 @@ class WelcomeLine:
 
 @dataclass(frozen=True)
 class StartupLine:
-    """Startup block that the controller executed after a restart. The line contains the block and its answer."""
+    """Line about a startup block that the controller executed after a restart. It contains the block and its answer."""
 
     text: str
 
@@ -107,7 +113,7 @@ _STATE: Final = re.compile(r"(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep|Tool
 
 
 def parse_line(raw: bytes) -> Line:  # noqa: PLR0911  one line a class
-    """Parse one line. Raises GarbledLineError."""
+    """Parse one line into an object of its class. Raises GarbledLineError if the line belongs to no class."""
     try:
         text = raw.decode("ascii")
     except UnicodeDecodeError:

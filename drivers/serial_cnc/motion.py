@@ -1,6 +1,6 @@
-"""Motions, from the sending of the line to the end of the motion.
+"""Motions of a GRBL controller, from sending the line to the end of the motion.
 
-The ``ok`` to a motion line means only that the motion is planned. The ``ok`` to a following ``G4 P0`` comes once all
+The ``ok`` to a motion line means only that the motion is planned. The ``ok`` to a following ``G4 P0`` comes when all
 planned motions are complete. The ``ok`` to a probe cycle comes at the end of the cycle.
 """
 
@@ -41,7 +41,7 @@ ANSWER_LOST_AFTER = 4
 
 @dataclass(frozen=True)
 class MotionOrder:
-    """Motion line with its expected result, in machine coordinates."""
+    """Order for one motion: the line to send, and the goal expected at the end, in machine coordinates (mm)."""
 
     line: str
     what: str
@@ -52,7 +52,10 @@ class MotionOrder:
 
 
 class SerialMotion:
-    """Carries out motion orders. If an exception ends a wait, a stop is sent before the exception propagates."""
+    """Executor of motion orders.
+
+    If any exception but CommandRejected ends the wait for a motion, a stop is sent before the exception propagates.
+    """
 
     def __init__(
         self,
@@ -74,7 +77,7 @@ class SerialMotion:
         return self._control.require_ready(self._settings.motion_margin_s)
 
     def move_straight(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """Move to a displayed position with G0 or G1, without checking the probe."""
+        """Move in a straight line (G0 or G1) to a displayed position, without checking the probe."""
         start = self.require_ready().position_mm
         goal = self._frames.to_machine(target_mm)
         word = "G0" if feed_mm_per_s is None else "G1"
@@ -85,7 +88,7 @@ class SerialMotion:
         self.require_at(goal, self.execute(order, start), "move")
 
     def execute(self, order: MotionOrder, start_mm: Vector) -> TrackedStatus:
-        """Send an order, wait for its end and return the status after it."""
+        """Send an order, wait until its motion ends, and return the status at the end."""
         conversation = self._conversation
         conversation.probe_results.clear()
         unexpected_restarts = self._tracker.unexpected_restarts
@@ -208,7 +211,10 @@ class SerialMotion:
 
 
 def axis_words(position_mm: Vector) -> str:
-    """Return the axis words in mm, with four decimals: finer than the steps to which the controller rounds."""
+    """Return the words for X, Y and Z in mm, as in ``X1.0000Y2.0000Z3.0000``.
+
+    Four decimals are finer than the steps to which the controller rounds.
+    """
     return "".join(f"{axis}{value:.4f}" for axis, value in zip("XYZ", position_mm.tolist(), strict=True))
 
 

@@ -24,7 +24,10 @@ class DurationPrediction:
         self._limits = limits
 
     def of(self, start_mm: Vector, goal_mm: Vector, feed_mm_per_s: float | None, slowest_share: float) -> float:
-        """Return the predicted duration in s of a straight motion at the speed factor `slowest_share`."""
+        """Return the predicted duration of a straight motion in s.
+
+        `slowest_share` is the factor, at most 1, by which the overrides reduce the speed.
+        """
         at_full_speed_s = move_duration_s(
             start_mm.tolist(),
             goal_mm.tolist(),
@@ -36,7 +39,11 @@ class DurationPrediction:
 
 
 class PollSchedule:
-    """Schedule of status queries: long pauses until the predicted end, then short pauses that grow."""
+    """Schedule of status queries during a motion.
+
+    The pauses between queries are long until the predicted end of the motion. After that, they are short at first and
+    grow.
+    """
 
     def __init__(self, clock: Clock, settings: SerialCncSettings, predicted_s: float, slice_s: float) -> None:
         self._clock = clock
@@ -48,11 +55,11 @@ class PollSchedule:
 
     @property
     def past_predicted_end(self) -> bool:
-        """True if the predicted end has passed."""
+        """True if the predicted end of the motion has passed."""
         return self._clock.now() >= self._end_s
 
     def restart(self) -> None:
-        """Restart the deadline after a hold, since time on hold does not count."""
+        """Restart the time limit of the motion, because time on hold does not count."""
         self.deadline = Deadline.after(self._clock, self._allowed_s)
 
     def pause_s(self) -> float:

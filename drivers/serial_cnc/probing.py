@@ -1,7 +1,8 @@
 """Probe cycles: touches, guarded moves, and backing off with a deflected probe.
 
-G38.3 ends at the trip or at its target, without an alarm; G38.5 likewise ends when the probe comes free. Their targets
-are in work coordinates, since G53 cannot be combined with them; their results are in machine coordinates.
+Cycle G38.3 ends when the probe trips, and cycle G38.5 ends when the probe comes free. Both cycles also end at their
+target, without an alarm. The targets of both cycles are in work coordinates, since G53 cannot be combined with a probe
+cycle. The results of both cycles are in machine coordinates.
 """
 
 from __future__ import annotations
@@ -26,14 +27,17 @@ SHORTEST_MM = 5e-4
 
 @dataclass(frozen=True)
 class ProbeCycleResult:
-    """Result of a probe cycle, and the status after it."""
+    """Result of a probe cycle, and the status after the cycle."""
 
     result: ProbeResult
     status: TrackedStatus
 
 
 class SerialProbing:
-    """Probe cycles. A latched position is accepted only if a cycle reports no other and it lies on the cycle's path."""
+    """Touches and guarded moves by means of probe cycles.
+
+    A latched position is accepted only if it is the only one reported in the cycle and lies on the path of the cycle.
+    """
 
     def __init__(
         self, conversation: Conversation, tracker: StatusTracker, motion: SerialMotion, frames: CoordinateFrames
@@ -59,7 +63,11 @@ class SerialProbing:
         return Touch(position) if ended.result.tripped else Miss(position)
 
     def move_guarded(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """Move; raise GuardTripped if the probe trips. A deflected probe is backed off first, never pressed further."""
+        """Move to a displayed position, and raise GuardTripped if the probe trips.
+
+        If the probe is deflected at the start, the axes first move towards the target until the probe comes free.
+        Raises CommandRejected if this would press the probe further.
+        """
         status = self._motion.require_ready()
         goal = self._frames.to_machine(target_mm)
         if status.deflected:

@@ -15,7 +15,7 @@ Triple = tuple[float, float, float]
 
 
 class BankSettings(DriverOptions):
-    """Files for compensation tables, since the controller stores none.
+    """Settings for the files that hold the compensation tables, since the controller stores no tables.
 
     A relative `directory` is relative to the settings file.
     """

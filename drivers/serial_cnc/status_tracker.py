@@ -1,4 +1,7 @@
-"""State of the controller. Fields that only some status reports contain are stored until the next such report."""
+"""State of a GRBL controller, as known from all status reports so far.
+
+Some fields are contained only in some reports. The last value of such a field is kept until a report contains it again.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ NOT_AUTOMATIC = frozenset({"Check", "Sleep", "Jog", "Home", "Tool"})
 
 @dataclass(frozen=True)
 class TrackedStatus:
-    """Status report completed with fields of earlier reports. `position_mm` is in machine coordinates, shape (3,)."""
+    """Status report in which missing fields are taken from earlier reports.
+
+    `position_mm` is in machine coordinates, shape (3,).
+    """
 
     word: str
     state: MotionState
@@ -43,7 +49,7 @@ class TrackedStatus:
 
     @property
     def slowest_share(self) -> float:
-        """Smaller of the feed and the rapid override as a speed factor, between 0.01 and 1."""
+        """Smaller one of the feed override and the rapid override, as a speed factor between 0.01 and 1."""
         return max(min(100, *self.overrides), 1) / 100.0
 
     @property
@@ -52,7 +58,7 @@ class TrackedStatus:
 
 
 class StatusTracker:
-    """Holds the state of the controller that is known from its reports while the device is open."""
+    """Record of the controller's state, kept up to date from the reports while the device is open."""
 
     def __init__(self, conversation: Conversation, settings: ControllerSettings, *, by_hand: bool) -> None:
         self._conversation = conversation
@@ -88,8 +94,8 @@ class StatusTracker:
     def read_status(self) -> TrackedStatus:
         """Query the status and return it.
 
-        After a critical alarm the controller answers nothing until it is reset; this method then resets it, which moves
-        nothing.
+        After a critical alarm, the controller gives no answer until it is reset. In this case the method resets the
+        controller first. The reset moves no axis.
         """
         conversation = self._conversation
         try:
@@ -108,11 +114,17 @@ class StatusTracker:
         return self._interpret(report)
 
     def expect_restart(self) -> None:
-        """Discard the state that a reset by this driver has cleared, but not the position. Call it after the reset."""
+        """Discard the state that a reset by this driver has cleared. The position is kept. Call this method after the
+        reset.
+        """
         self._note_restart(expected=True)
 
     def work_offset(self) -> Vector:
-        """Return the work offset, shape (3,): machine = work + offset. Queries the status until it is known."""
+        """Return the work offset in mm, shape (3,), for which machine = work + offset.
+
+        Queries the status until a report contains the offset. Raises ProtocolError if `REPORTS_UNTIL_OFFSET` reports do
+        not.
+        """
         for _ in range(REPORTS_UNTIL_OFFSET):
             if self._offset is not None:
                 return np.array(self._offset)

@@ -1,8 +1,8 @@
 """Compensation store with two banks in files, for a controller without tables.
 
-While a bank is active, the driver corrects commanded positions and removes the correction from latched ones.
-`volcal gcode correct` does the same to a part program, so a verification measures the accuracy of corrected programs.
-A program that was not corrected runs uncorrected.
+While a bank is active, the driver corrects commanded positions and removes the correction from latched positions.
+`volcal gcode correct` corrects a part program in the same way. A verification therefore measures the accuracy of
+corrected programs. A program that was not corrected runs without compensation.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ It ensures that the inversion of a correction gains at least one digit per itera
 class BankStore:
     """Compensation store in files.
 
-    `require_rest` must raise an error while an axis moves: activation would make the displayed position jump.
+    The function `require_rest` must raise an error if an axis is moving, because an activation during a motion would
+    make the displayed position jump.
     """
 
     def __init__(
@@ -50,7 +51,9 @@ class BankStore:
         self.correction = Correction(None)
 
     def open(self) -> None:
-        """Load the table of the active bank. Raises StoreError if it is missing or not the table that was activated."""
+        """Load the table of the active bank. Raises StoreError if the file is missing or holds another table than was
+        activated.
+        """
         bank, crc = self._files.active()
         self._active, self.correction = bank, Correction(self._verified_table(bank, crc) if bank else None)
 
@@ -81,7 +84,7 @@ class BankStore:
             )
 
     def activate(self, bank: int) -> None:
-        """Read the table back, check its CRC-32, record the bank as active, and only then apply the table."""
+        """Read the table of the bank back, check its CRC-32, record the bank as active, and only then use the table."""
         table = None
         if bank != 0:
             self._require_known(bank)

@@ -10,7 +10,7 @@ from drivers.roles import StoreLimits, TableImage
 
 
 def limits_violation(limits: StoreLimits, table: TableImage) -> str:
-    """Return why a controller with these limits cannot store the table; an empty string if it can."""
+    """Return the reason why a controller with these limits cannot store the table, or an empty string if it can."""
     if any(have > most for have, most in zip(table.shape, limits.max_nodes, strict=True)) or (
         math.prod(table.shape) > limits.max_total_nodes
     ):
@@ -24,10 +24,10 @@ def limits_violation(limits: StoreLimits, table: TableImage) -> str:
 
 
 def table_defect(table: TableImage, max_slope: float) -> str:
-    """Return why a table is invalid; an empty string if it is valid.
+    """Return the reason why a table is invalid, or an empty string if the table is valid.
 
-    Defects are an empty grid, numbers that are not finite, steps that are not positive, and a slope above `max_slope`
-    (mm of correction per mm between neighbouring nodes).
+    A table is invalid if its grid is empty, a number is not finite, or a grid step is not positive. It is also invalid
+    if the slope of the correction between two neighbouring nodes exceeds `max_slope`, in mm of correction per mm.
     """
     if min(table.shape) < 1:
         return f"grid {table.shape} has no nodes"

@@ -1,4 +1,4 @@
-"""Atomic, durable file writes: after a power cut a file has its complete old or its complete new contents."""
+"""Atomic and durable writing of files. After a power cut, a file has its complete old or its complete new contents."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def read_if_exists(path: Path) -> str | None:
-    """Return the text of the file, with non-ASCII bytes as surrogate escapes; None if there is no file.
+    """Return the text of the file, or None if there is no file. Bytes that are not ASCII become surrogate escapes.
 
     Raises StoreError if the file cannot be read.
     """
@@ -43,7 +43,7 @@ def read_if_exists(path: Path) -> str | None:
 
 
 def sync_directory(folder: Path) -> None:
-    """Sync `folder`, so that renames in it survive a power cut."""
+    """Sync the directory `folder` to the disk. Files that were renamed in it before then survive a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)

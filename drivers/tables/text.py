@@ -1,4 +1,6 @@
-r"""Text format of a compensation table. Its checksums reveal truncation, changes and parts of different tables.
+r"""Text format of a compensation table.
+
+Two checksums reveal a file that was truncated, changed, or put together from parts of different tables.
 
 ::
 
@@ -11,7 +13,7 @@ r"""Text format of a compensation table. Its checksums reveal truncation, change
     DX DY DZ                   one line per node, x slowest, z fastest
     file_crc32 HHHHHHHH        over every byte before this line
 
-Numbers are written to full float64 precision. Outside the file, the CRC-32 of the counts identifies the table.
+Numbers are written to full float64 precision. Other parts of volcal identify a table by the CRC-32 of its counts.
 """
 
 from __future__ import annotations
@@ -59,9 +61,9 @@ def format_table(table: TableImage) -> str:
 
 
 def parse_table(text: str, **where: str | int) -> TableImage:
-    """Parse the text of a table file. Errors contain the locations in `where`.
+    """Parse the text of a table file. Every error carries `where`, which states the origin of the text.
 
-    Raises StoreError for text that is not a table, ChecksumMismatch for a table that was changed.
+    Raises StoreError if the text is not a table, and ChecksumMismatch if the table was changed.
     """
     last = TRAILER.search(text)
     if last is None:

@@ -1,9 +1,10 @@
-"""`python -m simulators.linuxcnc`: a stock LinuxCNC with a simulated machine around it.
+"""`python -m simulators.linuxcnc`: an unmodified LinuxCNC with a simulated machine around it.
 
-It runs until standard input ends.
+The program runs until standard input ends.
 
-The first line on standard output is one JSON object. It gives `pid`, the process whose namespaces other programs enter,
-and the addresses of the control channel and the CAN bus inside these namespaces.
+The first line on standard output is one JSON object. Its key `pid` gives the id of a process; other programs must enter
+the namespaces of this process. The object also gives the addresses of the control channel and of the CAN bus, which are
+valid inside these namespaces.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ PATH = click.Path(path_type=Path)
 def run(
     *, scenario: Path, configuration: Path, components: Path, work: Path, ini: str, speed: float, inside: bool
 ) -> None:
-    """Compile, start, switch on and home LinuxCNC, then serve."""
+    """Compile the components, start LinuxCNC, switch it on and home it, then serve clients."""
     try:
         if inside:
             _serve(scenario, work.resolve(), ini, speed)

@@ -1,4 +1,4 @@
-"""Start, switch on, home and stop a stock LinuxCNC without a screen."""
+"""Control of an unmodified LinuxCNC without a screen: start, switch on, home and stop."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ JOINTS = 3
 class LinuxCncInstance:
     """Context manager for a running LinuxCNC.
 
-    `speed` is controller seconds per wall second; `directory` holds INI and HAL files and receives the log; programs
-    that the HAL files load are searched for in `programs` first.
+    `speed` is the number of controller seconds per second of wall time. `directory` holds the INI and HAL files and
+    receives the log. Programs that the HAL files load are searched for in the directory `programs` first.
     """
 
     def __init__(self, directory: Path, ini: str, *, speed: float, programs: Path) -> None:

@@ -1,4 +1,7 @@
-"""LinuxCNC and the plant around it as one machine in its own namespaces, with CAN drives and a control channel."""
+"""LinuxCNC and the simulated plant (machine, balls and mount) around it, as one machine in its own Linux namespaces.
+
+The machine has CAN drives and a control channel.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,8 @@ BUILD_WITHIN_S: Final = 120.0
 
 
 def build(components: Path, out: Path) -> list[Path]:
-    """Compile the plant's and the driver's HAL components; return the paths of the modules that LinuxCNC loads.
+    """Compile the HAL components of the plant and of the driver, and return the paths of the modules for LinuxCNC to
+    load.
 
     Raises ConfigurationError if a component does not compile.
     """
@@ -57,9 +61,10 @@ def _compile(command: list[str], directory: Path) -> None:
 
 
 class LinuxCncMachine:
-    """Context manager for the whole machine. It can be entered once, inside the machine's own namespaces.
+    """Context manager that runs the whole machine. It can be entered once, by a process inside the machine's
+    namespaces.
 
-    `work` holds configuration and components and receives all other files.
+    The directory `work` holds the configuration and the components, and receives all other files.
     """
 
     def __init__(self, scenario: Scenario, work: Path, ini: str, *, speed: float) -> None:
@@ -104,7 +109,9 @@ class LinuxCncMachine:
         return [self._control, can, Ticker(shared, clock)]
 
     def ready_line(self) -> dict[str, Any]:
-        """Return the addresses of all servers inside these namespaces."""
+        """Return the addresses of all servers, which are valid inside the machine's namespaces, and the path of the
+        log.
+        """
         host, port = self._control.address
         return {
             "control": {"host": host, "port": port},

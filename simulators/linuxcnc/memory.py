@@ -1,6 +1,6 @@
 """File through which the plant's process and the servo thread of LinuxCNC share the simulated state.
 
-The layout is that of `components/volcal_plant.h`; every field has 8 bytes, little-endian.
+The layout is that of `components/volcal_plant.h`. Every number in the file has 8 bytes and is little-endian.
 """
 
 from __future__ import annotations
@@ -51,7 +51,11 @@ _HEAD = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class DeviationGrid:
-    """Deviations `deviation_mm` (nx, ny, nz, 3) at the uncorrected axis positions origin + index * step, in mm."""
+    """Deviations on a grid of uncorrected axis positions, in mm.
+
+    The grid nodes are at `origin_mm + index * step_mm`. `deviation_mm` has shape (nx, ny, nz, 3): the numbers of nodes
+    along x, y and z, and the three components of a deviation.
+    """
 
     origin_mm: Array
     step_mm: Array
@@ -74,7 +78,10 @@ class ProbeBehaviour:
 
 
 class PlantMemory:
-    """Shared memory, written here and read by the servo thread. Closing it does not remove the file."""
+    """Shared memory through which this process and the servo thread exchange the simulated state.
+
+    Closing the object does not remove the file.
+    """
 
     def __init__(self, path: Path, grid: DeviationGrid, nature: ProbeBehaviour) -> None:
         size = _HEAD.itemsize + grid.deviation_mm.size * 8
@@ -94,8 +101,9 @@ class PlantMemory:
         self._read = 0
 
     def show(self, balls_mm: Array, *, drift_mm: tuple[float, float, float], temperatures_c: list[float]) -> None:
-        """Publish the ball centres (n, 3) in the workpiece frame, the thermal drift of the tip, and the
-        temperatures.
+        """Publish the ball centres, the thermal drift of the tip, and the temperatures.
+
+        `balls_mm` has shape (n_balls, 3) and is in the workpiece frame.
         """
         if len(balls_mm) > BALLS:
             raise ConfigurationError(f"{len(balls_mm)} balls; the plant holds at most {BALLS}", key="artefacts")
@@ -107,8 +115,10 @@ class PlantMemory:
         self._head["sequence"] += 1
 
     def read_trace(self) -> Array:
-        """Return the tip positions (n, 3) in mm since the previous call, starting with the last one that it
-        returned.
+        """Return the tip positions since the previous call, in mm and with shape (n_positions, 3).
+
+        The first position is the last one of the previous call. If the memory has overflowed since that call, the
+        oldest positions are missing.
         """
         written = int(self._head["traced"][0])
         first = max(self._read - 1, written - TRACE + 1, 0)

@@ -1,9 +1,8 @@
 """Linux namespaces for one LinuxCNC.
 
-They are needed because LinuxCNC uses one lock, fixed shared-memory keys and servers on all interfaces.
-
-A program started here has its own network, IPC, mount and process namespaces; another program enters them with
-`nsenter_command`.
+The namespaces are needed because LinuxCNC uses one lock, shared memory with fixed keys, and servers on all network
+interfaces. A program started by this module has its own network, IPC, mount and process namespaces. Another program
+enters these namespaces with `nsenter_command`.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ HOME = str(TMP)
 
 
 def unshare_command(command: list[str]) -> list[str]:
-    """Return a command that runs `command` as the first process of new namespaces.
+    """Return an `unshare` command that runs `command` as the first process of new namespaces.
 
-    `command` is killed when this `unshare` process ends.
+    If the `unshare` process ends, `command` is killed.
     """
     return [
         "unshare",
@@ -41,13 +40,16 @@ def unshare_command(command: list[str]) -> list[str]:
 
 
 def nsenter_command(pid: int) -> list[str]:
-    """Return the prefix for a command to be run in the namespaces of process `pid`, the id outside the namespaces."""
+    """Return the prefix of a command that is to run in the namespaces of process `pid`.
+
+    `pid` is the id that the process has outside the namespaces.
+    """
     user = ["--user", "--preserve-credentials"] if _user() else []
     return ["nsenter", "--target", str(pid), *user, "--net", "--ipc", "--mount", "--pid", "env", f"HOME={HOME}"]
 
 
 def unavailable_reason() -> str:
-    """Return the reason why LinuxCNC cannot run here; empty if it can."""
+    """Return the reason why LinuxCNC cannot run on this computer, or an empty string if it can run."""
     for program, package in (("linuxcnc", "linuxcnc-uspace"), ("halcompile", "linuxcnc-uspace-dev")):
         if shutil.which(program) is None:
             return f"{program} is not installed (package {package})"
@@ -61,10 +63,11 @@ def unavailable_reason() -> str:
 
 
 def make_private(work: Path, modules: list[Path]) -> None:
-    """Prepare the namespaces; must be the first call inside them.
+    """Prepare the namespaces. This must be the first call inside them.
 
-    Brings loopback up, mounts a private /dev/shm and a private /tmp in which `work` and the volcal programs are still
-    found at their old paths, and adds `modules` to those that LinuxCNC can load.
+    The function activates the loopback interface and mounts a private /dev/shm and a private /tmp. In the private /tmp,
+    `work` and the volcal programs are still found at their old paths. The files `modules` are added to the modules that
+    LinuxCNC can load.
     """
     _run("ip", "link", "set", "lo", "up")
     # faketime names its shared memory by process ids, which restart in a new namespace
@@ -87,8 +90,9 @@ def make_private(work: Path, modules: list[Path]) -> None:
 
 
 def first_child(pid: int) -> int | None:
-    """Return the process id of the only child of process `pid`, such as that of `unshare --fork`; None before it
-    exists.
+    """Return the id of the only child of process `pid`, or None if the child does not exist yet.
+
+    Process `pid` may be `unshare --fork`, for example.
     """
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
     return int(children[0]) if children else None

@@ -1,7 +1,7 @@
-"""World around LinuxCNC: the simulated true machine, artefact and mount, made available to the servo thread.
+"""World around LinuxCNC: the simulated true machine, artefact and mount.
 
-The world's own simulated controller is not used: LinuxCNC moves the axes, and a realtime component reports probe
-trips. Collisions are searched for along the path that the tip has taken.
+The state of the world is published to the servo thread. The world's own simulated controller is not used: LinuxCNC
+moves the axes, and a realtime component reports probe trips. Collisions are searched for along the path of the tip.
 """
 
 from __future__ import annotations

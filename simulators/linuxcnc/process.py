@@ -1,4 +1,4 @@
-"""Run `python -m simulators.linuxcnc` as a separate process, for tests and benchmarks outside its namespaces."""
+"""Execution of `python -m simulators.linuxcnc` as a separate process, for tests and benchmarks outside its namespaces."""
 
 from __future__ import annotations
 
@@ -64,11 +64,11 @@ class LinuxCncProcess:
 
     @property
     def bridge_command(self) -> list[str]:
-        """Value of the LinuxCNC driver's option `bridge_command` for use outside the namespaces."""
+        """Value for the option `bridge_command` of the LinuxCNC driver, if the driver runs outside the namespaces."""
         return self.inside("/usr/bin/python3")
 
     def ask(self, request: str) -> dict[str, Any]:
-        """Send one request to the control channel: ``truth``, ``collisions`` or ``status``."""
+        """Send one request (``truth``, ``collisions`` or ``status``) to the control channel, and return the answer."""
         place = self.ready["control"]
         words = self.inside("/usr/bin/python3", "-c", _ASK, place["host"], str(place["port"]))
         done = subprocess.run(  # noqa: S603  our own program

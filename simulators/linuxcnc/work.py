@@ -1,4 +1,4 @@
-"""Working directory of a LinuxCNC: a copy of its configuration, so that the original is never modified."""
+"""Working directory of a LinuxCNC. It holds a copy of the configuration, and the original is never modified."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TABLES = "tables"
 
 
 def prepare_work_directory(configuration: Path, components: Path, work: Path) -> None:
-    """Copy INI, HAL and tool files and the components' HAL files, and make the directory for tables.
+    """Copy the INI, HAL and tool files and the HAL files of the components, and create the directory for tables.
 
     The agent's settings are not copied.
     """

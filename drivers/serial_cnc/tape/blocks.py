@@ -1,4 +1,6 @@
-r"""Tape format: a mark ``%``, then blocks of words, then a second mark ``%``. Each block ends with LF.
+r"""Tape format for parameters: a mark ``%``, then blocks of words, then a second mark ``%``.
+
+Each block ends with LF.
 
 ::
 
@@ -26,7 +28,7 @@ BITS = re.compile(r"[01]{8}")
 
 
 class TapeError(ValueError):
-    """The text is not a valid tape; the message names the block."""
+    """Error for a text that is not a valid tape. The message names the block."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,10 @@ class Word:
     text: str
 
     def same_as(self, other: Word) -> bool:
-        """Compare eight binary digits as text, other numbers by value."""
+        """Return True if both words have the same letter and equal numbers.
+
+        Numbers of eight binary digits are compared as text, and other numbers by value.
+        """
         if self.letter != other.letter:
             return False
         if BITS.fullmatch(self.text) or BITS.fullmatch(other.text):
@@ -53,7 +58,7 @@ Block = tuple[Word, ...]
 
 @dataclass(frozen=True)
 class Tape:
-    """Tape, as the blocks between its two marks."""
+    """Contents of a tape, as the blocks between its two marks."""
 
     blocks: tuple[Block, ...]
 
@@ -63,7 +68,10 @@ class Tape:
 
 
 def parse_tape(text: str) -> Tape:
-    """Parse a tape, ignoring text before the first mark (a label) and after the second. Raises TapeError."""
+    """Parse a tape, ignoring text before the first mark (a label) and after the second mark.
+
+    Raises TapeError if the text is not a valid tape.
+    """
     first, second = text.find(MARK), text.find(MARK, text.find(MARK) + 1)
     if first < 0 or second < 0:
         raise TapeError(f"a tape begins and ends with {MARK}; found {text.count(MARK)} of them")
@@ -90,7 +98,7 @@ def _block(line: str, number: int) -> Block:
 
 @dataclass(frozen=True)
 class TapeDifference:
-    """Parameter whose value read back differs from the one written; `found` is None if it is missing."""
+    """Parameter whose value read back differs from the value written. `found` is None if the parameter is missing."""
 
     number: int
     axis: str
@@ -103,9 +111,9 @@ class TapeDifference:
 
 
 def differences(expected: Tape, found: Tape) -> list[TapeDifference]:
-    """Return the values of `expected` that are missing or different in `found`; additional values are ignored.
+    """Return the parameters of `expected` whose values are missing or different in `found`.
 
-    Raises TapeError for a block that is not a parameter.
+    Additional parameters in `found` are ignored. Raises TapeError if a block is not a parameter.
     """
     actual = dict(_values(found.blocks))
     found_differences = []

@@ -1,7 +1,7 @@
-"""Tape characters: ISO code of seven bits with even parity in the eighth, and the four device controls.
+"""Tape characters: seven-bit ISO code with even parity in the eighth bit, and the four device controls.
 
-With its parity bit DC3 is 0x93. The XON/XOFF handshake of a serial driver recognises only 0x13, so this package handles
-flow control.
+With its parity bit, the device control DC3 is 0x93. The XON/XOFF handshake of a serial driver recognises DC3 only as
+0x13. Package `tape` therefore handles flow control itself.
 
 Source: FANUC B-63503EN/02 (Series 0i connection manual, hardware), 5.3 "RS-232-C interface": one parity bit among
 eight, DC1 to DC4, two stop bits; ISO 646 for the characters.
@@ -17,7 +17,7 @@ IGNORED = frozenset({0x00, 0x0D, 0x7F, 0x20})
 
 
 class DeviceControl(IntEnum):
-    """Device control characters, without parity bit."""
+    """Codes of the device controls DC1 to DC4, without the parity bit."""
 
     READER_START = 0x11
     PUNCH_ON = 0x12
@@ -30,7 +30,7 @@ _CONTROLS = {control.value: control for control in DeviceControl}
 
 @dataclass(frozen=True)
 class ParityFault:
-    """Character with an odd number of holes."""
+    """Received byte with an odd number of one bits, which is a parity error."""
 
     byte: int
 
@@ -53,7 +53,10 @@ def encode_control(control: DeviceControl) -> bytes:
 
 
 def decode(data: bytes) -> list[Character]:
-    """Decode tape bytes into one entry per significant byte."""
+    """Decode tape bytes into characters, device controls and parity faults, one for each byte.
+
+    Bytes without meaning on a tape, such as blank tape and spaces, are omitted.
+    """
     characters: list[Character] = []
     for byte in data:
         seven = byte & 0x7F

@@ -1,10 +1,11 @@
 """Tape transfer in both directions over a punch/read line.
 
-*Punch*: the controller sends DC2, then the tape, then DC4. *Read*: it sends DC1 when READ is pressed, reads the
-tape, stops and restarts the sender with DC3 and DC1 as its memory fills and empties, and sends DC3 at the end. The
-operator starts both transfers at the controller; this module cannot make it punch or read.
+*Punch*: the controller sends DC2, then the tape, then DC4. *Read*: the controller sends DC1 when the operator presses
+READ, and then reads the tape. It sends DC3 to stop the sender when its memory is full, and DC1 to restart the sender.
+It sends DC3 at the end. The operator starts both transfers at the controller; this module cannot start them.
 
-Source: FANUC B-63503EN/02, 5.3: meaning of DC1 to DC4; DC3 stops a sender within ten characters.
+Source: FANUC B-63503EN/02, section 5.3, for the meaning of DC1 to DC4. According to this section, DC3 stops a sender
+within ten characters.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ Announce = Callable[[str], None]
 class PunchRead:
     """Tape transfer over a serial line that is open inside the `with` block.
 
-    `announce` asks the operator to press a key. Methods raise LinkLost, LinkTimeout, ProtocolError, and
-    DeadlineExpired if no key was pressed in time.
+    The function `announce` shows a text that asks the operator to press a key. Methods raise LinkLost, LinkTimeout or
+    ProtocolError, and DeadlineExpired if the operator did not press the key in time.
     """
 
     def __init__(self, settings: TapeSettings, clock: Clock, announce: Announce, *, device: str = "") -> None:
@@ -67,7 +68,8 @@ class PunchRead:
     def send(self, tape: Tape) -> None:
         """Ask the operator to press READ, then send a tape.
 
-        If an error ends the transfer, part of the tape is in the controller; a note on the error says how much.
+        If an error ends the transfer, the controller has received part of the tape. A note on the error states how much
+        was sent.
         """
         data = encode(tape.text())
         self._announce("press READ at the controller")
@@ -89,7 +91,10 @@ class PunchRead:
             raise
 
     def write(self, tape: Tape) -> None:
-        """Send a tape, receive it back and compare. Raises ReadBackMismatch, which names the parameters that differ."""
+        """Send a tape, receive it back and compare both tapes.
+
+        Raises ReadBackMismatch if parameters differ. The error names these parameters.
+        """
         self.send(tape)
         self.compare(tape, self.receive())
 
