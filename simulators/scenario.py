@@ -111,8 +111,8 @@ class AgeingSettings(StrictModel):
     errors of X, Y and Z change as sines with the amplitudes `seasonal_um_per_m`, the phases `phases_deg` and the period
     `season_nights`. All errors also change in a random walk. `walk_um` is the rms over the working volume of the
     deviation that one night of this walk adds. In night `collision_night`, errors jump by the values of `collision`, in
-    µm or µrad. A key of `collision` is the ISO name of an error; with a Legendre order added, it names one coefficient
-    of that error.
+    µm or µrad. Each key of `collision` is the ISO name of an error and may add the Legendre order of the coefficient
+    that jumps. Without an order, the coefficient of the lowest order jumps.
     """
 
     night: int = Field(default=0, ge=0)

@@ -1,4 +1,4 @@
-"""Execution of `python -m simulators.linuxcnc` as a separate process, for tests and benchmarks outside its namespaces."""
+"""Run of `python -m simulators.linuxcnc` as a separate process, for tests and benchmarks outside its namespaces."""
 
 from __future__ import annotations
 

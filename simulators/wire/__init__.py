@@ -1,4 +1,4 @@
-"""Servers and CAN nodes through which clients reach the world.
+"""Servers and CAN nodes through which clients reach the simulated world.
 
 They are written from the protocol documents and contain no physics.
 """

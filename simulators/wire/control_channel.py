@@ -1,6 +1,6 @@
 """Control channel over TCP. It offers the actions of a person at the machine, and facts known only to the simulator.
 
-One JSON object per line is answered by one JSON object; invalid input is answered with ``{"error": ...}``.
+A request is one JSON object on a line, and so is the answer. Invalid input is answered with ``{"error": ...}``.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ log = structlog.get_logger()
 
 class VolumetricTruth(Protocol):
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """Return the raw error and the rigidly aligned error in µm, with the table of `bank`.
+        """Return the true volumetric error in µm with the table of `bank` active, first raw and then aligned.
 
-        The aligned error remains after the best-fitting rigid motion is removed. If `bank` is None or 0, the errors are
-        those without table.
+        The aligned error remains after the best-fitting rigid motion is removed. If `bank` is None or 0, no table is
+        active.
         """
         ...
 
@@ -109,7 +109,7 @@ class ControlServer:
         serve_lines(connection, lambda line: json.dumps(self.answer(line)).encode())
 
     def answer(self, line: bytes) -> Answer:
-        """Return the answer to one line. Invalid client input never raises an exception."""
+        """Return the answer to one line. Invalid input from a client gives an error answer, not an exception."""
         try:
             request = _parse(line)
             with self._shared.lock:

@@ -22,10 +22,10 @@ log = structlog.get_logger()
 
 
 class PseudoTerminal:
-    """One serial line; `received(bytes)` is called in this object's own thread.
+    """One serial line. The function `received` is called with the bytes that arrive, in this object's own thread.
 
-    Bytes that are not read are lost once the terminal's buffer is full, as on a line without handshake. `distort`
-    models a bad cable: tests set it to alter the bytes sent. Raises ConfigurationError if the link cannot be made.
+    Bytes sent are lost once the terminal's buffer is full, as on a line without handshake. Tests set `distort` to a
+    function that alters the bytes sent, as a bad cable does. Raises ConfigurationError if the link cannot be made.
     """
 
     def __init__(self, name: str, received: Callable[[bytes], None], link: str = ANY) -> None:
@@ -52,14 +52,14 @@ class PseudoTerminal:
 
     @property
     def device_path(self) -> str:
-        """Path that the other side opens."""
+        """Path of the terminal, which the program on the other side opens."""
         return self.port if self._link is None else str(self._link)
 
     def start(self) -> None:
         self._thread.start()
 
     def send(self, data: bytes) -> None:
-        """Write `data`; bytes that do not fit are lost."""
+        """Write `data`. Bytes that do not fit into the terminal's buffer are lost."""
         if self.distort is not None:
             data = self.distort(data)
         if self._closed:
@@ -68,8 +68,8 @@ class PseudoTerminal:
             os.write(self._ours, data)
 
     def offer(self, data: bytes) -> int:
-        """Write as many bytes of `data` as the line accepts, and return their number, so that the caller can retain
-        the rest.
+        """Write as many bytes of `data` as the line accepts, and return their number. The caller can retain the other
+        bytes.
         """
         try:
             return os.write(self._ours, data)
@@ -77,7 +77,7 @@ class PseudoTerminal:
             return 0
 
     def pump(self) -> None:
-        """Process received bytes without the thread, for callers that are driven by machine time."""
+        """Process received bytes in the caller's thread, for callers that are driven by machine time."""
         with contextlib.suppress(BlockingIOError):
             if not self._closed:
                 self._received(os.read(self._ours, RECEIVE_BYTES))

@@ -27,11 +27,12 @@ class _Companion:
 
 
 class SharedWorld(Generic[W_co]):
-    """World with a lock that serialises access: hold `lock` (re-entrant) while reading `world` or commanding it.
+    """World with a lock that serialises access. Hold `lock` (re-entrant) while reading `world` or commanding it.
 
-    Companions (a heartbeat monitor, CAN nodes) are called after each advance, under the lock. A companion that must be
-    called at a certain instant returns it from `wakes_at`. A longer advance is then made in two parts, so that, for
-    example, a timeout of one second expires after one second however far the clock jumps.
+    Companions are objects that follow the world's time, such as a heartbeat monitor or CAN nodes. They are called after
+    each advance, under the lock. If a companion must be called at a certain instant, its `wakes_at` returns this
+    instant. An advance beyond this instant is made in two parts. A timeout of one second then expires after exactly one
+    second, even if the clock jumps further.
     """
 
     def __init__(self, world: W_co) -> None:
@@ -51,8 +52,10 @@ class SharedWorld(Generic[W_co]):
     def subscribe(
         self, on_advance: Callable[[float], None], *, wakes_at: Callable[[], float | None] | None = None
     ) -> None:
-        """Call `on_advance(now_s)` after each advance; `wakes_at()` returns the next instant at which it must be
-        called, or None.
+        """Call `on_advance(now_s)` after each advance of the world.
+
+        `wakes_at()` returns the next instant in s at which `on_advance` must be called, or None if there is no such
+        instant.
         """
         with self.lock:
             self._companions.append(_Companion(on_advance, wakes_at))

@@ -40,7 +40,7 @@ _FORMS = "socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH, slcan:any,
 
 @dataclass(frozen=True)
 class CanChannel:
-    """Simulator's end of a bus, and the configuration that the agent needs to reach it."""
+    """Connection of the simulator to a CAN bus, and the settings that the agent needs to reach the same bus."""
 
     bus: can.BusABC
     interface: str

@@ -52,8 +52,8 @@ class MountAxes(Protocol):
 class DriveConfig:
     """Configuration of one simulated drive.
 
-    `counts_per_degree`: encoder increments per degree; `zero_deg`: mount angle at which the encoder reads 0; `factors`:
-    factor group, or None if the drive has none.
+    `counts_per_degree` is the number of encoder increments per degree, and `zero_deg` is the mount angle at which the
+    encoder reads 0. `factors` is the factor group, or None if the drive has no factor group.
     """
 
     node_id: int
@@ -122,11 +122,14 @@ class ServoDrive:
 
     @property
     def error_register(self) -> int:
-        """Error register 0x1001: bit 0 generic, bit 5 device profile."""
+        """Error register 0x1001. Bit 0 means a generic error, and bit 5 means an error of the device profile."""
         return 0x21 if self._state in (PowerDriveState.FAULT, PowerDriveState.FAULT_REACTION) else 0x00
 
     def trip(self, code: int, *, persistent: bool = False) -> None:
-        """Raise an internal fault: stop the motion and send an EMCY. A persistent fault cannot be reset."""
+        """Cause an internal fault: stop the motion and send an emergency message with `code`.
+
+        A reset does not clear a `persistent` fault.
+        """
         self._error_code = code
         self._persistent = persistent
         self._emergencies.append(code)
@@ -134,23 +137,26 @@ class ServoDrive:
         self._stop_motion()
 
     def jam(self, *, jammed: bool = True) -> None:
-        """Block the axis: it stops if it is moving, and then accepts commands without moving."""
+        """Block the axis. A moving axis stops, and the drive then accepts commands without moving the axis."""
         self._jammed = jammed
         if jammed and self._underway:
             self._axes.halt(self._config.axis)
 
     def deviate(self, *, deviating: bool = True) -> None:
-        """Set statusword bit 13 (following or homing error) without tripping the drive."""
+        """Set statusword bit 13 (following error or homing error) without causing a fault."""
         self._deviating = deviating
 
     def press_limit_switch(self, direction: int, *, pressed: bool = True) -> None:
-        """Set the limit switch in the given `direction` of counts (1 or -1); motion in that direction stops."""
+        """Press the limit switch in the given `direction` of the encoder counts (1 or -1).
+
+        A motion in this direction stops.
+        """
         bit = POSITIVE_SWITCH if direction > 0 else NEGATIVE_SWITCH
         self._switches = self._switches | bit if pressed else self._switches & ~bit
         self._stop_at_switch()
 
     def lose_home_switch(self, *, lost: bool = True) -> None:
-        """Break the reference switch or its cable: homing that needs it fails."""
+        """Simulate a broken reference switch or cable. A homing method that needs the switch then fails."""
         self._home_switch = not lost
 
     def warn(self, code: int) -> None:

@@ -35,7 +35,10 @@ BUS_OFF = can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=T
 
 
 class CanMounts:
-    """Drives of all mounts on one bus, which the constructor opens. `lock` protects the world that the drives read."""
+    """Drives of all mounts on one CAN bus. The constructor opens the bus.
+
+    `lock` protects the world, whose state the drives read.
+    """
 
     def __init__(self, spec: str, mounts: Sequence[MountAxes], lock: AbstractContextManager[bool]) -> None:
         self._channel: CanChannel = open_channel(spec)
@@ -77,8 +80,9 @@ class CanMounts:
 
 
 def drive_configs(mounts: int) -> list[tuple[DriveConfig, ...]]:
-    """Return the drive configurations of each mount: node ids 1 and 2 for the first mount, 3 and 4 for the second,
-    and so on.
+    """Return the drive configurations of each mount.
+
+    The drives of the first mount have the node ids 1 and 2, those of the second mount have 3 and 4, and so on.
     """
     return [
         tuple(_drive(2 * number + place, axis) for place, axis in enumerate(AXES, start=1)) for number in range(mounts)

@@ -26,7 +26,7 @@ class NmtState(IntEnum):
 
 
 class Application(Protocol):
-    """Device application of a node, as opposed to its communication (CiA 301)."""
+    """Device application of a node: the part that implements the device and not the communication (CiA 301)."""
 
     @property
     def error_register(self) -> int: ...
@@ -43,9 +43,10 @@ class Application(Protocol):
 
 
 class CanopenNode:
-    """CANopen node.
+    """Simulated CANopen node with one device application.
 
-    `device_type`: object 0x1000; `identity`: object 0x1018 (vendor, product, revision, serial number).
+    `device_type` is the value of object 0x1000. `identity` is the value of object 0x1018: vendor, product, revision and
+    serial number.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class CanopenNode:
         return self._out([(0x700 + self.node_id, bytes([NmtState.BOOT_UP]))])
 
     def receive(self, identifier: int, data: bytes) -> list[Frame]:
-        """Return the node's answer to a frame on the bus."""
+        """Return the frames with which the node answers one frame on the bus."""
         if self.silent:
             return []
         if identifier == 0x000 and len(data) == 2 and data[1] in (0, self.node_id):
@@ -107,7 +108,10 @@ class CanopenNode:
         return []
 
     def advance(self, now_s: float) -> list[Frame]:
-        """Advance to `now_s` and return the frames due until then, with a single heartbeat even if several were due."""
+        """Advance the node to the time `now_s`, and return the frames due until then.
+
+        The frames contain only one heartbeat even if several heartbeats were due.
+        """
         self._now_s = now_s
         self._application.advance(now_s)
         frames = self._emergency_frames()
@@ -117,11 +121,11 @@ class CanopenNode:
         return self._out(frames)
 
     def stop_heartbeat(self) -> None:
-        """Stop the heartbeat; the node still answers."""
+        """Stop the heartbeat. The node still answers requests."""
         self._heartbeat_ms = 0
 
     def lose_answers(self, count: int) -> None:
-        """Drop the next `count` SDO answers; the requests themselves are executed."""
+        """Drop the next `count` SDO answers. The requests are nevertheless executed."""
         self._answers_to_lose = count
 
     def _command(self, command: int) -> list[Frame]:

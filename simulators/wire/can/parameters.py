@@ -1,7 +1,8 @@
 """Parameters of a simulated drive outside its state machine, with their power-on values, as listed in CiA 402.
 
-Most are only stored. The factor group (0x608F, 0x6091, 0x6092) and the polarity take effect: a position is increments *
-feed / (encoder resolution * gear ratio), and bit 7 of 0x607E reverses its sign.
+Most parameters are only stored. The factor group (0x608F, 0x6091, 0x6092) and the polarity (0x607E) take effect. A
+position is increments * feed / (encoder resolution * gear ratio). Bit 7 of the polarity reverses the sign of the
+position.
 """
 
 from __future__ import annotations
@@ -38,7 +39,11 @@ _ALWAYS: dict[Key, tuple[str, int]] = {
 
 @dataclass(frozen=True)
 class FactorGroup:
-    """Power-on values of 0x608F, 0x6091, 0x6092 (each a pair), 0x607E, and of 0x60A8 and 0x60A9 (SI units)."""
+    """Power-on values of the objects that define the position unit of a drive.
+
+    `resolution`, `gear` and `feed` are the pairs of values in objects 0x608F, 0x6091 and 0x6092. `polarity` is object
+    0x607E. `unit_codes` are the codes of SI units in objects 0x60A8 and 0x60A9.
+    """
 
     resolution: tuple[int, int]
     gear: tuple[int, int]
@@ -48,7 +53,7 @@ class FactorGroup:
 
     @classmethod
     def in_increments(cls, increments: int, gear: int) -> FactorGroup:
-        """Return factors whose product is one: the position unit is an encoder increment."""
+        """Return factors with which the position unit is one encoder increment."""
         return cls((increments, 1), (gear, 1), (increments * gear, 1))
 
     def entries(self) -> dict[Key, tuple[str, int]]:
@@ -59,7 +64,10 @@ class FactorGroup:
 
 
 class Parameters:
-    """Values by index and sub-index. The position unit of a drive without a factor group is the encoder increment."""
+    """Values of a drive's parameters by index and sub-index.
+
+    If the drive has no factor group, its position unit is the encoder increment.
+    """
 
     def __init__(self, factors: FactorGroup | None) -> None:
         self._defaults = {**_ALWAYS, **(factors.entries() if factors is not None else {})}
@@ -80,7 +88,7 @@ class Parameters:
 
     @property
     def units_per_increment(self) -> float:
-        """Position units per increment; negative if the polarity is reversed."""
+        """Number of position units per encoder increment. It is negative if the polarity is reversed."""
         if not self._has_factors:
             return 1.0
         resolution = self[RESOLUTION] / self[RESOLUTION_TURNS]
@@ -89,7 +97,7 @@ class Parameters:
         return (-1.0 if self[POLARITY] & REVERSED_POSITION else 1.0) * feed / (resolution * gear)
 
     def within_limits(self, position: int) -> int:
-        """Return `position`, clipped to the software limits."""
+        """Return `position` clipped to the software limits, or unchanged if no limits are set."""
         lower, upper = self[LOWER_LIMIT], self[UPPER_LIMIT]
         return min(max(position, lower), upper) if lower < upper else position
 

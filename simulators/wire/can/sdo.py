@@ -22,7 +22,7 @@ ABORT_LOCAL_STATE = 0x08000022
 
 
 class SdoAbortError(Exception):
-    """Abort raised by an entry's reader or writer; `code` is sent to the client."""
+    """Error with which the reader or writer of an entry aborts a transfer. `code` is sent to the client."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"SDO abort 0x{code:08X}")
@@ -33,7 +33,7 @@ class SdoAbortError(Exception):
 class ObjectEntry:
     """One entry of the object dictionary.
 
-    `code`: `struct` letter of its little-endian type, empty for a visible string.
+    `code` is the `struct` letter of the entry's little-endian type, and is empty for a visible string.
     """
 
     code: str
@@ -70,7 +70,7 @@ class SdoServer:
     def answer(self, request: bytes) -> bytes | None:
         """Return the 8-byte answer to an 8-byte request.
 
-        Returns None if the client aborts or if the frame has another length.
+        Returns None if the client aborts or if the frame does not have 8 bytes.
         """
         if len(request) != 8:
             return None

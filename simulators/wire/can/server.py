@@ -1,6 +1,4 @@
-"""Simulated CANopen nodes on a python-can bus, with one thread that answers requests and a method that advances
-time.
-"""
+"""Simulated CANopen nodes on a python-can bus. A thread answers requests, and a method advances the nodes' time."""
 
 from __future__ import annotations
 
@@ -21,10 +19,10 @@ _log = structlog.get_logger("can_server")
 
 
 class CanServer:
-    """Serves `nodes` on `bus`, which it shuts down on closing.
+    """Server that connects `nodes` to `bus`. Closing the server shuts the bus down.
 
-    `lock` protects the world behind the nodes and is held while they answer; code that advances the world from another
-    thread must hold the same (re-entrant) lock. `advance` must be called after the world itself has been advanced.
+    `lock` protects the world behind the nodes and is held while the nodes answer. Code that advances the world from
+    another thread must hold the same (re-entrant) lock. `advance` must be called after each advance of the world.
     """
 
     def __init__(
@@ -48,7 +46,7 @@ class CanServer:
         return self
 
     def advance(self, now_s: float) -> None:
-        """Set machine time to `now_s` and send the heartbeats and emergencies that are due."""
+        """Set the time of all nodes to `now_s`, and send the heartbeats and emergency messages that are due."""
         with self._lock:
             for node in self._nodes:
                 self._send(node.advance(now_s))

@@ -1,11 +1,12 @@
 """Serial CAN adapter on a pseudo-terminal, and the bus behind it: the peer of the ``slcan`` interface.
 
-Like the socketcand server it is itself a python-can bus: `recv` returns the frames from the host, `send` passes a frame
-to the host. It is written from the manuals of LAWICEL's CAN232 and CANUSB. Commands are ASCII text ending with CR and
-are answered by CR or BELL. The host closes the channel, sets its bit rate and opens it. Frames have the forms
-``tiiildd..`` and ``Tiiiiiiiildd..``; like the CANUSB, the adapter sends received frames without being polled.
+Like the socketcand server, the adapter is itself a python-can bus: `recv` returns the frames from the host, and `send`
+passes a frame to the host. It is written from the manuals of LAWICEL's CAN232 and CANUSB. Commands are ASCII text
+ending with CR. The adapter answers a command with CR or, if it refuses the command, with BELL. The host closes the
+channel, sets its bit rate and opens it. Frames have the forms ``tiiildd..`` and ``Tiiiiiiiildd..``. Like the CANUSB,
+the adapter sends received frames without being polled.
 
-A pseudo-terminal buffers only about 10 kB of unread data. Further frames wait in order in the adapter's queue; if the
+A pseudo-terminal buffers only about 10 kB of unread data. Further frames wait in order in the adapter's queue. If the
 queue overflows too, frames are lost as in the real adapter, and bit 0 of the status flags is set.
 """
 
@@ -34,9 +35,9 @@ IDENTIFICATION = {"V": b"V1013", "N": b"NVC01"}
 
 
 class SlcanPeerBus(can.BusABC):
-    """Bus behind the adapter.
+    """Bus behind the adapter. The host opens the pseudo-terminal at `port`.
 
-    `link`: path to be made a link to the pseudo-terminal, or "any"; the host opens `port`.
+    `link` is a path that is made a link to the pseudo-terminal, or "any" for no link.
     """
 
     def __init__(self, link: str = ANY) -> None:
@@ -54,7 +55,7 @@ class SlcanPeerBus(can.BusABC):
         self._line.start()
 
     def go_off_bus(self) -> None:
-        """Simulate bus-off, as after a short circuit of the cable.
+        """Simulate the error state bus-off, as after a short circuit of the cable.
 
         Frames pass in neither direction, and the status flags report the error.
         """

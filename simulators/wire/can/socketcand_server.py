@@ -1,12 +1,12 @@
 """CAN bus over TCP using the socketcand protocol, for two processes without kernel CAN.
 
-The server is itself a python-can bus: its `recv` accepts clients, answers their commands and passes their frames on to
-the other clients and to its caller; its `send` goes to every client. It has no thread, so clients are served only while
-a caller is in `recv`.
+The server is itself a python-can bus. Its `recv` accepts clients, answers their commands, and passes their frames on to
+the other clients and to the caller of `recv`. Its `send` goes to every client. The server has no thread, so clients are
+served only during a call of `recv`.
 
-Protocol: doc/protocol.md of linux-can/socketcand (``< hi >``, open, rawmode, send, sendrtr, echo). That document
-shows the data bytes of a ``< frame ... >`` separated by blanks. The socketcand daemon writes them without blanks and
-python-can's client expects none, so this server writes none either.
+Protocol: doc/protocol.md of linux-can/socketcand (``< hi >``, open, rawmode, send, sendrtr, echo). That document shows
+the data bytes of a ``< frame ... >`` separated by blanks. The socketcand daemon writes the bytes without blanks, and
+python-can's client expects no blanks, so this server writes none either.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ class _Client:
 
 
 class SocketcandServerBus(can.BusABC):
-    """Bus `channel` at TCP `host`:`port`. If 0, a free port is chosen; the attribute `port` contains it."""
+    """CAN bus `channel`, served at the TCP address `host`:`port`.
+
+    If the argument `port` is 0, a free port is chosen. The attribute `port` holds the number of the port in use.
+    """
 
     def __init__(self, channel: str, host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__(channel=channel)
@@ -173,9 +176,10 @@ def format_frame(message: can.Message, instant_s: float) -> str:
 
 
 def parse_send(identifier: str, length: str, data: list[str], *, remote: bool) -> can.Message:
-    """Return a frame from the words of a send command. Eight hexadecimal digits mean an extended identifier.
+    """Return the frame that the words of a send command describe.
 
-    Raises ValueError for words that do not form a frame.
+    An identifier with eight hexadecimal digits is an extended identifier. Raises ValueError if the words do not form a
+    frame.
     """
     count = int(length)
     if not remote and count != len(data):

@@ -1,4 +1,7 @@
-"""Axes as seen by GRBL's stepper program: one planned move at a time, in whole steps, and the probe's pin and latch."""
+"""Axes and probe of a simulated GRBL controller.
+
+The axes execute one planned move at a time, in whole steps. The probe has an input pin and a latch for the position.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,10 @@ class PlannedMove:
 
 
 class GrblAxes:
-    """Executes the planner's moves. `current_move` stays set until the caller has checked whether it has ended."""
+    """Axes that execute the moves of the planner.
+
+    `current_move` remains set after the end of a move until the controller has noticed the end and clears it.
+    """
 
     def __init__(self, physics: GrblPhysics, settings: GrblSettings, now: Callable[[], float]) -> None:
         self._physics = physics
@@ -53,7 +59,10 @@ class GrblAxes:
 
     @property
     def pin(self) -> bool:
-        """State of the probe's input pin. The probe is wired so that ``$6=0`` gives True if it is deflected."""
+        """State of the probe's input pin. If setting ``$6`` is 0, the pin is True while the probe is deflected.
+
+        If ``$6`` is 1, the state is inverted.
+        """
         return self._physics.probe_deflected != self._settings.flag(6)
 
     @property
@@ -71,7 +80,10 @@ class GrblAxes:
         return self._coordinates.from_axes(self._physics.displayed_position())
 
     def latch_after(self, latches: int) -> Triple | None:
-        """Return the position latched at the latest trip if its sequence number is above `latches`, else None."""
+        """Return the position latched at the latest trip, in machine coordinates.
+
+        Returns None if the sequence number of this trip is not above `latches`.
+        """
         latch = self._physics.latch
         return self._coordinates.from_axes(latch.position) if latch is not None and latch.sequence > latches else None
 
@@ -80,7 +92,10 @@ class GrblAxes:
         return any(value > 0.0 or value < -length for value, length in zip(target_mm, travel, strict=True))
 
     def begin(self, move: PlannedMove, *, touching: bool = False, leaving: bool = False) -> bool:
-        """Start a move; return False if the physics refuses it. `leaving`: the move ends when the probe separates."""
+        """Start a move, and return False if the physics refuses the move.
+
+        With `touching`, the move ends at a trip of the probe. With `leaving`, the move ends when the probe comes free.
+        """
         self.current_move, self._leaving, self.released_at_mm = move, leaving, None
         target = np.array(self._coordinates.to_axes(move.target_mm))
         feed = None if move.feed_mm_per_min is None else move.feed_mm_per_min / 60.0
@@ -95,14 +110,16 @@ class GrblAxes:
         return True
 
     def watch_pin(self) -> None:
-        """Brake once the probe has separated, if the move was started with `leaving`."""
+        """Brake the axes if the move was started with `leaving` and the probe has come free."""
         free_s = self._physics.probe_free_s if self._leaving else None
         if free_s is not None and self._now() >= free_s and self.released_at_mm is None:
             self.released_at_mm = self.position()
             self._physics.halt()
 
     def next_event_s(self) -> float | None:
-        """Return the instant at which the motion ends or, if earlier, the probe separates."""
+        """Return the time in s at which the motion ends or, if earlier, the probe comes free. Returns None if neither
+        is known.
+        """
         free_s = self._physics.probe_free_s if self._leaving and self.released_at_mm is None else None
         known = [instant for instant in (self._physics.motion_ends_s, free_s) if instant is not None]
         return min(known, default=None)

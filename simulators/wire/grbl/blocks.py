@@ -1,7 +1,8 @@
-"""G-code blocks as GRBL 1.1 reads them: words, modal groups, and errors in the order of its checks.
+"""Parser of G-code blocks, with the words, modal groups and error codes of GRBL 1.1.
 
-Arcs (G2, G3), predefined positions (G28, G30), inverse time (G93) and jogging are not simulated; they are answered with
-error 20.
+Errors are checked in the same order as in GRBL. Arcs (G2, G3), predefined positions (G28, G30), inverse time (G93) and
+jogging are not simulated; they are answered with error 20.
+
 Source: gnea/grbl, doc/markdown/commands.md and doc/csv/error_codes_en_US.csv.
 """
 
@@ -52,8 +53,9 @@ class BlockError(Exception):
 
 @dataclass(frozen=True)
 class GrblModalState:
-    """Modal state of the parser; lengths in mm. A reset clears the offsets of G92 and G43.1, but not those of G54 to
-    G59.
+    """Modal state of the parser, with lengths in mm.
+
+    A reset clears the offsets of G92 and G43.1, but not those of G54 to G59.
     """
 
     motion: float = 0
@@ -72,7 +74,7 @@ class GrblModalState:
 
 @dataclass(frozen=True)
 class GcodeBlock:
-    """Actions requested by one line. `target_mm`: target in machine coordinates, None if nothing moves."""
+    """Actions requested by one line. `target_mm` is the target in machine coordinates, or None if no axis moves."""
 
     motion: float | None = None
     target_mm: Triple | None = None
@@ -82,21 +84,21 @@ class GcodeBlock:
 
 @dataclass
 class WorkOffsets:
-    """Offsets G54 to G59: machine coordinates of work coordinate 0, in mm."""
+    """Work offsets G54 to G59 in mm. Each offset gives the machine coordinates of the point with work coordinates 0."""
 
     systems: dict[int, Triple] = field(default_factory=lambda: dict.fromkeys(range(54, 60), ORIGIN))
 
     def work_offset(self, modes: GrblModalState) -> Triple:
-        """Return `WCO` in mm: machine = work + WCO."""
+        """Return the work coordinate offset (``WCO``) in mm, for which machine = work + WCO."""
         x, y, z = self.systems[modes.coordinates]
         gx, gy, gz = modes.g92_mm
         return x + gx, y + gy, z + gz + modes.tool_length_mm
 
 
 def parse_words(line: str) -> list[tuple[str, float]]:
-    """Return letters and values of a line that contains no blanks and comments.
+    """Return the letters and values of the words in a line from which blanks and comments have been removed.
 
-    Raises BlockError if it is malformed.
+    Raises BlockError if the line is malformed.
     """
     words: list[tuple[str, float]] = []
     at = 0
@@ -112,7 +114,7 @@ def parse_words(line: str) -> list[tuple[str, float]]:
 
 
 class BlockParser:
-    """Parser of consecutive lines. A line with an error does not change the parser's state."""
+    """Parser of consecutive lines, which keeps the modal state. A line with an error does not change this state."""
 
     def __init__(self, offsets: WorkOffsets) -> None:
         self.offsets = offsets
@@ -123,7 +125,10 @@ class BlockParser:
         return self.offsets.work_offset(self.modes)
 
     def read(self, line: str, machine_mm: Triple) -> GcodeBlock:
-        """Parse one line. `machine_mm`: end position of the previous line in machine coordinates. Raises BlockError."""
+        """Parse one line. Raises BlockError if the line has an error.
+
+        `machine_mm` is the end position of the previous line in machine coordinates.
+        """
         codes, values = self._classify_words(parse_words(line))
         modes = self._modes(codes, values)
         once = codes.get("once")

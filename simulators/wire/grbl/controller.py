@@ -1,13 +1,13 @@
 """GRBL 1.1 controller in front of the simulated machine, written from GRBL's documents.
 
-As on the chip, there are two programs. The interrupt program takes real-time characters out of the stream on arrival.
-The other lines wait in a receive buffer of 128 bytes for the main program, which reads one at a time and waits where
-GRBL's main program does: while the planner is full, until a dwell or a probe cycle has finished, and during every hold.
-The main program is a generator that yields the condition for which it waits.
+There are two programs, as on the microcontroller that runs GRBL. The interrupt program takes real-time characters out
+of the received stream when they arrive. All other characters wait in a receive buffer of 128 bytes. The main program
+reads one line at a time from this buffer. Like GRBL's main program, it waits while the planner is full, during a dwell
+or a probe cycle, and during every hold. It is a generator that yields the condition for which it waits.
 
-The physics does not look ahead over blocks, so the axes come to rest at the end of every block. After a reset in motion
-the simulated axes brake instead of losing steps, but the alarm is raised nevertheless. A collision reaches GRBL as its
-limit input.
+The physics does not look ahead over blocks, so the axes come to rest at the end of every block. After a reset during a
+motion, the simulated axes brake instead of losing steps, but the alarm is raised nevertheless. A collision is reported
+to GRBL as an active limit switch.
 
 Source: gnea/grbl, doc/markdown/interface.md, commands.md, realtime_cmds.md.
 """
@@ -52,10 +52,11 @@ class GrblState(Enum):
 
 
 class GrblController:
-    """GRBL on a serial line: `received` accepts bytes from the line, and `send` writes to it.
+    """Simulated GRBL on a serial line: `received` accepts bytes from the line, and the function `send` writes to the
+    line.
 
-    `on_advance` and `wakes_at` connect it to machine time. It starts homed unless `homed` is False; then it is locked,
-    as after power-on. Not simulated: check mode, sleep, jogging, startup lines, overrides.
+    `on_advance` and `wakes_at` connect the controller to machine time. If `homed` is False, the controller starts
+    locked, as after power-on. Check mode, sleep, jogging, startup lines and overrides are not simulated.
     """
 
     def __init__(
@@ -84,7 +85,9 @@ class GrblController:
     # ------------------------------------------------------------------ the line
 
     def received(self, data: bytes) -> None:
-        """Handle real-time characters at once; store the rest for the main program."""
+        """Handle the real-time characters among the received bytes at once, and store the other bytes for the main
+        program.
+        """
         for byte in data:
             if byte in _REALTIME:
                 _REALTIME[byte](self)
@@ -93,13 +96,13 @@ class GrblController:
         self._run()
 
     def on_advance(self, _now_s: float) -> None:
-        """React to the advance of the world."""
+        """Handle an opened door, and continue the main program, after the world has advanced."""
         if self._axes.door_open and self.state is not GrblState.DOOR:
             self.open_door()
         self._run()
 
     def wakes_at(self) -> float | None:
-        """Return the next instant in s at which the controller must react, or None."""
+        """Return the next instant in s at which the controller must be called, or None if there is none."""
         known = [instant for instant in (self._axes.next_event_s(), self._dwell_until_s) if instant is not None]
         return min(known, default=None)
 
@@ -131,7 +134,9 @@ class GrblController:
         self._axes.resume()
 
     def soft_reset(self) -> None:
-        """Abort everything. If the axes were moving, their position is then uncertain, which raises an alarm."""
+        """Abort the motion and discard all lines. If the axes were moving, their position is uncertain, and an alarm is
+        raised.
+        """
         if self._axes.moving and self.state is not GrblState.ALARM:
             self.send_line(f"ALARM:{HOMING_RESET if self.state is GrblState.HOME else ABORTED}")
             self.state = GrblState.ALARM
@@ -143,7 +148,10 @@ class GrblController:
         self._welcome()
 
     def reboot(self) -> None:
-        """Restart as after power-on: the position is lost, and GRBL is locked until homed if homing is enabled."""
+        """Restart the controller as after power-on. The position is lost.
+
+        If homing is enabled, the controller is locked until it is homed.
+        """
         self._axes.abort()
         self.state = GrblState.ALARM if self.settings.flag(22) else GrblState.IDLE
         self._restart()

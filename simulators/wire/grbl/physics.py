@@ -1,4 +1,4 @@
-"""Physics that a simulated GRBL needs; implemented by `simulators.world.controller.Controller`."""
+"""Interface of the physics that a simulated GRBL needs. `simulators.world.controller.Controller` implements it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simulators.wire.modbus.physics import MovingMachine
 
 
 class GrblPhysics(MovingMachine, Protocol):
-    """Moving machine that also predicts the instants of its next events."""
+    """Interface of a moving machine that also predicts the times of its next events."""
 
     @property
     def motion_ends_s(self) -> float | None: ...
@@ -23,7 +23,8 @@ Triple = tuple[float, float, float]
 
 
 class MachineCoordinates:
-    """GRBL's machine coordinates: zero at the homing position at the upper end of each axis, negative elsewhere.
+    """Machine coordinates of GRBL. They are 0 at the homing position at the upper end of each axis, and negative
+    elsewhere.
 
     Every position is a whole number of steps.
     """

@@ -1,4 +1,4 @@
-"""Simulated GRBL on its pseudo-terminal."""
+"""Simulated GRBL controller on its pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class WorldWithAxes(TimeDriven, Protocol):
 
 
 class GrblPort:
-    """Simulated GRBL, controlling the world's axes and probe, on a pseudo-terminal."""
+    """Simulated GRBL controller on a pseudo-terminal. It controls the axes and the probe of the world."""
 
     def __init__(
         self,
@@ -41,9 +41,10 @@ class GrblPort:
 
     @property
     def agent_settings(self) -> dict[str, object]:
-        """Settings of the agent's serial driver, which include the offset between GRBL's and the world's coordinates.
+        """Settings with which the agent's serial driver reaches the controller.
 
-        GRBL homes at the upper ends, so it reads negative values where the axes of the world read 0.
+        The settings include the offset between the coordinates of GRBL and those of the world. GRBL homes at the upper
+        end of each axis, so its coordinates are negative where those of the world are 0.
         """
         upper = self._shared.world.controller.limits().upper_mm
         return {"port": self.line.device_path, "baud": BAUD, "axis_zero_mm": [-value for value in upper]}

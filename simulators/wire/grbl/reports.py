@@ -29,7 +29,7 @@ OVERRIDES_EVERY = {True: 20, False: 10}
 class StatusSnapshot:
     """Controller state at one instant, with lengths in mm in machine coordinates.
 
-    `state` includes a sub-state (``Hold:0``).
+    `state` is the name of the state with its sub-state, if there is one (``Hold:0``).
     """
 
     state: str
@@ -46,9 +46,9 @@ class StatusSnapshot:
 
 
 class StatusReporter:
-    """Selects the fields of each report.
+    """Formatter of status reports, which selects the fields of each report.
 
-    Offset and overrides are sent only every few reports, and whenever they change.
+    The work offset and the overrides are contained only in every few reports, and after each change.
     """
 
     def __init__(self, settings: GrblSettings) -> None:
@@ -56,7 +56,9 @@ class StatusReporter:
         self.restart()
 
     def restart(self) -> None:
-        """Restart the counts after a reset, so that the first report has the offset and the second the overrides."""
+        """Restart the counting of reports after a reset. The next report contains the offset, and the second the
+        overrides.
+        """
         self._until_offset, self._until_overrides = 0, 1
         self._shown_offset: Triple | None = None
         self._shown_others: tuple[tuple[int, int, int], str] | None = None
@@ -93,7 +95,7 @@ class StatusReporter:
 
 
 def coordinates(position_mm: Triple, *, inches: bool) -> str:
-    """Format coordinates with three decimals in mm, four in inches."""
+    """Return coordinates as text, with three decimals in mm or four decimals in inches."""
     if inches:
         return ",".join(f"{value / MM_PER_INCH:.4f}" for value in position_mm)
     return ",".join(f"{value:.3f}" for value in position_mm)
@@ -104,7 +106,7 @@ def probe_message(position_mm: Triple, tripped: bool, *, inches: bool) -> str:
 
 
 def parameters(offsets: WorkOffsets, modes: GrblModalState, *, inches: bool) -> Iterator[str]:
-    """Yield the lines that answer ``$#``, except for the last one, which gives the probe's result."""
+    """Yield the lines of the answer to ``$#``, except for the last line, which contains the probe result."""
     for system, offset in sorted(offsets.systems.items()):
         yield f"[G{system}:{coordinates(offset, inches=inches)}]"
     for predefined in (28, 30):
@@ -115,7 +117,7 @@ def parameters(offsets: WorkOffsets, modes: GrblModalState, *, inches: bool) -> 
 
 
 def parser_state(modes: GrblModalState) -> str:
-    """Return the answer to ``$G``."""
+    """Return the modal state of the parser as the answer to ``$G``."""
     feed = modes.feed_mm_per_min / (MM_PER_INCH if modes.units == 20 else 1.0)
     words = [f"G{modes.motion:g}", f"G{modes.coordinates}", f"G{modes.plane:g}", f"G{modes.units:g}"]
     words += [f"G{modes.distance:g}", "G94", f"M{modes.spindle:g}", f"M{modes.coolant:g}"]

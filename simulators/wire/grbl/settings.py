@@ -19,7 +19,7 @@ NEGATIVE_VALUE, PULSE_TOO_SHORT, NO_SUCH_SETTING, BAD_NUMBER, SOFT_LIMITS_NEED_H
 
 
 class SettingRefusedError(Exception):
-    """Refusal of a setting; `code` is the number after ``error:``."""
+    """Error for a refused setting. `code` is the number after ``error:``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -27,7 +27,7 @@ class SettingRefusedError(Exception):
 
 
 class GrblSettings:
-    """Settings for axes with the given limits, with homing and soft limits enabled; 1000 steps per mm by default."""
+    """Settings for axes with the given limits. Homing and soft limits are enabled. By default, a mm has 1000 steps."""
 
     def __init__(self, limits: AxisLimits, steps_per_mm: float = 1000.0) -> None:
         self._values: dict[int, float] = {
@@ -49,12 +49,14 @@ class GrblSettings:
     def axes(self, first: int) -> tuple[float, float, float]:
         """Return the values of X, Y, Z for the group of settings whose number for X is `first`.
 
-        100: steps per mm; 110: maximum rates; 120: accelerations; 130: travels.
+        The group 100 holds the steps per mm, 110 the maximum rates, 120 the accelerations, and 130 the travels.
         """
         return self._values[first], self._values[first + 1], self._values[first + 2]
 
     def change(self, values: Mapping[int, float]) -> None:
-        """Store several settings, as a person at a terminal would. Raises SettingRefusedError if GRBL refuses one."""
+        """Store several settings, as a person at a terminal would. Raises SettingRefusedError if GRBL refuses a
+        setting.
+        """
         for number, value in values.items():
             self.store(number, value)
 

@@ -37,7 +37,7 @@ def fault_code(fault: str) -> FaultCode:
 
 
 def outcome_of(fault: FaultCode) -> ModbusOutcome:
-    """Return the motion outcome (table 9.3) for a motion that ended in `fault`."""
+    """Return the motion outcome (table 9.3) for a motion that ended with the fault text `fault`."""
     if fault is FaultCode.PROBE_TRIPPED:
         return ModbusOutcome.GUARD_TRIPPED
     return ModbusOutcome.HEARTBEAT_LOST if fault is FaultCode.HEARTBEAT_LOST else ModbusOutcome.FAULT

@@ -1,7 +1,7 @@
-"""Modbus TCP framing: splits the stream into requests, and executes functions 3, 16 and 23 on a set of registers.
+"""Modbus TCP framing. The received stream is split into requests, and functions 3, 16 and 23 act on a set of registers.
 
 Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application Protocol V1.1b3
-(functions 3, 16 and 23: 6.3, 6.12, 6.17); docs/reference/modbus-register-map.md, 1.
+(functions 3, 16 and 23: 6.3, 6.12, 6.17); docs/reference/modbus-register-map.md, section 1.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _FOUR_WORDS = struct.Struct(">HHHH")
 
 
 class RegisterAccessError(Exception):
-    """Refused access to registers; becomes an exception response."""
+    """Error for a refused access to registers. The client receives it as an exception response."""
 
     def __init__(self, code: ModbusExceptionCode) -> None:
         super().__init__(code.name)
@@ -32,7 +32,10 @@ class RegisterAccessError(Exception):
 
 
 class Registers(Protocol):
-    """Registers that requests read and write as bytes, high byte first. Each method may raise RegisterAccessError."""
+    """Interface of registers that requests read and write as bytes, with the high byte of each register first.
+
+    Each method may raise RegisterAccessError.
+    """
 
     def check_read(self, address: int, count: int) -> None: ...
 
@@ -44,13 +47,14 @@ class Registers(Protocol):
 
 
 class ModbusFramingError(Exception):
-    """Received data that is not Modbus TCP; the connection must be closed."""
+    """Error for received data that is not Modbus TCP. The connection must then be closed."""
 
 
 def split_frames(buffer: bytearray) -> Iterator[tuple[int, int, bytes]]:
-    """Remove every complete frame from the front of `buffer`; yield its transaction id, unit id and request.
+    """Remove every complete frame from the front of `buffer`, and yield the transaction id, unit id and request of each
+    frame.
 
-    Raises ModbusFramingError if the header is not one of Modbus TCP.
+    Raises ModbusFramingError if a header is not one of Modbus TCP.
     """
     while len(buffer) >= HEADER.size:
         transaction, protocol, length, unit = HEADER.unpack_from(buffer)
@@ -69,7 +73,10 @@ def frame(transaction: int, unit: int, answer: bytes) -> bytes:
 
 
 def answer_request(request: bytes, registers: Registers) -> bytes:
-    """Return the response to one request, which may be an exception response. Both start with the function code."""
+    """Return the response to one request. An exception response is returned if the access is refused.
+
+    The request and the response start with the function code.
+    """
     function = request[0]
     try:
         if function == READ:

@@ -1,4 +1,4 @@
-"""Motion as seen in the registers: commands, outcome, latch, fault codes, and supervision of the agent's heartbeat.
+"""Registers for motion: commands, outcome, latch, fault codes, and supervision of the agent's heartbeat.
 
 Source: docs/reference/modbus-register-map.md, 3, 5, 7 and 9.
 """
@@ -70,8 +70,8 @@ class MotionRequest:
 class MotionRegisters:
     """Registers 1004 … 1037 and the state behind them.
 
-    After a stop or a fault the axes first brake. Until they are at rest, the state remains moving and the outcome 1
-    (under way).
+    After a stop or a fault, the axes first brake. Until they are at rest, the register of the state shows moving, and
+    the register of the outcome shows 1 (under way).
     """
 
     def __init__(self, machine: MovingMachine, now: Callable[[], float]) -> None:
@@ -99,13 +99,15 @@ class MotionRegisters:
 
     @property
     def permissions(self) -> int:
-        """Content of register 1006 (permissions, one bit each)."""
+        """Contents of register 1006, in which each permission has one bit."""
         given = self._machine.permissions
         return sum(1 << bit for bit, name in enumerate(PERMISSION_BITS) if given[name])
 
     @property
     def probe(self) -> int:
-        """Content of register 1007 (probe: bit 0 loaded, 1 healthy, 2 deflected)."""
+        """Contents of register 1007. Bit 0 means that the probe is loaded, bit 1 that it is healthy, bit 2 that it is
+        deflected.
+        """
         machine = self._machine
         return machine.probe_loaded | machine.probe_healthy << 1 | machine.probe_deflected << 2
 
@@ -117,13 +119,17 @@ class MotionRegisters:
         self._watched_since_s = self._now()
 
     def wakes_at(self) -> float | None:
-        """Return the instant in s at which the heartbeat in register 2000 becomes overdue; None while nothing moves."""
+        """Return the instant in s at which the heartbeat in register 2000 becomes overdue, or None if no axis moves."""
         if self._ending or self._machine.motion is not MotionState.MOVING:
             return None
         return self._watched_since_s + HEARTBEAT_WITHIN_S
 
     def observe(self) -> None:
-        """Check the machine at this instant: stop a motion that must end, and set the outcome of one that has ended."""
+        """Check a motion that is under way.
+
+        The motion is stopped if a permission, the probe or the agent's heartbeat is lost. Once the axes are at rest,
+        the outcome of the motion is set.
+        """
         if self.outcome is not ModbusOutcome.UNDER_WAY:
             return
         motion = self._machine.motion
@@ -224,7 +230,7 @@ class MotionRegisters:
         return ResultCode.ACCEPTED
 
     def stop(self) -> ResultCode:
-        """Stop any motion; always accepted."""
+        """Stop any motion. This command is always accepted."""
         if self.state in (ModbusState.MOVING, ModbusState.HELD):
             self._ending = True
             self._machine.halt()

@@ -1,6 +1,6 @@
-"""Encoding of a number in four registers: as float64, or as a scaled int32 for controllers without float64.
+"""Encoding of a number in four registers, either as a float64 or, for controllers without float64, as a scaled int32.
 
-Source: docs/reference/modbus-register-map.md, 1.
+Source: docs/reference/modbus-register-map.md, section 1.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ class Float64Numbers:
 
 @dataclass(frozen=True)
 class ScaledInt32Numbers:
-    """Counts of `scale` in the first two of the four registers; the other two are 0."""
+    """Encoding as an int32 in the first two of the four registers. The number is the int32 times `scale`.
+
+    The other two registers are 0.
+    """
 
     scale: float = 1e-5
 

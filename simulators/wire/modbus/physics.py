@@ -1,4 +1,4 @@
-"""Interfaces of the physics behind the registers; `simulators.world.controller.Controller` implements them."""
+"""Interfaces of the physics behind the registers. `simulators.world.controller.Controller` implements them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ProbeLatch(Protocol):
 
 
 class MovingMachine(Protocol):
-    """Motion, probe and permissions of the controller's physics."""
+    """Interface to the motion, the probe and the permissions of the simulated controller."""
 
     @property
     def motion(self) -> MotionState: ...
@@ -62,7 +62,7 @@ class MovingMachine(Protocol):
 
 
 class TableMemory(Protocol):
-    """Compensation banks of the controller behind the registers, including which bank is active."""
+    """Interface to the compensation banks of the simulated controller, including the choice of the active bank."""
 
     @property
     def banks(self) -> Mapping[int, TableImage]: ...
@@ -76,7 +76,10 @@ class TableMemory(Protocol):
 
 
 class ControllerPhysics(MovingMachine, TableMemory, Protocol):
-    """Simulated controller as the registers need it; `simulators.world.controller.Controller` implements it."""
+    """Interface to everything that the registers need from the simulated controller.
+
+    `simulators.world.controller.Controller` implements it.
+    """
 
     @property
     def store_limits(self) -> StoreLimits: ...

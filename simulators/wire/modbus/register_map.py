@@ -1,7 +1,7 @@
-"""Register map as the controller sees it: blocks, codes, and the layout of each block.
+"""Register map from the side of the controller: blocks, codes, and the layout of each block.
 
-Source: docs/reference/modbus-register-map.md, sections 2 to 5, 8 and 9. The module is written from that page and
-not from the agent's driver, because an error in a shared map, such as a swapped word, would not be noticed.
+Source: docs/reference/modbus-register-map.md, sections 2 to 5, 8 and 9. The module is written from that page and not
+from the agent's driver, because an error in a shared map, such as a swapped word, would not be noticed.
 """
 
 from __future__ import annotations

@@ -55,7 +55,9 @@ ACTIVATION_CODE: Final = {
 
 
 class ControllerRegisters:
-    """Register access by address, as bytes. The caller must hold the world's lock."""
+    """Registers of the controller, which are read and written by address as bytes. The caller must hold the world's
+    lock.
+    """
 
     def __init__(self, machine: ControllerPhysics, numbers: RegisterNumberFormat, now: Callable[[], float]) -> None:
         self._machine = machine
@@ -228,7 +230,7 @@ def _require_representable(store: StoreLimits) -> None:
 
 
 def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFormat) -> bytes:
-    """Return the image of block 1100 … 1162."""
+    """Return the bytes of the block 1100 … 1162, which holds the limits of the controller."""
     travel = numbers.pack(*axes.lower_mm, *axes.upper_mm, *axes.rapid_mm_per_s, *axes.acceleration_mm_per_s2)
     return LIMITS_LAYOUT.pack(
         travel,
@@ -241,8 +243,9 @@ def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFo
 
 
 def temperature_counts(temperatures: Mapping[str, float]) -> list[int]:
-    """Return eight temperatures in thousandths of a degree Celsius: artefact, ambient, machine, then the others by
-    name.
+    """Return eight temperatures in thousandths of a degree Celsius.
+
+    The first three are those of artefact, ambient and machine. The others follow in the order of their names.
     """
     usual = [name for name in USUAL_TEMPERATURES if name in temperatures]
     others = sorted(set(temperatures) - set(USUAL_TEMPERATURES))

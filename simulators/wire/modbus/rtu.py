@@ -1,9 +1,9 @@
 """Simulated controller as a Modbus RTU unit on a pseudo-terminal.
 
-A pseudo-terminal transfers a byte in no time and has no baud rate, so both are simulated here. In lockstep the agent
-controls time: it advances the machine's clock by the transmission time itself, and an answer is sent at once. On any
-other clock the line is paced: the request, the silence before the answer and the answer take as long as on a cable. A
-client that has set another baud rate is ignored.
+A pseudo-terminal has no transmission time and no baud rate, so this module simulates both. In lockstep, the agent
+controls time. It advances the machine's clock by the transmission time itself, and an answer is sent at once. With any
+other clock, the request, the silence before the answer and the answer take as long as on a cable. A client that has set
+another baud rate gets no answer.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Serial line parameters. `link`: path to be made a link to the pseudo-terminal, or `any` for no link.
+    """Parameters of the serial line. Parity and stop bits affect only the timing.
 
-    Parity and stop bits only affect the timing.
+    `link` is a path that is made a link to the pseudo-terminal, or "any" for no link.
     """
 
     link: str = ANY
@@ -59,7 +59,10 @@ class LineSettings:
 
 
 class ModbusRtuController:
-    """Serves the world's controller as unit 1. `clock` paces the line; it is None in lockstep."""
+    """Modbus RTU server of the world's controller, which is unit 1 on the line.
+
+    `clock` determines the duration of each transmission. It is None in lockstep.
+    """
 
     def __init__(
         self,

@@ -1,6 +1,6 @@
-"""Modbus RTU frames received by a controller: finds the end of a request and checks its validity.
+"""Modbus RTU frames received by a controller. The module finds the end of a request and checks its validity.
 
-Source: MODBUS over Serial Line Specification V1.02, 2.5.1.1 and 6.2.2 (CRC generation, written bit by bit as there).
+Source: MODBUS over Serial Line Specification V1.02, 2.5.1.1 and 6.2.2. The CRC is computed bit by bit as in 6.2.2.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _BYTE_COUNT_AT: Final = {WRITE: 6, WRITE_AND_READ: 10}
 
 
 class InvalidFrameError(Exception):
-    """Received data is not a valid request; a controller does not answer it."""
+    """Error for received data that is not a valid request. A controller does not answer such data."""
 
 
 def frame_crc(data: bytes) -> bytes:
@@ -33,10 +33,10 @@ def frame_crc(data: bytes) -> bytes:
 
 
 def take_request(buffer: bytearray) -> tuple[int, bytes] | None:
-    """Remove the request at the front of `buffer` and return its unit and the bytes between unit and CRC.
+    """Remove the request at the front of `buffer`, and return its unit and the bytes between unit and CRC.
 
-    Returns None while the request is incomplete. Raises InvalidFrameError, with the buffer emptied, if it cannot become
-    valid.
+    Returns None if the request is incomplete. If the bytes cannot become a valid request, the buffer is emptied and
+    InvalidFrameError is raised.
     """
     length = _length(buffer)
     if length is None or len(buffer) < length:

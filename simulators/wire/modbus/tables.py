@@ -62,8 +62,9 @@ class TableGridDescriptor:
         return all(map(isfinite, (*self.origin_mm, *self.step_mm, self.resolution_mm)))
 
     def fits(self, limits: StoreLimits) -> bool:
-        """Return True if the grid is within the limits and has a positive step on every axis with
-        more than one node.
+        """Return True if the grid is within the limits and its steps are positive.
+
+        A step need not be positive on an axis with a single node.
         """
         within = all(1 <= n <= most for n, most in zip(self.shape, limits.max_nodes, strict=True))
         stepped = all(n == 1 or step > 0.0 for n, step in zip(self.shape, self.step_mm, strict=True))
@@ -85,7 +86,9 @@ class _Transfer:
 
 @dataclass(frozen=True)
 class CompleteTable:
-    """Contents of a bank, as read back: its descriptor and its big-endian counts, in the order of the register map."""
+    """Contents of a bank that a client can read back: the descriptor, and the big-endian counts in the register map's
+    order.
+    """
 
     image: TableImage
     descriptor: TableGridDescriptor
@@ -101,10 +104,11 @@ class CompleteTable:
 
 
 class BankRegisters:
-    """Bank registers of STATUS and the commands that change them.
+    """Registers of the status block that describe the banks, and the commands that change them.
 
-    `memory` holds complete tables only. Banks with an unfinished transfer or a wrong CRC are recorded only here. No
-    transfer can change the active bank of `memory`, which remains in effect meanwhile.
+    `memory` holds complete tables only. Banks with an unfinished transfer or a wrong CRC are recorded only in this
+    class. A transfer cannot change the active bank of `memory`, and the table of this bank remains active during a
+    transfer.
     """
 
     def __init__(
@@ -154,7 +158,7 @@ class BankRegisters:
         return ModbusBankState.COMPLETE if bank in self._memory.banks else ModbusBankState.EMPTY
 
     def complete(self, bank: int) -> CompleteTable | None:
-        """Return the table of `bank` if it is complete, else None."""
+        """Return the table of `bank`, or None if the table is not complete."""
         if bank == 0 or self.state(bank) is not ModbusBankState.COMPLETE:
             return None
         image = self._memory.banks[bank]
@@ -192,8 +196,9 @@ class BankRegisters:
         return None if same and descriptor.fits(self.limits) else ResultCode.DESCRIPTOR_NOT_ALLOWED
 
     def take_block(self, number: int, data: bytes) -> None:
-        """Append a block to the transfer. `data`: contents of registers 2200 … 2319; `number`: content of register
-        2320.
+        """Append a block of data to the transfer.
+
+        `data` is the contents of registers 2200 … 2319, and `number` is the contents of register 2320.
         """
         transfer = self._transfer
         if transfer is None:
@@ -249,7 +254,9 @@ class BankRegisters:
         return ResultCode.ACCEPTED
 
     def occurred(self, event: Activation) -> None:
-        """Handle power-up or referencing: make the bank whose activation waits for this event active."""
+        """Handle a power-up or a referencing. If the activation of a bank waits for this event, the bank becomes
+        active.
+        """
         if event is self.limits.activation and self.pending_bank != NO_BANK_PENDING:
             self._memory.activate(self.pending_bank)
             self.pending_bank = NO_BANK_PENDING
