@@ -1,14 +1,16 @@
 """Uncertainty of the estimated scales, and its effect on the estimate.
 
-The measurements determine some scales poorly, above all the scales of kinds of misfit that they hardly observe. The
-stated result must therefore not depend on the likeliest scales alone. The logarithms of the scales are assumed to be
-normally distributed about their likeliest values; their precision is the sum of the Fisher information and the
-precision of their priors (Laplace approximation). The k free scales are represented by k + 1 points of equal weight
-that have exactly this mean and covariance (spherical simplex; Julier, Proc. ACC 2003).
+A scale is a factor on the standard deviation of the touch noise, of the prior or of a kind of misfit. The measurements
+determine some scales poorly, above all the scale of a kind of misfit that they hardly observe. The stated result must
+therefore not depend on the likeliest scales alone. The logarithms of the scales are assumed to be normally distributed
+about their likeliest values (Laplace approximation). The precision of this normal distribution is the sum of the Fisher
+information and the precision of the priors of the scales. The k free scales are represented by k + 1 points of equal
+weight that have exactly this mean and covariance (spherical simplex; Julier, Proc. ACC 2003).
 
-The data have the covariance V = σ²I + A D⁻¹Aᵀ, where σ is the touch noise, A the design matrix and D the prior
-precision. The Fisher information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V', where ∂V and ∂V' are the
-derivatives of V with respect to each of them. It can be computed from the posterior alone.
+The data have the covariance V = σ²I + A D⁻¹Aᵀ, where σ is the touch noise, I the unit matrix, A the design matrix and D
+the prior precision. The Fisher information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V'. Here ∂V is the
+derivative of V with respect to the first log variance, and ∂V' is the derivative with respect to the second. The Fisher
+information can be computed from the posterior alone.
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ from twin.identification.normal import Posterior, PriorPrecision, Scales
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Plausible scales near the likeliest ones, with the posterior mean `z` (P,) and `covariance` (P, P) at these
-    scales."""
+    """Plausible scales near the likeliest scales, with the posterior mean `z` (P,) and the posterior `covariance` (P,
+    P) of the unknowns at the plausible scales."""
 
     scales: Scales
     z: Array
@@ -36,9 +38,10 @@ class Alternative:
 def alternatives(
     matrix: Array, precision: PriorPrecision, posterior: Posterior, z: Array, scales: Scales, rows: int
 ) -> tuple[Alternative, ...]:
-    """Return equally weighted alternatives, distributed about the likeliest `scales`.
+    """Return alternatives of equal weight that represent the uncertainty of the scales.
 
-    `matrix` (P, P) is the normal matrix of `rows` equations. `posterior` and its mean `z` (P,) belong to `scales`.
+    `scales` are the likeliest scales. `posterior` is the posterior of the unknowns at these scales, and `z` (P,) is its
+    mean. `matrix` (P, P) is the matrix of the normal equations of `rows` equations.
     """
     free = np.array(free_scales(precision))
     spread = np.zeros((int(free.sum()), len(free)))

@@ -1,9 +1,10 @@
-"""Formulation `centres`: the equations are those of the ball centres. Each position has a free pose, which is
-eliminated by projection.
+"""Formulation `centres` of the identification: each ball centre gives three equations. Each position has a free pose,
+which is eliminated by projection.
 
-The covariance of each centre whitens its three equations. The effect of the six pose increments of a position on its
-whitened equations spans a space with an orthonormal basis Q of shape (3·balls, 6). Projecting this space out is
-therefore one small product per position (variable projection; Golub and Pereyra 1973).
+The three equations of a ball centre are whitened with the covariance of the centre. Small increments of the six pose
+parameters of a position change its whitened equations. All such changes form a space with the orthonormal basis Q, a
+matrix of shape (3·balls, 6). Projecting the equations onto the complement of this space takes one small product per
+position (variable projection; Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -22,12 +23,13 @@ _POSITIONS = 16  # positions whitened at a time: few enough for the cache, enoug
 
 @dataclass(frozen=True, eq=False)
 class CentreEquations:
-    """Whitened equations of the ball centres of K positions, each with slots for `width` balls.
+    """Whitened equations of the ball centres of K positions. Each position has `width` slots for balls, and some slots
+    may be empty.
 
     `weight` (K, width, 3, 3) contains the whitening matrix W of each slot, which is zero in empty slots. `parts` (K·6,
-    P) contains QᵀWA, where A is the design matrix and Q is the basis of the effects of pose increments. The whitened
-    design W A is as large as the design itself. It is computed piecewise when needed, because allocating memory for it
-    costs more than the products.
+    P) contains QᵀWA, where A is the design matrix and Q is the orthonormal basis of the effects of pose increments. The
+    whitened design WA is as large as the design itself. WA is computed in pieces when it is needed, because allocating
+    memory for all of WA takes longer than the products.
     """
 
     problem: IdentificationProblem
@@ -59,8 +61,11 @@ class CentreEquations:
         )
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Return Aᵀy (P,), |y|² and the best-fitting poses for the exact `sides` at z. Here A is the whitened design
-        matrix and y the whitened right side."""
+        """Return the right side Aᵀy (P,) of the normal equations, the square |y|², and the best-fitting poses.
+
+        A is the whitened design matrix, and y is the whitened right side of the equations, linearised at the unknowns
+        z. `sides` contains both sides of the exact equations at z.
+        """
         layout = self.problem.layout
         left, local = sides
         white = self._whitened(left - poses.to_workpiece(layout, local))
@@ -76,23 +81,24 @@ class CentreEquations:
         return right, float(np.vdot(target, target) - parts @ parts), poses
 
     def remaining(self, sides: Sides, poses: Poses) -> Array:
-        """Return the whitened residuals (K, 3 width) after the effect of pose increments has been removed."""
+        """Return the whitened residuals (K, 3·width) after the effect of pose increments has been removed."""
         left, local = sides
         white = self._whitened(left - poses.to_workpiece(self.problem.layout, local))
         return self.projector.remove(white[:, :, None])[:, :, 0]
 
     def projected(self, size: int) -> Array:
-        """Return the whitened design (n, 3, size) of the first `size` unknowns after the effect of pose increments has
-        been removed."""
+        """Return the whitened design (n, 3, size) of the first `size` unknowns for all n rows, after the effect of pose
+        increments has been removed."""
         layout = self.problem.layout
         white = weighted(self.weight, self.problem.design[..., :size]).reshape(layout.positions, -1, size)
         white -= self.projector.q @ self.parts.reshape(layout.positions, 6, -1)[:, :, :size]
         return layout.unpad(white.reshape(*self.weight.shape[:3], size))
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """Return the matrix AᵀCA (size, size) of the first `size` unknowns and the trace of C.
+        """Return the product AᵀCA (size, size) and the trace of C.
 
-        A is the whitened design matrix, and C is the noise covariance of the equations.
+        A is the whitened design matrix of the first `size` unknowns, and C is the noise covariance of the whitened
+        equations.
         """
         layout = self.problem.layout
         found = self.projected(size)

@@ -1,12 +1,13 @@
-"""Formulation `distances`, the published method: all pairwise ball distances of a position are compared with the
-calibrated ones.
+"""Formulation `distances` of the identification, the published method: the distances between all pairs of balls in a
+position are compared with the calibrated distances.
 
     |p_i - p_j| = |b_i(T) - b_j(T)|,   p = X + t + d(X; E)
 
-Here X is the axis position of a ball, t the tool offset, d the deviation of the model with the parameters E, and b(T)
-the calibrated ball centre at temperature T. Distances that share a ball are correlated, and there are more of them than
-there are independent ones. With full weights the distances of each position are whitened with the pseudo-inverse of
-their covariance (generalised least squares). With unit weights all distances count equally, as published.
+Here i and j are the two balls of a pair, and p is the actual tool point at a ball. X is the axis position of the ball,
+t the tool offset, d the deviation of the model with the parameters E, and b(T) the calibrated ball centre at
+temperature T. Distances that share a ball are correlated, and not all pairwise distances of a position are independent.
+With full weights, the distances of each position are whitened with the pseudo-inverse of their covariance (generalised
+least squares). With unit weights, all distances have the same weight, as published.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 class PositionPairs:
     """The m ball pairs of one position.
 
-    `first` and `second` (m,) are the rows of both balls, where rows are sorted by position. `whitening` (r, m) is the
-    matrix that whitens the distances.
+    `first` and `second` (m,) are the row indices of the two balls of each pair; rows are sorted by position.
+    `whitening` (r, m) is the matrix that converts the m distances into r whitened equations.
     """
 
     first: Rows
@@ -44,8 +45,8 @@ class PositionPairs:
 class DistanceEquations:
     """Whitened distance equations of all positions.
 
-    `white` (M, P) is their whitened design matrix. `noise` contains, for each position, the noise covariance (r, r) of
-    its equations.
+    `white` (M, P) is the design matrix of the M whitened equations for the P unknowns. `noise` contains the noise
+    covariance (r, r) of the r equations of each position.
     """
 
     problem: IdentificationProblem
@@ -74,17 +75,20 @@ class DistanceEquations:
         return cls(problem, tuple(pairs), stacked, tuple(noise), stacked.T @ stacked, len(stacked))
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Return Aᵀy (P,), |y|² and the given `poses`, which are not used.
+        """Return the right side Aᵀy (P,) of the normal equations, the square |y|², and the given `poses` unchanged.
 
-        A is the whitened design matrix, and y is the whitened right side for the exact distances of `sides` at z.
+        A is the whitened design matrix, and y is the whitened right side of the equations, linearised at the unknowns
+        z. `sides` contains both sides of the exact equations at z, from which the exact distances follow. Poses have no
+        effect on distances.
         """
         target = self.white @ z - self._remaining(sides)
         return self.white.T @ target, float(target @ target), poses
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """Return the matrix AᵀCA (size, size) of the first `size` unknowns and the trace of C.
+        """Return the product AᵀCA (size, size) and the trace of C.
 
-        A is the whitened design matrix, and C is the noise covariance of the equations.
+        A is the whitened design matrix of the first `size` unknowns, and C is the noise covariance of the whitened
+        equations.
         """
         gram = np.zeros((size, size))
         start = 0

@@ -1,16 +1,18 @@
-"""Drift of the machine's error field during the measurement: low-order errors and the tip drift with a few thermal
-regressors.
+"""Drift of the machine's error field during the measurement. Errors of low order and the tip drift in proportion to a
+few thermal regressors, which are temperature changes in K.
 
-The drift of a warming machine is smooth in space: scales expand, guides and columns bend, squareness changes, the tip
-moves. It is also smooth in time. Expansion follows one thermometer. Bending follows the difference of two temperatures
-and may also have its own time lag, which further regressors describe. Together these drifts form a small block of
-unknowns, `field = Σ regressor · form`, with a prior stated per kelvin. The regressors are zero at the start, which is
-the state to which the prior of the machine (family or earlier estimate) refers. The estimate usually refers to a later
-state, most often the last one: its parameters are those at the start plus the drift until then, and their covariance
-includes the uncertainty of the drift.
+The drift of a warming machine is smooth in space: scales expand, guides and columns bend, squareness changes, and the
+tip moves. The drift is also smooth in time. Expansion follows one thermometer. Bending follows the difference of two
+temperatures and may have its own time lag; further regressors describe such bending. Together these drifts form a small
+block of unknowns. Each unknown is the amplitude of one drift field, which is multiplied by one regressor: `field = Σ
+regressor · form`. The prior of the unknowns is stated per kelvin.
 
-A rigid motion of the artefact or of the whole machine between two positions is absorbed by the poses, so the drift of
-the tip is observed only within a position.
+The regressors are zero at the start. The prior of the machine (a family or an earlier estimate) refers to the state at
+the start. The estimate usually refers to a later state, most often the last one. Its parameters are the parameters at
+the start plus the drift until the later state, and their covariance includes the uncertainty of the drift.
+
+A rigid motion of the artefact or of the whole machine between two positions is absorbed by the poses. The drift of the
+tip is therefore observed only within a position.
 """
 
 from __future__ import annotations
@@ -31,11 +33,11 @@ _OTHER_ORDER = 1  # lowest order of a scale and of a rotation
 
 @dataclass(frozen=True)
 class DriftPrior:
-    """Standard deviations of the drift per kelvin.
+    """Prior standard deviations of the drift per kelvin.
 
     `strain_per_k` applies to scale errors (1/K) and is multiplied by the full temperature rise. `bending_per_k` applies
-    to angles (rad/K) and to straightness bows (in units of half the travel, 1/K) and is multiplied by the difference of
-    two temperatures. `tip_mm_per_k` applies to the tip (mm/K).
+    to angles (rad/K) and to the bows of straightness errors (in units of half the travel, 1/K). It is multiplied by the
+    difference of two temperatures. `tip_mm_per_k` applies to the tip (mm/K).
     """
 
     strain_per_k: float = 12e-6
@@ -52,9 +54,9 @@ class DriftPrior:
 class MachineDrift:
     """Drift unknowns of a machine.
 
-    `parameter_indices` contains the indices of the f parameters that drift, and `deviations` (f,) their prior standard
-    deviations in mm/K or rad/K. `regressor_count` is the number of thermal regressors. Scales and tip depend on the
-    first regressor only.
+    `parameter_indices` contains the indices of the f parameters that drift. `deviations` (f,) contains the prior
+    standard deviations of their drift in mm/K or rad/K. `regressor_count` is the number of thermal regressors. Scales
+    and tip depend on the first regressor only.
     """
 
     names: tuple[str, ...]
@@ -101,16 +103,17 @@ class MachineDrift:
         return np.concatenate((course[:, 0, None, None] * forms, *further), axis=2)
 
     def change_matrix(self, course: Array) -> Array:
-        """Return the matrix (f + 3, size) that converts the drift unknowns to the result of `change`, at thermal
-        regressors `course` (w,) in K."""
+        """Return the matrix (f + 3, size) that, multiplied by the drift unknowns, gives the changes of the f drifting
+        parameters and of the three tip coordinates. The changes refer to the thermal regressors `course` (w,) in K."""
         units = np.diag(np.append(self.deviations, np.full(3, self.tip_mm_per_k)))
         further = [share * units[:, self.bending] for share in course[1:].tolist()]
         return np.concatenate((course[0] * units, *further), axis=1)
 
     def change(self, z: Array, course: Array) -> Array:
-        """Return the change (f + 3,) of the f drifting parameters (mm or rad) and of the tip (mm).
+        """Return the changes (f + 3,) of the f drifting parameters in mm or rad, followed by the changes of the three
+        tip coordinates in mm.
 
-        `z` (size,) contains the drift unknowns, and `course` (w,) the thermal regressors in K.
+        `z` (size,) contains the drift unknowns, and `course` (w,) contains the w thermal regressors in K.
         """
         return np.asarray(self.change_matrix(course) @ z)
 
@@ -124,7 +127,8 @@ class DriftEstimate:
     covariance: Array
 
     def change(self, course: Array) -> dict[str, tuple[float, float]]:
-        """Return each change and its standard uncertainty, in mm or rad, at thermal regressors `course` (w,) in K.
+        """Return the change of each drifting parameter and tip coordinate with its standard uncertainty, both in mm or
+        rad. The changes refer to the thermal regressors `course` (w,) in K.
 
         The keys are names such as ``EXX[1]`` and ``tip X``.
         """

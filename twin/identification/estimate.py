@@ -23,11 +23,12 @@ from twin.machine.error_model import ErrorModel
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """Estimated fields that the model cannot represent.
+    """Estimated misfit: fields that the model cannot represent.
 
-    `coefficients` (q,) are those of the modes. `covariance` (q, q) is their covariance, and `cross_covariance` (p, q)
-    their covariance with the parameters. A field in mm is `amplitude_mm` · modes · coefficients. `unresolved_mm2` is
-    the variance per direction, in mm², of the part of the misfit whose wavelength is too short for the modes.
+    `coefficients` (q,) contains the coefficients of the q modes, and `covariance` (q, q) is their covariance.
+    `cross_covariance` (p, q) is the covariance of the p parameters with the coefficients. The misfit field in mm is the
+    sum over the modes of mode times coefficient, multiplied by `amplitude_mm`. `unresolved_mm2` is the variance per
+    direction, in mm², of the part of the misfit whose wavelength is too short for the modes.
     """
 
     modes: MisfitModes
@@ -44,18 +45,18 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Parameters (p,) in mm or rad of the compensation model with their covariance (p, p).
+    """Estimated parameters (p,) of the compensation model in mm or rad, with their covariance (p, p).
 
-    The covariance is marginal over poses, certificate, thermal strain and misfit. `residuals_mm` (n, 3) contains the
-    residuals of all rows, including rejected ones, in the order of the observations. `chi2_normalised` is the sum of
-    squared residuals in units of the stated noise, divided by the degrees of freedom. `rejected` contains (position,
-    ball, tool) of each rejected row. `scales` are the estimated scales of noise, prior and misfit. `misfit` is None if
-    the misfit was switched off. `information` (p, p) is the information matrix of the measurements alone, for
-    parameters in units of `prior_scale`. `z` (P,) and `z_covariance` (P, P) are the values and the covariance of all
-    `unknowns` together. `alternatives` contains equally weighted results for other scales that the measurements allow.
-    `order_evidence` contains the evidence of each Legendre order; it is empty if the order was given. `drift` is the
-    drift of the machine during the measurement, or None if it was not estimated; all other results are marginal over
-    the drift.
+    The covariance is marginal over poses, certificate, thermal strain, misfit and drift. `residuals_mm` (n, 3) contains
+    the residuals of all n rows, including rejected rows, in the order of the observations. `chi2_normalised` is the sum
+    of squared residuals in units of the stated noise, divided by the degrees of freedom. `rejected` contains the
+    position, the ball and the tool of each rejected row. `scales` are the estimated scales of noise, prior and misfit.
+
+    `misfit` is None if the misfit was switched off. `information` (p, p) is the information matrix of the measurements
+    alone, for parameters in units of `prior_scale`. `z` (P,) and `z_covariance` (P, P) are the values and the
+    covariance of all `unknowns` together. `alternatives` contains results of equal weight for other scales that the
+    measurements allow. `order_evidence` contains the evidence of each Legendre order; it is empty if the order was
+    given. `drift` is the drift of the machine during the measurement, or None if drift was not estimated.
     """
 
     model: ErrorModel
@@ -80,7 +81,8 @@ class Estimate:
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
         """Return this estimate as the prior of an estimate made `nights` nights later.
 
-        `process_noise` (p,): standard deviations (mm or rad) by which each parameter may have changed per night.
+        `process_noise` (p,) contains the standard deviation, in mm or rad, of the change of each parameter per night.
+        If it is None, the parameters are assumed not to change.
         """
         known = CarriedOverPrior(self.unknowns, self.z, self.z_covariance, self.scales)
         return known if process_noise is None else known.after(process_noise, nights)
@@ -92,7 +94,8 @@ class Estimate:
 
     @property
     def scales_at_bounds(self) -> tuple[str, ...]:
-        """Descriptions of the scales that reached a bound. The uncertainty that depends on such a scale is a guess."""
+        """Descriptions of the scales that reached a bound. If a scale is at a bound, the uncertainties that depend on
+        it are only a guess."""
         return scales_at_bounds(self.scales)
 
     @property
@@ -107,19 +110,19 @@ class Estimate:
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
-        """Directions in parameter space that the measurements do not determine. There are `model.size` - `rank` of
-        them."""
+        """Directions in parameter space that the measurements do not determine. Their number is `model.size` minus
+        `rank`."""
         return self._seen.null_directions
 
     @property
     def conditioning(self) -> float:
-        """Ratio of the largest to the smallest singular value of that part of the information that is determined, for
-        parameters in units of their prior standard deviation."""
+        """Ratio of the largest to the smallest singular value of the measurement equations in the directions that the
+        measurements determine. Parameters are in units of their prior standard deviations."""
         return self._seen.conditioning
 
     @property
     def null_summary(self) -> tuple[str, ...]:
-        """One line for each kind of null direction."""
+        """Description of the null directions, with one line for each kind of null direction."""
         return summary(self.null_directions)
 
     @cached_property

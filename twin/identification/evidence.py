@@ -1,13 +1,15 @@
-"""Scales of touch noise, prior and each kind of misfit by maximum marginal likelihood (empirical Bayes).
+"""Estimation of the scales of touch noise, prior and each kind of misfit by maximum marginal likelihood (empirical
+Bayes).
 
-The equations are A z = y with the unknowns z, the design matrix A and the right side y. With the poses projected out
-and z integrated out, twice the negative log marginal likelihood is
+The equations are A z = y with the unknowns z, the design matrix A and the right side y. The poses have been projected
+out. After integration over z, twice the negative log marginal likelihood is
 
     rows ln σ² + |y|²/σ² - rᵀ H⁻¹ r/σ⁴ + ln det H - ln det D,   H = N/σ² + D
 
-(MacKay 1992; Rasmussen and Williams 2006, 5.4). Here N = AᵀA and r = Aᵀy are the matrix and the right side of the
-normal equations, σ is the touch noise and D the prior precision of z. The gradient needs only the diagonal of H⁻¹. Each
-log scale has a weak normal prior and bounds, so that it cannot become extreme if there are few measurements.
+(MacKay 1992; Rasmussen and Williams 2006, 5.4). Here `rows` is the number of equations, N = AᵀA and r = Aᵀy are the
+matrix and the right side of the normal equations, σ is the touch noise, and D is the prior precision of z. The gradient
+needs only the diagonal of H⁻¹. The logarithm of each scale has a weak normal prior and two bounds. They prevent an
+extreme scale if there are few measurements.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ from twin.identification.unknowns import UnknownBlocks
 class OrderEvidence:
     """Evidence of a Legendre order.
 
-    `relative_log` is its log evidence minus that of the likeliest order compared. `scales` are the likeliest scales for
-    this order.
+    `relative_log` is the log evidence of this order minus the log evidence of the likeliest order that was compared.
+    `scales` are the likeliest scales for this order.
     """
 
     order: int
@@ -72,7 +74,7 @@ _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01
 
 
 def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
-    """Return the scales that maximise the product of the marginal likelihood and their priors."""
+    """Return the scales that maximise the product of the marginal likelihood and the priors of the scales."""
     free = free_scales(precision)
     log_start: Logs = np.log(start.values)[free]
     cost = _cost(normal, precision, start)
@@ -89,14 +91,14 @@ def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start
 
 
 def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> float:
-    """Return the logarithm of the marginal likelihood times the priors of the scales. Terms that depend only on the
-    rows and their covariances are omitted."""
+    """Return the logarithm of the product of the marginal likelihood and the priors of the scales. Terms that depend
+    only on the rows and their covariances are omitted."""
     logs = np.log(scales.values)[free_scales(precision)]
     return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
 
 
 def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
-    """Describe the scales that reached their lower or upper bound."""
+    """Return a description of each scale that reached its lower or upper bound."""
     found = []
     for name, value, prior in zip(_NAMES, scales.values, SCALE_PRIORS, strict=True):
         for bound in (prior.low, prior.high):
@@ -106,16 +108,17 @@ def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
 
 
 def free_scales(precision: PriorPrecision) -> list[bool]:
-    """Return one flag for each scale, in the order of `Scales.values`. It is False if a carried-over prior fixes the
-    scale or if the scale applies to no unknown, and True otherwise."""
+    """Return a flag for each scale, in the order of `Scales.values`. The flag is True if the scale can be estimated. It
+    is False if a carried-over prior fixes the scale, or if the scale applies to no unknown."""
     found = [True, *(precision.has_free_scale(block) for block in scaled_blocks(precision.blocks))]
     return found + [False] * (len(SCALE_PRIORS) - len(found))
 
 
 def scaled_blocks(blocks: UnknownBlocks) -> tuple[slice, ...]:
-    """Return the blocks of z to which a scale applies: the parameters, then each kind of misfit.
+    """Return the blocks of the unknowns z to which a scale applies: the parameters, followed by each kind of misfit.
 
-    They are in the order of `Scales.values` without its first entry, the scale of the noise, which has no block.
+    The blocks are in the order of `Scales.values` without its first entry. The first entry is the scale of the noise,
+    which belongs to no block.
     """
     return blocks.parameters, *blocks.kinds
 
@@ -141,7 +144,7 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
 
 def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:
     """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (6,) with respect to the
-    log scales."""
+    logarithms of the six scales."""
     blocks, variance = precision.blocks, scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.information_vector
@@ -163,10 +166,12 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
 
 
 def _log_scale_derivative(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
-    """Return half of a block's part of the derivative with respect to the logarithm of its scale.
+    """Return half of the derivative of `negative_log_likelihood` with respect to the logarithm of the scale of one
+    block.
 
-    It is the number of unknowns of the block, minus the trace of the share of the prior in their posterior precision,
-    minus their weighted square.
+    The result is the number of unknowns of the block minus two sums over these unknowns. The first sum is that of
+    `taken`, which is the posterior variance of each unknown multiplied by its prior precision. The second sum is that
+    of the products of `weighted_z` and `z`, where `weighted_z` is the prior precision multiplied by `z`.
     """
     size = block.stop - block.start
     return float(size - taken[block].sum() - weighted_z[block] @ z[block])

@@ -49,8 +49,8 @@ def identify(
     """Estimate the parameters of `model` from ball centres measured on `artefact`.
 
     `family` is the prior, and its standard deviations are the units of the parameters. Raise SingularSet if the
-    positions determine nothing, and DataError if the family belongs to another model or a measured ball is not on the
-    artefact.
+    measurements do not determine the parameters, for example because there are too few positions or too few different
+    balls. Raise DataError if the family belongs to another model, or if a measured ball is not on the artefact.
     """
     options = options or Options()
     if family.model != model:
@@ -61,7 +61,7 @@ def identify(
 
 
 def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
-    """Return the mask (n,) of the rows that `identify` would accept."""
+    """Return a mask (n,) that is True for each ball centre that `identify` would accept."""
     _check_set(observations)
     whole = build_problem(family, observations, artefact, options)
     accepted = np.empty(observations.size, dtype=bool)
@@ -72,7 +72,8 @@ def accepted_rows(family: Family, observations: Observations, artefact: Artefact
 def identify_accepted(
     family: Family, observations: Observations, artefact: Artefact, options: Options, accepted: Mask
 ) -> Estimate:
-    """Identify with exactly the rows that the mask `accepted` (n,) marks. All other rows count as rejected."""
+    """Estimate the parameters from exactly the ball centres that the mask `accepted` (n,) marks. All other ball centres
+    count as rejected."""
     whole = build_problem(family, observations, artefact, options)
     chosen = accepted[whole.layout.order]
     problem = whole if chosen.all() else whole.with_rows(chosen)

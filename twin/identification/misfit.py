@@ -1,14 +1,18 @@
 """Misfit: smooth fields that the model cannot represent, with a Gaussian prior.
 
-A machine has more errors than 21 Legendre series can describe. Gravity and heat bend it in ways that depend on several
-axes at once (mixed terms: products of Legendre polynomials of low total degree), and the rails of each axis undulate
-between their screws (orders above the model's, alone and with a linear lever in another axis). Each kind has its own
-scale, because a machine that bends strongly need not have wavy rails, and one bad rail does not make the others bad.
-Within a kind the prior standard deviations fall with the order, as those of families do.
+A machine has more errors than the 18 Legendre series and three squarenesses of the model can describe. Gravity and heat
+bend the machine in ways that depend on several axes at once. Mixed terms represent this bending: products of Legendre
+polynomials of low total degree. The rails of each axis undulate between their screws. Waves represent this undulation:
+Legendre polynomials of higher orders than those of the model, alone or multiplied by the position of another axis.
 
-The part that the model or a rigid motion can represent is removed by least squares over the workspace, so that the two
-do not compete; the rest is condensed to its leading modes (Karhunen-Loève). The remainder, of short wavelength, is
-represented by a variance without correlation.
+The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale,
+because a machine that bends strongly need not have wavy rails, and one bad rail does not make the other rails bad.
+Within a kind, the prior standard deviations fall with increasing order, as those of families do.
+
+The part of the misfit that the model or a rigid motion can represent is removed by least squares over the workspace. An
+error that the model can explain is therefore not also explained by the misfit. The rest is condensed to its leading
+modes (Karhunen-Loève). The remainder has short wavelengths and is represented by a variance without spatial
+correlation.
 """
 
 from __future__ import annotations
@@ -44,13 +48,17 @@ Weights = dict[Degrees, float]
 
 @dataclass(frozen=True, eq=False)
 class MisfitModes:
-    """Modes of the misfit, whose coefficients are unit-normal a priori.
+    """Modes of the misfit. A priori, the coefficients of the modes are independent, with mean zero and variance 1.
 
-    The field is candidates · `mixing` - model · `removed` - rigid motions · `rigid`. `degrees` contains the Legendre
-    degrees in x, y, z of each of the c candidates, and `mixing` (3, c, q) the q modes in mm. `removed` (p, q) and
-    `rigid` (6, q) are the parts of each mode that the model or a rigid motion represents. `sizes` is the number of
-    modes of each kind, whose modes form consecutive blocks. `left_out` (kinds,) is the variance per direction, as a
-    mean over the workspace, that the modes of each kind leave out. Modes and remainder together have a prior rms of 1.
+    Each of the q modes is a combination of c candidates, which are products of Legendre polynomials. `degrees` contains
+    the Legendre degrees of each candidate in x, y and z. `mixing` (3, c, q) contains, for each direction, the amplitude
+    in mm of each candidate in each mode. From each mode, the part that the p parameters of the model or the six rigid
+    motions can represent is subtracted. `removed` (p, q) and `rigid` (6, q) contain the amplitudes of the subtracted
+    parts.
+
+    `sizes` is the number of modes of each kind; the modes of a kind form a consecutive block. `left_out` (kinds,) is
+    the variance per direction that the modes of each kind leave out, as a mean over the workspace. Modes and remainder
+    together have a prior rms of 1.
     """
 
     model: ErrorModel
@@ -67,8 +75,8 @@ class MisfitModes:
         return int(self.mixing.shape[2])
 
     def at(self, axis_positions: Array, basis: Array | None = None) -> Array:
-        """Return the modes (n, 3, q) in mm at axis positions (n, 3). `basis` (n, 3, p): basis of the model at these
-        positions for the tool of the modes, if already computed."""
+        """Return the modes (n, 3, q) in mm at axis positions (n, 3) in mm. `basis` (n, 3, p) is the deviation basis of
+        the model at these positions for the tool of the modes, if it has already been computed."""
         if basis is None:
             basis = deviation_basis(self.model, axis_positions, self.tool_offset)
         candidates = _candidates(self.degrees, self.model.ranges_mm, axis_positions)
@@ -81,8 +89,8 @@ class MisfitModes:
 
 @lru_cache(maxsize=16)
 def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> MisfitModes:
-    """Return the misfit modes for `model`. The part that the model can represent is removed as for a tool with
-    `tool_offset` (mm)."""
+    """Return the misfit modes for `model`. From each mode, the part that the model can represent for a tool with the
+    offset `tool_offset` in mm is removed."""
     offset = np.array(tool_offset)
     kinds = _kinds(model)
     degrees = tuple(degree for kind in kinds for degree in kind)

@@ -1,4 +1,5 @@
-"""Normal equations, prior and posterior of the shared unknowns z. The poses have already been projected out."""
+"""Normal equations, prior and posterior of the unknowns z that all positions share. The poses have already been
+projected out."""
 
 from __future__ import annotations
 
@@ -65,10 +66,10 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class JointPrior:
-    """Joint Gaussian prior of some of the unknowns. Scales do not apply to it.
+    """Joint Gaussian prior of some of the unknowns. Scales do not apply to this prior.
 
-    The mask `members` (P,) marks these unknowns. `precision` (P, P) is zero for all others, and so is
-    `information_vector` (P,), the product of the precision and the prior mean.
+    The mask `members` (P,) marks the unknowns that have the joint prior. `information_vector` (P,) is the product of
+    the precision and the prior mean. `precision` (P, P) and `information_vector` are zero for all other unknowns.
     """
 
     members: np.ndarray[Any, np.dtype[np.bool_]]
@@ -95,7 +96,8 @@ class PriorPrecision:
     known: JointPrior | None = None
 
     def has_free_scale(self, block: slice) -> bool:
-        """Return True if the block is not empty and none of it has a joint prior, so that its scale is free."""
+        """Return True if the scale of `block` can be estimated. The block must not be empty, and no unknown in it may
+        have a joint prior."""
         return block.stop > block.start and (self.known is None or not self.known.members[block].any())
 
     @property
@@ -110,7 +112,7 @@ class PriorPrecision:
         return full
 
     def add_to(self, matrix: Array, scales: Scales) -> None:
-        """Add the precision to a matrix (P, P) in place."""
+        """Add the prior precision for the given scales to a matrix (P, P) in place."""
         diagonal = self.diagonal(scales)
         if self.known is not None:
             matrix += self.known.precision
@@ -118,7 +120,7 @@ class PriorPrecision:
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
-        """Return the diagonal (P,) of that part of the prior precision that is a scaled unit matrix."""
+        """Return the diagonal (P,) of the prior precision as it would be for the given scales without a joint prior."""
         diagonal = np.ones(self.blocks.size)
         diagonal[self.blocks.parameters] = scales.prior**-2
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
@@ -128,10 +130,11 @@ class PriorPrecision:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of z, represented by its precision: `factor` (P, P) is the lower Cholesky factor, in Fortran order.
+    """Posterior of the unknowns z, represented by its precision. `factor` (P, P) is the lower Cholesky factor of the
+    precision, in Fortran order.
 
-    At scale 1 the prior alone gives a precision of 1 in every direction that the measurements leave open, so an
-    explicit inverse is numerically safe.
+    At scale 1 the prior alone gives a precision of 1 in every direction that the measurements leave open. An explicit
+    inverse is therefore numerically safe.
     """
 
     factor: Array
@@ -147,7 +150,7 @@ class Posterior:
 
     @cached_property
     def log_determinant(self) -> float:
-        """Log determinant of the precision."""
+        """Logarithm of the determinant of the posterior precision."""
         return 2.0 * float(np.log(np.diagonal(self.factor)).sum())
 
     @cached_property
@@ -160,7 +163,7 @@ class Posterior:
 
     @cached_property
     def variances(self) -> Array:
-        """Diagonal (P,) of the covariance."""
+        """Diagonal (P,) of the posterior covariance."""
         inverse, _ = dtrtri(self.factor, lower=1)
         return np.asarray(np.einsum("ij,ij->j", inverse, inverse))
 
@@ -173,5 +176,6 @@ class Posterior:
         return np.asarray(dpotrs(self.factor, right, lower=1)[0])
 
     def whiten(self, rows: Array) -> Array:
-        """Return W (n, P) such that W Wᵀ = A C Aᵀ, where A (n, P) is `rows` and C is the posterior covariance."""
+        """Return a matrix W (n, P) with W Wᵀ = A C Aᵀ. Here A (n, P) is the matrix `rows`, and C is the posterior
+        covariance."""
         return np.asarray(dtrsm(1.0, self.factor, rows.T, lower=1).T)

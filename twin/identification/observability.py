@@ -1,9 +1,9 @@
 """Observability of a model's parameters by a measuring set-up. Null directions are described in words.
 
-Information matrices refer to unit-prior coordinates (each parameter in units of its prior standard deviation), so that
-mm and rad are comparable. A null direction is a combination of parameters that leaves all measurements unchanged. Some
-null directions also leave the whole error field at the tool point unchanged; these are harmless if there is only one
-tool.
+Information matrices refer to unit-prior coordinates: each parameter is in units of its prior standard deviation, which
+makes mm and rad comparable. A null direction is a combination of parameters that leaves all measurements unchanged.
+Some null directions also leave the whole error field at the tool point unchanged. These null directions are harmless if
+there is only one tool.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ FIXED = "because the family holds it at its prior value"
 class NullDirection:
     """Combination of parameters that the measurements do not determine.
 
-    `loadings` contains the change of each parameter involved, in the parameter's own unit, if the first one changes by
-    one prior standard deviation. `changes_field` is True if the direction moves the tool point relative to the
-    workpiece by more than a rigid motion. `circumstance` is the part of `text` that states under which circumstances
-    the direction is not observed.
+    `text` describes the combination in words. `loadings` contains the change of each parameter involved, in the unit of
+    that parameter, if the first parameter changes by one prior standard deviation. `changes_field` is True if the
+    direction moves the tool point relative to the workpiece by more than a rigid motion. `circumstance` is the part of
+    `text` that states under which circumstances the direction is not observed.
     """
 
     text: str
@@ -45,8 +45,8 @@ class NullDirection:
 
 @dataclass(frozen=True)
 class Observability:
-    """Rank of the information about p parameters, the p - rank undetermined directions, and the conditioning of the
-    others."""
+    """Rank of the information about p parameters, the p - rank directions that are not determined, and the conditioning
+    of the directions that are determined."""
 
     rank: int
     null_directions: tuple[NullDirection, ...]
@@ -54,10 +54,11 @@ class Observability:
 
 
 def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool = False) -> Observability:
-    """Return the best possible observability. It is reached if the error field is measured everywhere with tools of
-    offsets (T, 3) in mm.
+    """Return the best observability that any set of positions can reach with tools of the offsets (T, 3) in mm. It is
+    reached if the error field of these T tools is measured everywhere.
 
-    Parameters are in units of `scale` (p,). If `aligned`, a rigid motion of the workspace does not count as a change.
+    Parameters are in units of `scale` (p,). If `aligned` is True, a rigid motion of the workspace does not count as a
+    change.
     """
     form = field_form(model, scale, tool_offsets, aligned)
     return observability(model, form, scale, tool_offsets, "by the tool point")
@@ -66,7 +67,8 @@ def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, al
 def observability(
     model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, observer: str = "by this set"
 ) -> Observability:
-    """Return the rank and the named null space of an information matrix (p, p) of parameters in units of `scale` (p,).
+    """Return the rank, the null directions in words, and the conditioning of an information matrix (p, p). The matrix
+    refers to parameters in units of `scale` (p,).
 
     `observer` completes the phrase "not seen …" in the descriptions, for example "by this set".
     """
@@ -79,16 +81,18 @@ def observability(
 
 
 def null_space(information: Array) -> Array:
-    """Return an orthonormal basis (p, r) of the null space of an information matrix (p, p) in unit-prior
-    coordinates."""
+    """Return an orthonormal basis (p, r) of the null space of an information matrix (p, p) in unit-prior coordinates.
+    The null space has r dimensions."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray(vectors[:, values <= _NULL_EIGENVALUE * max(float(values[-1]), 1e-300)])
 
 
 def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool) -> Array:
-    """Return the quadratic form (p, p) in mm² of the mean square of the field over the workspace and the tools.
+    """Return the quadratic form (p, p) in mm² that gives the mean square of the error field over the workspace and the
+    tools.
 
-    Parameters are in units of `scale` (p,). If `aligned`, the best-fitting rigid motion common to all tools is removed.
+    Parameters are in units of `scale` (p,). If `aligned` is True, the best-fitting rigid motion common to all tools is
+    removed.
     """
     highest = model.highest_order
     grid = evaluation_grid(model.ranges_mm, (highest[0] + 5, highest[1] + 5, highest[2] + 5))
@@ -106,7 +110,8 @@ def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bo
 
 
 def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
-    """Return one line for each kind of null direction: `EBY[1..5]: not seen with one straight probe along Y`."""
+    """Return a description of the null directions, with one line for each kind, such as `EBY[1..5]: not seen with one
+    straight probe along Y`."""
     groups: dict[tuple[str, ...], list[NullDirection]] = {}
     for direction in directions:
         key = (*(name.split("[")[0] for name in direction.loadings), direction.circumstance)
@@ -115,7 +120,7 @@ def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Return `EXX`, `EXX and EYY`, or `EXX, EYY and EZZ`."""
+    """Return the names joined in a phrase: `EXX`, `EXX and EYY`, or `EXX, EYY and EZZ`."""
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 

@@ -17,35 +17,39 @@ OutlierPolicy = Literal["reject", "none"]
 
 @dataclass(frozen=True, eq=False)
 class Options:
-    """Options of an identification; the defaults are those of a production run.
+    """Options of an identification. The defaults are those of a production run.
 
-    `formulation`: ball centres with free poses, or pairwise distances (the published method).
+    `formulation` is "centres" for ball centres with free poses, or "distances" for pairwise distances (the published
+    method).
 
-    `use_prior`: use the family as Gaussian prior; otherwise directions that the data leave open are held at zero.
+    `use_prior` is True if the family is used as a Gaussian prior. If it is False, directions that the data leave open
+    are held at zero.
 
-    `prior_standard_deviation` (p,) in mm or rad: replaces the standard deviations of the family.
+    `prior_standard_deviation` (p,) in mm or rad replaces the standard deviations of the family.
 
-    `carried_over`: posterior of machine, artefact and misfit from an earlier estimate, replacing family and
-    certificate.
+    `carried_over` is the posterior of machine, artefact and misfit from an earlier estimate. It replaces the family and
+    the certificate.
 
-    `weights`: "full" weights the observations by their covariances; "unit" gives all coordinates or distances the same
-    weight and omits the nuisance unknowns.
+    `weights` is "full" if the observations are weighted by their covariances. It is "unit" if all coordinates or all
+    distances have the same weight; the nuisance unknowns are then omitted.
 
-    `estimate_scales`: estimate the scales of touch noise, prior and misfit by maximum marginal likelihood; otherwise
-    all are 1.
+    `estimate_scales` is True if the scales of touch noise, prior and misfit are estimated by maximum marginal
+    likelihood. If it is False, all scales are 1.
 
-    `outliers`: "reject" removes outliers by their studentised residuals and fits again; "none" accepts all rows.
+    `outliers` is "reject" if outliers are found by their studentised residuals and removed before the final fit. It is
+    "none" if all rows are accepted.
 
-    `false_alarm`: probability that any ball is rejected from a set without outliers.
+    `false_alarm` is the probability that any ball is rejected from a set without outliers.
 
-    `misfit_mm`: prior rms over the workspace of the errors that the model cannot represent; 0 switches the misfit off.
-    A carried-over estimate keeps its own value.
+    `misfit_mm` is the prior rms over the workspace of the errors that the model cannot represent; 0 switches the misfit
+    off. A carried-over estimate keeps its own value.
 
-    `temperature_standard_uncertainty_k`: standard uncertainty of the artefact's thermometer, whose error is common to
-    all rows.
+    `temperature_standard_uncertainty_k` is the standard uncertainty of the artefact's thermometer. The error of the
+    thermometer is common to all rows.
 
-    `drift`: prior of a drift along the thermal regressors of the observations; None if drift is not estimated.
-    `state_regressors` (w,) in K: thermal regressors of the state that the estimate describes; None for all zero.
+    `drift` is the prior of a drift along the thermal regressors of the observations. It is None if drift is not
+    estimated. `state_regressors` (w,) contains the thermal regressors in K of the state that the estimate describes. If
+    it is None, all regressors of this state are zero.
     """
 
     formulation: Formulation = "centres"

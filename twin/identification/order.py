@@ -1,14 +1,14 @@
 """Choice of the Legendre order by evidence.
 
-The evidence of an order is its marginal likelihood, multiplied by the priors of the scales. The poses are projected
-out; parameters, certificate, strain and misfit are integrated out; the scales have their likeliest values. All orders
-are compared on the same ball centres, so factors common to all are omitted. The determinants balance the size of a
-model against the part of the data that it explains. Outliers are rejected once, with the highest order, before any
-comparison, so that all orders use the same ball centres.
+The evidence of an order is its marginal likelihood multiplied by the priors of the scales. The poses are projected out;
+parameters, certificate, strain and misfit are integrated out; the scales have their likeliest values. All orders are
+compared on the same ball centres, so factors common to all orders are omitted. The determinants in the evidence balance
+the size of a model against the part of the data that the model explains. Outliers are rejected once, with the highest
+order, before any comparison. All orders therefore use the same ball centres.
 
-The misfit can explain the errors beyond a low order almost as well as a higher order can, but a compensation table
-contains the parameters and not the misfit. Therefore the highest order without very strong evidence against it is
-chosen. The prior of this order prevents it from following noise.
+The misfit can explain errors of high order almost as well as a model of high order can, but a compensation table
+contains only the parameters and not the misfit. Therefore the highest order is chosen among all orders without very
+strong evidence against them. The prior of the parameters prevents the chosen order from following noise.
 """
 
 from __future__ import annotations
@@ -39,11 +39,12 @@ def identify_by_evidence(
     options: Options | None = None,
     candidates: Sequence[int] = ORDERS,
 ) -> Estimate:
-    """Identify with the Legendre order favoured by the measurements. `family_of` returns the family for a given order.
+    """Estimate the parameters with the Legendre order that the measurements favour. The function `family_of` returns
+    the family for a given order.
 
-    Orders are compared on ball centres with full weights, whatever the formulation of the estimate, and
-    `order_evidence` of the result lists the evidence of all candidates. Raise DataError if no comparison is possible,
-    because the prior is off or because an estimate with a fixed order is carried over.
+    Orders are compared on ball centres with full weights, whatever the formulation of the estimate. `order_evidence` of
+    the result contains the evidence of all candidate orders. Raise DataError if no comparison is possible, because the
+    prior is off or because an estimate with a fixed order is carried over.
     """
     options = options or Options()
     if not options.use_prior or options.carried_over is not None:

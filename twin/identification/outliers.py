@@ -1,8 +1,9 @@
-"""Outlying ball centres, found by studentised residuals. Each residual has three components, which are tested together.
+"""Outlying ball centres, found by studentised residuals. The three components of each residual are tested together.
 
-Let r_i be the whitened residual of ball i, and C_i its covariance under the model. Then t² = r_iᵀ C_i⁻¹ r_i compares
-the ball with a fit without it (leave one out). The scale of t² is the median over the balls, which gross errors do not
-affect. The limit comes from the F distribution at a false alarm rate shared by all balls (Bonferroni).
+Let r be the whitened residual (3,) of a ball, and C (3, 3) its covariance under the model. The statistic t² = rᵀ C⁻¹ r
+compares the ball with a fit that leaves out this ball. All values of t² are divided by a common scale, which follows
+from their median over the balls. Gross errors do not affect this median. The limit for t² comes from the F
+distribution. The false alarm rate is shared by all balls (Bonferroni).
 """
 
 from __future__ import annotations
@@ -26,8 +27,11 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 
 def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
-    """Return the rows to reject in this round, as indices of rows sorted by position. The worst row of each position is
-    rejected if it is beyond the limit."""
+    """Return the indices of the rows to reject in this round. Rows are sorted by position.
+
+    In each position, only the row with the largest t² is tested. It is rejected if its t² exceeds two limits: the limit
+    that follows from the probability `false_alarm`, and 5 % of the largest t² of all rows.
+    """
     square = studentised_squares(solution)
     limit = 3.0 * float(fdtri(3.0, solution.degrees_of_freedom, 1.0 - false_alarm / len(square)))
     limit = max(limit, _COMPARABLE_SHARE * float(square.max()))
@@ -37,8 +41,13 @@ def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
 
 
 def studentised_squares(solution: Solution) -> Array:
-    """Return t² (n,) of the rows, sorted by position, of a solution in the formulation `centres`. The values are scaled
-    to the median of χ² with three degrees of freedom."""
+    """Return the square t² (n,) of the studentised residual of each of the n rows of a solution. Rows are sorted by
+    position.
+
+    For the whitened residual r (3,) of a row with the covariance C (3, 3), t² is proportional to rᵀ C⁻¹ r. A common
+    factor makes the median of all t² equal to the median of χ² with three degrees of freedom, unless the residuals are
+    far smaller than the stated noise. Raise DataError if the solution is not in the formulation `centres`.
+    """
     equations = solution.equations
     if not isinstance(equations, CentreEquations):
         raise DataError("studentised residuals require the formulation 'centres'")

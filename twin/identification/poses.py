@@ -17,9 +17,11 @@ _UNDETERMINED = 1e-10  # relative eigenvalue of the 6x6 normal equations below w
 
 @dataclass(frozen=True, eq=False)
 class RowLayout:
-    """Rows sorted by position and laid out as (K positions, width). Positions with fewer balls end in empty slots.
+    """Layout of measured rows as a table with K positions and `width` slots per position. Rows are sorted by position.
+    If a position has fewer balls than `width`, its last slots are empty.
 
-    `order` (n,) sorts the given rows by position. `counts` (K,) is the number of balls of each position.
+    `order` (n,) contains the indices that sort the n given rows by position. `counts` (K,) is the number of balls of
+    each position.
     """
 
     order: np.ndarray[Any, np.dtype[np.int64]]
@@ -50,7 +52,8 @@ class RowLayout:
 
     @cached_property
     def source(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Index (K·width,) of the sorted row in each slot. An empty slot has the index of an arbitrary row."""
+        """Index (K·width,) of the sorted row in each slot. An empty slot has the index of the first row of its
+        position."""
         starts = np.cumsum(self.counts) - self.counts
         return np.asarray(starts[:, None] + np.arange(self.width) * self.present).reshape(-1)
 
@@ -60,7 +63,7 @@ class RowLayout:
         return np.repeat(np.arange(self.positions), self.counts)
 
     def pad(self, rows: Array) -> Array:
-        """Lay sorted rows (n, ...) out as (K, width, ...), with zeros in empty slots."""
+        """Return sorted rows (n, ...) laid out as an array (K, width, ...) with zeros in empty slots."""
         shape = (self.positions, self.width, *rows.shape[1:])
         if self.full:
             return rows.reshape(shape)
@@ -69,23 +72,25 @@ class RowLayout:
         return padded
 
     def unpad(self, padded: Array) -> Array:
-        """Return sorted rows (n, ...) from (K, width, ...)."""
+        """Return the sorted rows (n, ...) from an array (K, width, ...) without its empty slots."""
         return padded.reshape(-1, *padded.shape[2:]) if self.full else padded[self.present]
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Pose of the artefact in each position: it converts a point b in the artefact's frame to p = t + R b in the
-    workpiece frame.
+    """Pose of the artefact in each of K positions. A pose converts a point b in the artefact's frame to the point p = t
+    + R b in the workpiece frame.
 
-    `rotation` contains R (K, 3, 3), and `translation` contains t (K, 3) in mm.
+    `rotation` (K, 3, 3) contains the rotation matrix R of each pose, and `translation` (K, 3) contains the translation
+    t in mm.
     """
 
     rotation: Array
     translation: Array
 
     def to_workpiece(self, layout: RowLayout, local: Array) -> Array:
-        """Return the workpiece coordinates (n, 3) of artefact points (n, 3). Rows are sorted by position."""
+        """Return the workpiece coordinates (n, 3) of the artefact points `local` (n, 3). Both arrays are sorted by
+        position."""
         turned = layout.pad(local) @ self.rotation.transpose(0, 2, 1)
         turned += self.translation[:, None, :]
         return layout.unpad(turned)
@@ -93,8 +98,8 @@ class Poses:
     def moved(self, increments: Array, arms: PoseArms) -> Poses:
         """Return the poses after increments (K, 6) in mm.
 
-        The first three elements of an increment shift the centroid of the position. The other three are a rotation
-        about the centroid in rad, multiplied by the arm of the position in mm.
+        The first three elements of an increment shift the centroid of the balls of the position. The other three
+        elements are a rotation about this centroid in rad, multiplied by the arm of the position in mm.
         """
         turn = _rotations(increments[:, 3:] / arms.length[:, None])
         rotation = turn @ self.rotation
@@ -105,8 +110,8 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseArms:
-    """Middle (K, 3) of the balls of each position in the artefact's frame, and the largest distance (K,) of a ball from
-    this middle. Both are in mm."""
+    """Centroid (K, 3) of the balls of each position in the artefact's frame, and the largest distance (K,) of a ball
+    from this centroid (the arm of the position). Both are in mm."""
 
     middle: Array
     length: Array
@@ -121,11 +126,11 @@ class PoseArms:
 
 
 def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
-    """Fit the rigid pose of each position by Kabsch's method, which maps artefact points (n, 3) onto measured points
-    (n, 3).
+    """Fit a rigid pose to each position by Kabsch's method. The pose maps the artefact points (n, 3) onto the measured
+    points (n, 3) with the smallest sum of squared distances.
 
     If the balls of a position lie on one line, the roll about this line cannot be determined. The roll given by the
-    mount is used instead; it keeps the artefact's Y axis horizontal.
+    mount is used instead. With this roll the artefact's Y axis is horizontal.
     """
     counts = layout.counts[:, None]
     here, there = layout.pad(local), layout.pad(found)
@@ -146,8 +151,9 @@ def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
 class PoseProjector:
     """Projector that removes the effect of pose increments from the whitened equations.
 
-    `q` (K, 3 width, 6) is an orthonormal basis Q of this effect. `back` (K, 6, 6) converts the projections Qᵀr of
-    residuals r into increments. `seen` is the number of increments that are determined.
+    `q` (K, 3·width, 6) contains an orthonormal basis Q of this effect for each position. `back` (K, 6, 6) converts the
+    projections Qᵀr of residuals r into increments. `seen` is the number of increments, over all positions, that the
+    measurements determine.
     """
 
     q: Array
@@ -156,10 +162,10 @@ class PoseProjector:
 
     @classmethod
     def of(cls, layout: RowLayout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
-        """Build the projector.
+        """Build the projector for the poses of a set of positions.
 
-        `weight` (K, width, 3, 3) contains a matrix W for each slot such that WᵀW is the inverse covariance. W is zero
-        in empty slots.
+        `weight` (K, width, 3, 3) contains the whitening matrix W of each slot. WᵀW is the inverse covariance of the
+        ball centre; W is zero in empty slots.
         """
         lever = (layout.pad(local) - arms.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
         lever /= arms.length[:, None, None]
@@ -181,22 +187,22 @@ class PoseProjector:
         return cls(white @ back, back, int(seen.sum()))
 
     def parts(self, white: Array) -> Array:
-        """Return Qᵀ A (K, 6, m) for whitened equations A (K, 3 width, m)."""
+        """Return the projections QᵀA (K, 6, m) of whitened equations A (K, 3·width, m) onto the basis Q."""
         return self.q.transpose(0, 2, 1) @ white
 
     def increments(self, white: Array) -> Array:
-        """Return the least-squares pose increments (K, 6) for whitened right-hand sides (K, 3 width)."""
+        """Return the least-squares pose increments (K, 6) for whitened right-hand sides (K, 3·width)."""
         return (self.back @ self.parts(white[:, :, None]))[:, :, 0]
 
     def remove(self, white: Array) -> Array:
-        """Return (I - Q Qᵀ) A for whitened equations A (K, 3 width, m)."""
+        """Return whitened equations A (K, 3·width, m) without the effect of pose increments, that is, (I - Q Qᵀ) A."""
         return white - self.q @ self.parts(white)
 
 
 def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
-    """Return the products W A of the matrices W in `weight` and `rows` A (..., 3, m).
+    """Return the products W A of the matrices W (..., 3, 3) in `weight` and the matrices A (..., 3, m) in `rows`.
 
-    If all W are diagonal, as with one standard deviation per ball, the rows are only scaled.
+    If all W are diagonal, for example because each ball has only one standard deviation, the rows of A are only scaled.
     """
     diagonal = np.einsum("...ii->...i", weight)
     if np.count_nonzero(weight) == np.count_nonzero(diagonal):

@@ -21,7 +21,7 @@ _CHUNK = 500  # points whose basis is held in memory at a time
 
 
 class FieldKnowledge(Protocol):
-    """Properties that an estimate, computed or stored, needs for the prediction of the residual field."""
+    """Interface of an estimate, computed or stored, with the properties needed to predict the residual field."""
 
     @property
     def model(self) -> ErrorModel: ...
@@ -32,11 +32,11 @@ class FieldKnowledge(Protocol):
 
 
 def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricRms:
-    """Return the predicted volumetric compensated error at axis positions (n, 3), raw and after the best-fitting rigid
-    motion has been removed.
+    """Return the predicted volumetric compensated error over axis positions (n, 3), both raw and after the best-fitting
+    rigid motion has been removed.
 
-    The result is the root of the posterior expectation of the mean square of machine minus model. It includes the
-    covariance of the parameters, and the expected value and the covariance of the misfit.
+    Each value is a root mean square of the true minus the modelled deviation; the mean square is the posterior
+    expectation. It includes the covariance of the parameters, and the expected value and the covariance of the misfit.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -48,9 +48,10 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
 def field_uncertainty(
     estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike, aligned_over: ArrayLike | None = None
 ) -> Array:
-    """Return the posterior rms (n, 3) in mm, per direction, of machine minus model at axis positions (n, 3).
+    """Return the posterior rms (n, 3) in mm, per direction, of the true minus the modelled deviation at axis positions
+    (n, 3).
 
-    If `aligned_over` (m, 3) is given, the best-fitting rigid motion over these axis positions is removed first.
+    If `aligned_over` (m, 3) is given, the best-fitting rigid motion over these m axis positions is removed first.
     """
     at, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -66,8 +67,8 @@ def field_uncertainty(
 
 
 def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
-    """Return the expected outer product (3n, 3n) in mm² of machine minus model at axis positions (n, 3). Rows and
-    columns run point by point, in the order x, y, z."""
+    """Return the expected outer product (3n, 3n) in mm² of the true minus the modelled deviation at axis positions (n,
+    3). Rows and columns are ordered point by point, with x, y and z of each point in this order."""
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
     columns = field_columns(estimate, grid, offset).reshape(-1, len(moments))
@@ -75,10 +76,11 @@ def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset
 
 
 def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:
-    """Return two quadratic forms (p + q, p + q) in mm² of the mean square field over axis positions (n, 3).
+    """Return two quadratic forms (p + q, p + q) in mm² that give the mean square of the error field over axis positions
+    (n, 3).
 
-    The forms apply to the p parameters followed by the q misfit coefficients. The first form is raw; for the second,
-    the best-fitting rigid motion has been removed.
+    The forms apply to a vector of the p parameters followed by the q misfit coefficients. The first form is for the raw
+    field. The second form is for the field after the best-fitting rigid motion has been removed.
     """
     sums = _sums(estimate, points, offset)
     # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
@@ -154,7 +156,8 @@ def unresolved_variance(estimate: FieldKnowledge) -> float:
 
 
 def field_columns(estimate: FieldKnowledge, points: Array, offset: Array) -> Array:
-    """Return the field (n, 3, p + q) in mm per parameter and per misfit coefficient."""
+    """Return the error field (n, 3, p + q) in mm that one unit of each of the p parameters and q misfit coefficients
+    causes."""
     basis = deviation_basis(estimate.model, points, offset)
     misfit = estimate.misfit
     if misfit is None:

@@ -1,4 +1,5 @@
-"""Unknowns of a set and their units. They come from the family and the certificate, or from an earlier estimate."""
+"""Unknowns of an identification and their units. Both are taken from the family and the certificate, or from an earlier
+estimate."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from twin.machine.machine_population import Family
 
 
 def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options: Options) -> Unknowns:
-    """Return the unknowns of a set, in the units of the family or of the carried-over estimate.
+    """Return the unknowns of an identification. Their units are those of the family or, if an estimate is carried over,
+    those of the carried-over estimate.
 
     Raise DataError if the prior is zero, has the wrong shape or belongs to another model.
     """

@@ -1,8 +1,8 @@
-"""Posterior of one estimate as the prior of the next one (fusion of nights).
+"""Posterior of one estimate as the prior of the next estimate (fusion of nights).
 
-Machine, artefact and misfit are the same in both nights, so the prior is the joint Gaussian of all shared unknowns. The
-result is, up to rounding, the same as from one fit of both nights. Process noise models the change of the machine
-between the nights as a random walk of its parameters.
+Machine, artefact and misfit are the same in both nights. The prior of the second night is therefore the joint Gaussian
+posterior of all unknowns that the two nights share. The result is, up to rounding, the same as from one fit of both
+nights. Process noise models the change of the machine between the nights as a random walk of its parameters.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _WALK_GRID = (20, 10, 10)
 
 @dataclass(frozen=True, eq=False)
 class CarriedOverPrior:
-    """Prior of the unknowns z that is carried over from an earlier estimate.
+    """Prior of the unknowns z, carried over from an earlier estimate.
 
     `mean` (P,) and `covariance` (P, P) of z are in the units of `unknowns`. `scales` are the scales of the earlier
-    estimate. Raise DataError, naming the unknown, if the covariance is singular or invalid.
+    estimate. Raises DataError, which names the unknown, if the covariance is singular or invalid.
     """
 
     unknowns: Unknowns
@@ -61,8 +61,8 @@ class CarriedOverPrior:
     def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOverPrior:
         """Return the prior `nights` nights later, with the random walk of each parameter added.
 
-        `process_noise` (p,): standard deviations of the walk per night, in mm or rad. A parameter that the family holds
-        at zero (scale 0) stays at zero.
+        `process_noise` (p,) contains the standard deviation of the walk of each parameter per night, in mm or rad. A
+        parameter that the family holds at zero (scale 0) stays at zero.
         """
         noise = as_vector(process_noise, self.unknowns.model.size, "process noise")
         if (noise < 0.0).any():
@@ -78,11 +78,11 @@ class CarriedOverPrior:
 
 
 def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Array:
-    """Return standard deviations (p,), in mm or rad, of a random change of the parameters. They are proportional to
-    those of the family.
+    """Return the standard deviations (p,), in mm or rad, of a random change of the parameters. They are proportional to
+    the prior standard deviations of the family.
 
-    The field of the change has an expected rms of `field_mm` over the workspace, after the best-fitting rigid motion
-    has been removed.
+    The error field that the change causes has an expected rms of `field_mm` over the workspace, after the best-fitting
+    rigid motion has been removed.
     """
     if not field_mm >= 0.0:
         raise DataError(f"the rms of the process noise must not be negative, not {field_mm}")
@@ -93,7 +93,8 @@ def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Ar
 
 
 def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior:
-    """Return the carried-over prior for the unknowns of another night. Unknowns that are new keep their own prior."""
+    """Return the carried-over prior, rearranged for the unknowns of another night. An unknown that the earlier estimate
+    does not contain keeps its own prior."""
     pairs = list(_shared(carried.unknowns, unknowns))
     there, here = (
         np.concatenate([np.arange(part.start, part.stop) for part in parts]) for parts in zip(*pairs, strict=True)

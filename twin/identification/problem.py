@@ -1,13 +1,14 @@
-"""Linearised equations of a set of ball centres, in unit-prior coordinates.
+"""Linearised equations of a set of ball centres, in unit-prior coordinates (each unknown in units of its prior standard
+deviation).
 
-For row i of position k, with ball b and tool offset t,
+Each row i is the measurement of one ball in a position k with the tool offset t. It has the equation
 
     X_i + t + d(X_i; E) + misfit(X_i) + drift(X_i, i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
 
-where X_i is the axis position, d the deviation of the model, b_i(T) the calibrated ball centre at temperature T, and
-c_k and R_k are the pose of the position. Every unknown except the poses is part of a vector z with a unit-normal prior:
-the parameters E, the certificate errors δb, the thermal strain δs (CTE and thermometer), the misfit modes and the drift
-of the machine. Rows are sorted by position.
+where X_i is the axis position, d the deviation of the model, and b_i(T) the calibrated ball centre at temperature T.
+The pose of the position consists of the translation c_k and the rotation R_k. Every unknown except the poses is part of
+a vector z with a unit-normal prior: the parameters E, the certificate errors δb, the thermal strain δs (CTE and
+thermometer), the misfit modes and the drift of the machine. Rows are sorted by position.
 """
 
 from __future__ import annotations
@@ -36,16 +37,17 @@ Sides = tuple[Array, Array]  # sides of the exact equations: workpiece points (n
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
-    """Errors of the artefact, and their effect on the rows.
+    """Errors of the artefact, and their effect on the n rows.
 
-    `strain_rows` (n, s) is the strain of each row per unit of each thermal unknown.
+    `strain_rows` (n, s) is the strain of the artefact in each row per unit of each of the s thermal unknowns.
     """
 
     errors: ArtefactErrors
     strain_rows: Array
 
     def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
-        """Return the change (n, 3) in mm of the artefact's points in its own frame."""
+        """Return the displacement (n, 3) in mm of the artefact's points, in the artefact's own frame. It follows from
+        the certificate unknowns `z_certificate` and the thermal unknowns `z_strain`."""
         change = np.zeros((len(ball), 3))
         if z_certificate.size:
             change += (self.errors.certificate @ z_certificate).reshape(-1, 3)[ball]
@@ -58,9 +60,10 @@ class Nuisance:
 class IdentificationProblem:
     """Quantities that stay fixed while the poses and the unknowns z are refined. The n rows are sorted by position.
 
-    `local` (n, 3) in mm contains the nominal artefact points at the rows' temperature and elevation. `design` (K,
-    width, 3, P) is the derivative of left minus right side with respect to z, at `poses`, laid out by position. An
-    empty slot repeats another row of its position.
+    `local` (n, 3) in mm contains the nominal artefact points at the temperature and elevation of each row. `design` (K,
+    width, 3, P) is the derivative, with respect to the P unknowns z, of the left side minus the right side of the
+    equations. The derivative is taken at the poses in `poses`. It is laid out as K positions with `width` slots each;
+    an empty slot repeats the first row of its position.
     """
 
     unknowns: Unknowns
@@ -75,8 +78,9 @@ class IdentificationProblem:
     design: Array
 
     def sides(self, z: Array) -> Sides:
-        """Return both sides of the exact equations at z. The artefact points on the right side are still in the
-        artefact's frame."""
+        """Return the left and the right side of the exact equations at z, each (n, 3) in mm. The left side contains
+        tool points in the workpiece frame. The right side contains artefact points in the artefact's frame, because the
+        poses are applied later."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
         if blocks.size > blocks.misfit.start:
@@ -85,7 +89,11 @@ class IdentificationProblem:
         return left, self.local + change
 
     def sides_after(self, sides: Sides, step: Array) -> Sides:
-        """Return both sides after a step (P,) of z whose second order is negligible."""
+        """Return the left and the right side of the equations after the unknowns z have changed by a small `step` (P,).
+
+        `sides` contains both sides before the step. The change is computed to first order with the design matrix; the
+        step must be small enough for its second-order effect to be negligible.
+        """
         seen, blocks = self.observations, self.blocks
         left, local = sides
         moved = self.change(_only(step, blocks.parameters, blocks.misfit, blocks.drift))
@@ -93,14 +101,14 @@ class IdentificationProblem:
         return left + moved, local + change
 
     def change(self, z: Array) -> Array:
-        """Return the product A z (n, 3) in mm of the design A and z. To first order it is the change of left minus
-        right side."""
+        """Return the product A z (n, 3) in mm of the design matrix A and the unknowns z. To first order, A z is the
+        change of the left side minus the right side of the equations."""
         # one flat product, since numpy multiplies stacked small matrices one at a time
         changes = self.design.reshape(-1, len(z)) @ z
         return self.layout.unpad(changes.reshape(self.design.shape[:3]))
 
     def deviation(self, z: Array) -> Array:
-        """Return the exact model deviation (n, 3) in mm at the rows."""
+        """Return the exact deviation (n, 3) in mm of the error model at the axis position of each row."""
         seen, parameters = self.observations, self.unknowns.parameters(z)
         deviation = np.zeros_like(seen.axis_positions)
         if not parameters.any():
@@ -134,9 +142,9 @@ class IdentificationProblem:
 def build_problem(
     family: Family, observations: Observations, artefact: Artefact, options: Options
 ) -> IdentificationProblem:
-    """Build the problem at the rigid poses of the measured points.
+    """Build the problem, linearised at the rigid poses that fit the measured points best.
 
-    Raise DataError for a ball that the artefact does not have, or for an invalid prior.
+    Raise DataError if a measured ball is not on the artefact, or if the prior is invalid.
     """
     _check_balls(observations, artefact)
     layout = RowLayout.of(observations.position)
@@ -170,7 +178,7 @@ def _only(z: Array, *blocks: slice) -> Array:
 
 
 def tool_points(observations: Observations) -> Array:
-    """Return the nominal tool points (n, 3) in mm: axis positions + tool offset."""
+    """Return the nominal tool points (n, 3) in mm, which are the axis positions plus the tool offsets."""
     return np.asarray(observations.axis_positions + observations.tool_offsets[observations.tool])
 
 
@@ -207,7 +215,7 @@ def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.nda
 
 
 def _lay_out(layout: RowLayout, rows: Array) -> Array:
-    """Lay sorted rows (n, ...) out as (K, width, ...). An empty slot repeats another row of its position."""
+    """Lay sorted rows (n, ...) out as (K, width, ...). An empty slot repeats the first row of its position."""
     laid = rows if layout.full else rows.take(layout.source, axis=0)
     return laid.reshape(layout.positions, layout.width, *rows.shape[1:])
 

@@ -1,4 +1,5 @@
-"""Solution of the equations of one formulation: scales, Gauss-Newton on the exact model, covariance."""
+"""Solution of the equations of one formulation: estimation of the scales, Gauss-Newton iterations on the exact model,
+and computation of the covariance."""
 
 from __future__ import annotations
 
@@ -27,12 +28,12 @@ Equations = CentreEquations | DistanceEquations
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution z (P,) with the poses, both sides of the exact equations at z, and the equations and prior from which it
-    was derived.
+    """Solution of an identification problem. It contains the unknowns z (P,), the poses, both sides of the exact
+    equations at z, and the equations and the prior from which z was derived.
 
-    `covariance` (P, P) is the covariance of true minus estimated z; it is valid for parameters and misfit.
-    `scales_estimated` is True if the scales were estimated from the data. `alternatives` contains solutions for other
-    plausible scales; it is empty until the uncertainty of the scales has been included.
+    `covariance` (P, P) is the covariance of the true minus the estimated z; it is valid for the parameters and the
+    misfit. `scales_estimated` is True if the scales were estimated from the data. `alternatives` contains solutions for
+    other plausible scales; it is empty until the uncertainty of the scales has been included.
     """
 
     equations: Equations
@@ -50,9 +51,9 @@ class Solution:
 
 
 def solve(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
-    """Return the maximum a posteriori solution.
+    """Return the maximum a posteriori solution of the problem.
 
-    Raise SingularSet if the prior is off and the set leaves part of the field open.
+    Raise SingularSet if the prior is off and the measurements leave part of the error field undetermined.
     """
     if options.weights == "unit":
         return _solve_unit_weights(problem, options, formulation)
@@ -77,8 +78,8 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
 
 
 def average_over_scales(solution: Solution) -> Solution:
-    """Return the solution with z and covariance averaged over all plausible scales instead of the likeliest ones
-    only."""
+    """Return the solution with z and its covariance averaged over all plausible scales, instead of z and its covariance
+    at the likeliest scales."""
     if not solution.scales_estimated:
         return solution
     equations, scales = solution.equations, solution.scales
@@ -181,8 +182,8 @@ def _check_field_determined(problem: IdentificationProblem, information: Array) 
 def _solve_unit_weights(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
     """Solve with the published weighting: all equations have equal weight, and there are no nuisance unknowns.
 
-    The covariance is that of this estimator under the full model (sandwich), so that its accuracy is still stated
-    correctly.
+    The covariance is computed for this estimator under the full model (sandwich covariance). The stated accuracy is
+    therefore still correct.
     """
     equations = _equations(problem, formulation, unit_weights=True)
     block, size = problem.blocks.parameters, problem.blocks.size
@@ -214,10 +215,12 @@ def _null_projector(information: Array) -> Array:
 
 
 def _sandwich(equations: Equations, posterior: Posterior, problem: IdentificationProblem) -> tuple[Array, float]:
-    """Return the covariance (P, P) of truth minus estimate, and the expected sum of squares of the residuals.
+    """Return the covariance (P, P) of the true minus the estimated unknowns, and the expected sum of squared residuals.
 
-    The estimate is H⁻¹Aᵀy with the precision H, the design matrix A and the right side y. In the truth the unknowns
-    follow the prior, the noise has its stated covariance, and the nuisance unknowns have that of the full model.
+    The estimate of the parameters is H⁻¹Aᵀy, where H is the posterior precision, A is the design matrix of the
+    parameters, and y is the right side of the equations. Both results are computed under the full model: the true
+    parameters and nuisance unknowns follow their priors, and the noise has its stated covariance. The estimate omits
+    the nuisance unknowns, but the full model includes them.
     """
     blocks = problem.blocks
     block, rest = blocks.parameters, slice(blocks.parameters.stop, blocks.size)

@@ -21,10 +21,10 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class UnknownBlocks:
-    """Slices of the vector z that contain each kind of unknown.
+    """Slices that select each kind of unknown from the vector z.
 
-    `kinds` contains consecutive slices within the misfit, one for each kind of misfit. `drifting` is the number of
-    drift unknowns, which form the last block.
+    The slice `misfit` is divided into the consecutive slices `kinds`, one for each kind of misfit. `drifting` is the
+    number of drift unknowns, which form the last block.
     """
 
     parameters: slice
@@ -38,7 +38,7 @@ class UnknownBlocks:
     def of(
         cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = (), drift: int = 0
     ) -> UnknownBlocks:
-        """Return consecutive blocks of the given sizes; `misfit` gives the size of each kind of misfit."""
+        """Return consecutive blocks of the given sizes. `misfit` contains the block size of each kind of misfit."""
         ends = np.cumsum([parameters, certificate, strain, *misfit]).tolist()
         first, second, third, *kinds = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
         return cls(first, second, third, slice(third.stop, ends[-1]), tuple(kinds), drift)
@@ -54,11 +54,11 @@ class UnknownBlocks:
 
 @dataclass(frozen=True, eq=False)
 class ArtefactErrors:
-    """Uncertain quantities of one artefact, and its identity.
+    """Uncertain quantities of one artefact with N balls, and its identity.
 
-    `balls` (N, 3) in mm and `cte_per_k` are the certified values. `certificate` (3N, m) is the factor of the
-    certificate's covariance; m is 0 for a perfect certificate. A standard uncertainty of 0 means that the CTE or the
-    thermometer is exact.
+    `balls` (N, 3) in mm and `cte_per_k` are the certified values. `certificate` (3N, m) is a matrix L in mm; the
+    covariance of the certificate is L Lᵀ. Its number of columns m is 0 for a perfect certificate. A standard
+    uncertainty of 0 means that the CTE or the thermometer is exact.
     """
 
     balls: Array
@@ -69,7 +69,7 @@ class ArtefactErrors:
 
     @property
     def strain_names(self) -> tuple[str, ...]:
-        """Names of the thermal unknowns, in the order of the unknowns."""
+        """Names of the thermal unknowns, in the order in which they appear in the vector z."""
         doubts = (
             ("cte", self.cte_standard_uncertainty_per_k),
             ("thermometer", self.thermometer_standard_uncertainty_k),
@@ -77,8 +77,8 @@ class ArtefactErrors:
         return tuple(name for name, doubt in doubts if doubt > 0.0)
 
     def strain_rows(self, warmer_k: Array) -> Array:
-        """Return the strain (n, s) per unit of each thermal unknown. The rows are warmer than the reference temperature
-        by `warmer_k` (n,) in K."""
+        """Return the strain (n, s) of the artefact in n rows per unit of each of the s thermal unknowns. In each row,
+        the artefact is warmer than the reference temperature by the element of `warmer_k` (n,) in K."""
         columns = {
             "cte": self.cte_standard_uncertainty_per_k * warmer_k,
             "thermometer": np.full(len(warmer_k), self.cte_per_k * self.thermometer_standard_uncertainty_k),
@@ -87,7 +87,7 @@ class ArtefactErrors:
         return np.stack(chosen, axis=1) if chosen else np.zeros((len(warmer_k), 0))
 
     def matches(self, artefact: Artefact) -> bool:
-        """Return True if the artefact and its certificate are the same."""
+        """Return True if `artefact` has the balls, the CTE and the certificate that are described here."""
         if self.balls.shape != artefact.balls.shape or not np.array_equal(self.balls, artefact.balls):
             return False
         doubt = (self.cte_per_k, self.cte_standard_uncertainty_per_k)
@@ -100,11 +100,13 @@ class ArtefactErrors:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Meaning of the vector z (P,) of unknowns.
+    """Meaning of each element of the vector z (P,) of unknowns, which consists of five blocks.
 
-    The parameters are `scale` (p,), in mm or rad, times their elements of z. The elements for certificate and strain
-    belong to `artefact`. The misfit field in mm is `misfit_mm` · `modes` · its elements of z. `drift` defines the drift
-    of the machine during the measurement. A stored estimate has no drift.
+    The first block gives the parameters of `model`: each parameter in mm or rad is its element of z multiplied by its
+    element of `scale` (p,). The second and third blocks give the certificate errors and the thermal strain of
+    `artefact`. The fourth block contains the coefficients of the misfit modes `modes`; the misfit field in mm is the
+    sum of mode times coefficient, multiplied by `misfit_mm`. The fifth block gives the drift of the machine during the
+    measurement, as defined by `drift`. A stored estimate has no drift.
     """
 
     model: ErrorModel
@@ -139,6 +141,6 @@ class Unknowns:
         return np.asarray(self.scale * z[self.blocks.parameters])
 
     def physical_covariance(self, unit: Array) -> Array:
-        """Return the covariance (p, p) of the parameters in mm and rad. `unit` (p, p) is the covariance of their
-        elements of z."""
+        """Return the covariance (p, p) of the parameters in mm and rad. `unit` (p, p) is the covariance of the same
+        parameters in units of `scale`."""
         return np.asarray(unit * np.multiply.outer(self.scale, self.scale))
