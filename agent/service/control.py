@@ -105,8 +105,8 @@ class Control(Protocol):
         cannot be carried out, DeviceError if the machine cannot be reached, and PermissionMissing if a reset is needed
         first.
 
-        If the request is without consent, also raise PermissionMissing if the controller does not permit motion, and
-        GateRefused if the present hour is not permitted or the machine has not warmed up yet.
+        A request without consent has further conditions. Raise PermissionMissing if the controller does not permit
+        motion. Raise GateRefused if the present hour is not permitted or the machine has not warmed up yet.
         """
         ...
 
