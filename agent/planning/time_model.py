@@ -25,9 +25,9 @@ class TimeModel:
 
     `rapid_mm_per_s` and `acceleration_mm_per_s2` are the limits of X, Y and Z from the machine file. The speed
     `turn_deg_per_s` and the acceleration `turn_deg_per_s2` apply to each axis of the mount; both axes turn
-    simultaneously. One latency is added to each move, touch and turn. The latency of a turn includes the time in which
-    the mount settles. `carrying_s` is the time that the operator needs to put the artefact and the mount at another
-    station.
+    simultaneously. `command_latency_s`, `touch_latency_s` and `turn_latency_s` are added to the times of each move,
+    touch and turn. The latency of a turn includes the time in which the mount settles. `carrying_s` is the time that
+    the operator needs to put the artefact and the mount at another station.
     """
 
     rapid_mm_per_s: Point

@@ -48,7 +48,7 @@ class PositionTask:
 
 @dataclass(frozen=True)
 class MeasuredBall:
-    """Ball centre measured in one position, ready for identification."""
+    """Measured ball centre, with the position and the temperatures at which it was measured."""
 
     position: int
     station: int
@@ -87,7 +87,7 @@ class MeasuredPosition:
 
     `lost` is the number of lost balls. `again` is the repeated measurement of the first ball; it is None if that ball
     was lost in the repetition. `drift_mm` (3,) is the displacement of the first ball between its two measurements; it
-    is NaN if the ball was lost.
+    is NaN if the ball was lost in the repetition.
     """
 
     balls: tuple[MeasuredBall, ...]
@@ -107,7 +107,7 @@ class MeasuredPosition:
 
     @property
     def centres_mm(self) -> Array:
-        """Displayed axis positions (n, 3) of the ball centres, in the order of `balls`."""
+        """Displayed axis positions (n, 3) of the n ball centres, in the order of `balls`."""
         return np.array([ball.found.centre_mm for ball in self.balls])
 
 
@@ -131,9 +131,9 @@ def measure_position(
     the retreat plane.
 
     `here` (3,) holds the axis positions at the start of the plan. Both end balls are measured first with the wide
-    search, and the expected centres of the other balls are aligned to them. The first ball is measured again at the end
-    to find the drift. `before` holds the temperature readings of the previous position. If they show that the artefact
-    has not settled thermally, the plan waits before it measures.
+    search. The expected centres of the other balls are then corrected from the two centres found. The first ball is
+    measured again at the end to find the drift. `before` holds the temperature readings of the previous position. If
+    the readings show that the artefact has not settled thermally, the plan waits before it measures.
     """
     own = planner or PlainPathPlanner(rules.retreat, rules.probing)
     first, between, last = own.sequence(task)

@@ -20,8 +20,8 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class DriftLimits:
-    """Limits of the displacement of a position's first ball between its two measurements. Above `event_mm`, the
-    recorded event contains a note. Above `fault_mm`, MeasurementFault is raised."""
+    """Limits of the displacement of a position's first ball between its two measurements. If the displacement exceeds
+    `event_mm`, the recorded event contains a note. If it exceeds `fault_mm`, MeasurementFault is raised."""
 
     event_mm: float
     fault_mm: float

@@ -60,9 +60,10 @@ class FastTouch:
 class Stylus:
     """Qualified stylus.
 
-    `radius_mm` is the effective sum of the radii of ball and tip, which is reduced by the pretravel. `radius_sigma_mm`
-    is the standard uncertainty of this sum for any single ball. `fixed` is True if spheres are fitted with this radius.
-    `pretravel` is the correction that is applied to every touch; it is None if touches are not corrected.
+    `radius_mm` is the effective sum of the radii of ball and tip; it is smaller than the nominal sum by the pretravel.
+    `radius_sigma_mm` is the standard uncertainty of the effective sum for any single ball. `fixed` is True if spheres
+    are fitted with this radius. `pretravel` is the correction that is applied to every touch; it is None if touches are
+    not corrected.
     """
 
     radius_mm: float
@@ -128,8 +129,8 @@ class ProbingParameters:
 
     @property
     def required_travel_mm(self) -> tuple[Array, Array]:
-        """Travel of X, Y and Z in mm that a touch with the wide search needs: (3,) below and (3,) above the axis
-        positions of the ball."""
+        """Travel of X, Y and Z in mm that a touch with the wide search needs, as two arrays (3,): the travel below and
+        the travel above the axis positions of the ball centre."""
         starts = -self.directions * (self.contact_mm + self.wide_search.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + PLACEMENT_ALLOWANCE_MM
         return below, np.maximum(0.0, starts.max(axis=0)) + PLACEMENT_ALLOWANCE_MM
@@ -146,5 +147,5 @@ class ProbingParameters:
         return centre_shift_per_radius(self.directions)
 
     def qualified(self, stylus: Stylus) -> ProbingParameters:
-        """Return these parameters with the qualified `stylus`."""
+        """Return a copy of these parameters that contains the qualified stylus."""
         return replace(self, stylus=stylus)

@@ -30,7 +30,7 @@ class ActiveCompensation:
 
 
 def read_state(prefix: str) -> Plan[ActiveCompensation]:
-    """Read the active bank and the table in it, so that a later fault can be answered by restoring them. Raises
+    """Read the active bank and the table in it. Both are needed to restore the compensation after a fault. Raises
     StoreError if the active bank contains no table."""
     bank = yield ReadActiveBank(f"{prefix}/active-bank")
     table = (yield ReadTable(f"{prefix}/active-table", bank)) if bank else None

@@ -37,9 +37,9 @@ class QualificationRules:
 class Qualification:
     """Result of a stylus qualification.
 
-    `trace_free_um2` and `trace_fixed_um2` are traces of the covariance of a ball centre in the touch pattern of the
-    run, if the sphere is fitted with a free and with a fixed radius. The fit with the smaller trace is used for the
-    run.
+    `trace_free_um2` and `trace_fixed_um2` are traces of the covariance of a ball centre that is measured with the touch
+    pattern of the run. The first is valid if the sphere is fitted with a free radius, the second if it is fitted with a
+    fixed radius. The fit with the smaller trace is used for the run.
     """
 
     stylus: Stylus

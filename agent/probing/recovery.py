@@ -17,12 +17,13 @@ WITHDRAW_FEED_MM_PER_S = 20.0
 def withdraw(
     retreat: Retreat, stylus_axis: NDArray[np.float64], distance_mm: float, last_motion: LastMotion | None = None
 ) -> Plan[None]:
-    """Move the tip slowly back the way it came, then slowly along the stylus by `distance_mm`, then to the retreat
-    plane.
+    """Move the tip slowly back against the direction in which it arrived, then slowly along the stylus by
+    `distance_mm`, then to the retreat plane.
 
-    `last_motion` is the motion by which the tip arrived; if it is None, the first move is left out. The first two moves
-    are slow, because the probe may still be in contact: a guarded move may start with a deflected probe. The plan does
-    not clear a fault of the machine, because a person must check the machine first.
+    `last_motion` is the motion by which the tip arrived; if it is None, the first move is left out. All moves are
+    guarded. A guarded move may start with a deflected probe, because it must be able to leave a contact. For this
+    reason, the first two moves are slow. The plan does not clear a fault of the machine, because a person must check
+    the machine first.
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))

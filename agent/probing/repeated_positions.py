@@ -28,8 +28,8 @@ class RepeatRules:
     """Rules for the repetition of positions.
 
     If the machine's temperature changes by `threshold_k` or more, the first `count` measured positions that are among
-    `candidates` are repeated. All of them stand at one station. `declared_k` is the change of temperature that is
-    assumed if the machine has no thermometer.
+    `candidates` are repeated. All repeated positions are at one station. `declared_k` is the change of temperature that
+    is assumed if the machine has no thermometer.
     """
 
     threshold_k: float
@@ -42,7 +42,7 @@ def measure_with_repeats(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, repeats: RepeatRules
 ) -> Plan[MeasuredPositions]:
     """Measure the positions of `order`. If the machine's temperature has changed during the measurement, measure the
-    first positions again, as `repeats` demands."""
+    first positions again according to the rules `repeats`."""
     measured = yield from measure_positions(order, layout, rules)
     change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
     first = _first(measured, repeats)

@@ -48,8 +48,8 @@ class ReversalCheck:
 
 @dataclass(frozen=True)
 class AxisReversal:
-    """Lost motion of one axis at reversal. `lost_um` is positive if the axis lags behind its display; `sigma_um` is its
-    standard uncertainty. Both are None if a touch missed."""
+    """Lost motion of one axis at reversal. `lost_um` is the lost motion in µm, positive if the axis lags behind its
+    display. `sigma_um` is the standard uncertainty of the lost motion. Both are None if a touch missed."""
 
     axis: str
     lost_um: float | None

@@ -43,7 +43,8 @@ class StationChange:
 
     @property
     def moves_artefact(self) -> bool:
-        """True if the operator carries the artefact, so that its pose may differ when it returns to a station."""
+        """True if the operator carries the artefact from station to station. In this case, the pose of the artefact may
+        differ each time it is put at a station."""
         return self.carried is not CarriedItem.NOTHING
 
 

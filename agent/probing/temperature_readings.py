@@ -28,7 +28,8 @@ class Thermometers:
 
     def artefact_c(self, readings_c: Mapping[str, float]) -> float:
         """Return the artefact's temperature in °C: the declared temperature if there is one, else the mean of its
-        thermometers. Raises MeasurementFault if a thermometer of the artefact is needed and gives no reading."""
+        thermometers. Raises MeasurementFault if no temperature is declared and a thermometer of the artefact gives no
+        reading."""
         if self.declared_artefact_c is not None:
             return self.declared_artefact_c
         missing = [name for name in self.artefact if name not in readings_c]

@@ -23,8 +23,8 @@ class SettlingRules:
     """Rules of the wait for a settled artefact.
 
     `max_rate_k_per_h` limits the rate at which the artefact's temperature changes, and `max_departure_k` limits its
-    difference from 20 °C. During the wait, the temperature is read every `poll_interval_s`. The wait lasts `deadline_s`
-    at most.
+    difference from 20 °C. During the wait, the temperature is read at intervals of `poll_interval_s`. The wait lasts
+    `deadline_s` at most.
     """
 
     thermometers: Thermometers = field(default_factory=Thermometers)

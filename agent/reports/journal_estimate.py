@@ -40,7 +40,8 @@ class JournalEstimate:
 
 
 def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEstimate:
-    """Return the estimate `stored` in the journal, in the form that a report shows.
+    """Return the estimate of a run in the form that a report shows. `stored` is the estimate as the journal contains
+    it.
 
     `unresolved_mm2` is the variance, in mm² for each direction, of a part of the misfit. This part varies over
     distances that are too short for the misfit modes.

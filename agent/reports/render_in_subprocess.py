@@ -1,4 +1,5 @@
-"""Rendering of a report in a subprocess, so that the memory for drawing is released and a measurement is not delayed.
+"""Rendering of a report in a subprocess. The memory for drawing is released at the end of the subprocess, and a
+measurement that runs at the same time is not delayed.
 
 The subprocess is ``python -m agent.reports.render_in_subprocess STATE_DIRECTORY RUN_ID INTO [--pdf]``.
 """

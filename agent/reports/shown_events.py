@@ -1,7 +1,7 @@
 """Selection of the events that a report shows, and their wording.
 
-The displacement of the first ball is recorded in every position. The report summarises these displacements in one line
-and lists only those above their limit. It lists every event that required a decision.
+The displacement of the first ball is recorded in every position. The report summarises all displacements in one line,
+and lists a single displacement only if it exceeds a limit. The report lists every event that required a decision.
 """
 
 from __future__ import annotations

@@ -78,8 +78,8 @@ def estimate_machine(
     """Identify the machine's errors, modelled by Legendre series of the requested `order`. Raises TwinError if this is
     not possible.
 
-    If `order` is "evidence", the order with the largest Bayesian evidence is used. Evidence can only be compared with
-    the prior population; without the prior population, the order of the machine file is used instead. If an earlier
+    If `order` is "evidence", the order with the largest Bayesian evidence is used. The evidence of several orders can
+    be compared only if the prior population is used; otherwise, the order of the machine file is used. If an earlier
     estimate is carried over, the order of that estimate is used in any case.
     """
     if options.carried_over is not None:
@@ -103,7 +103,7 @@ def order_text(estimate: Estimate) -> str:
 
 
 def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
-    """Return one warning for each estimated variance scale that has reached a bound."""
+    """Return one warning for each estimated factor of a variance that has reached a bound of its permitted range."""
     return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
 
 
@@ -123,7 +123,7 @@ def prove(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
     """Return the proof of a new table at the held-out balls. The balls `after` were measured with the new table active.
-    They are compared with the balls `before`, measured without it, and with the prediction.
+    They are compared with the balls `before`, measured before its activation, and with the prediction.
 
     Raises MeasurementFault if too few balls were found for a comparison.
     """

@@ -129,8 +129,8 @@ def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
 
 
 def with_consent(gates: Sequence[Gate]) -> list[Gate]:
-    """Return `gates` as they count after the operator has consented to the change of the machine: the gate `CHANGE` is
-    passed."""
+    """Return `gates` with the gate `CHANGE` marked as passed. The operator must have consented to the change of the
+    machine."""
     return [
         replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
         for gate in gates

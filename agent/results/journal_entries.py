@@ -77,7 +77,7 @@ def observations_from(record: Mapping[str, Any]) -> Observations:
 
 
 def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
-    """Write those parts of an estimation to the journal that the estimate file does not contain.
+    """Write to the journal the parts of an estimation that the estimate file does not contain.
 
     `balls` contains the measured balls in the order of the observations.
     """
@@ -100,7 +100,7 @@ def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estima
 def record_held_out(
     journal: RunJournal, job: Job, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> None:
-    """Write the rms residual of each held-out position before and after activation of the table to the journal, in µm.
+    """Write to the journal the rms residual of each held-out position before and after activation of the table, in µm.
 
     Residuals are computed at displayed axis positions. A position is left out if too few balls were found after
     activation to determine its pose. If too few balls were found before activation, the rms residual before activation

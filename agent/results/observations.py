@@ -22,8 +22,8 @@ def observations_of(
     correction: Correction,
     thermal_regressors: Array | None = None,
 ) -> Observations:
-    """Return observations at the axis positions of the bare machine: displayed positions plus corrections of the active
-    table.
+    """Return the observations of the bare machine. Their axis positions are the displayed positions plus the
+    corrections of the active table.
 
     `correction` maps n displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
     `thermal_regressors` (n, w) contains the values of w regressors in K; it is None if the machine did not drift.
@@ -43,8 +43,8 @@ def observations_of(
 
 
 def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
-    """Return the residuals of the artefact's balls at displayed axis positions. They contain the effect of the table
-    that was active during the measurement."""
+    """Return the residuals of the artefact's balls at displayed axis positions. The residuals contain the effect of the
+    table that was active during the measurement."""
     displayed = observations_of(balls, tool_offset_mm, no_correction)
     return held_out_residuals(displayed, displayed.axis_positions + tool_offset_mm, artefact)
 

@@ -40,7 +40,7 @@ def correct_file(
     """Correct the part program `part` and write the result to `out`. If `out` is None, only compute the summary.
 
     `name` is the name of the table; it is written into the corrected program. Raises InputError if a block cannot be
-    corrected, with the file and the line; in this case, `out` is not changed.
+    corrected. The error names the file and the line, and `out` is not changed in this case.
     """
     if out is not None and out.resolve() == part.resolve():
         message = "the corrected program would replace the original program"

@@ -42,8 +42,8 @@ class Decision(Enum):
 class SuspectedError:
     """Error motion or squareness of the machine that may have changed suddenly (jumped).
 
-    `error` is its name according to ISO 230-1. `change` is the size of the jump in `unit`. `evidence` is the natural
-    logarithm of the likelihood ratio in favour of the jump.
+    `error` is the name of the error motion or squareness according to ISO 230-1. `change` is the size of the jump in
+    `unit`. `evidence` is the natural logarithm of the likelihood ratio in favour of the jump.
     """
 
     error: str
@@ -62,15 +62,15 @@ class NightReport:
 
     `since` is the identity of the run of the last accepted night, and `nights` is the number of nights since then.
 
-    Three values are expected volumetric errors after removal of the best-fitting rigid motion. `ve_before_um` is valid
-    for the active table at the end of the last accepted night. `ve_now_um` is valid for the active table now.
-    `ve_after_um` is valid for a table made from the present estimate.
+    Three values are volumetric errors after removal of the best-fitting rigid motion. `ve_before_um` was expected with
+    the active table at the end of the last accepted night. `ve_now_um` is expected with the active table now.
+    `ve_after_um` is expected with a table made from the present estimate.
 
     `held_out_um` is the rms residual of the held-out balls at displayed axis positions, and `held_out_predicted_um` is
     its prediction. `chi2_normalised` compares all ball centres with their prediction.
 
     `jumped` lists the errors for which there is sufficient evidence of a jump. `likeliest` lists the errors whose jump
-    would best explain the measurement, the likeliest first; it is filled even if there is no sufficient evidence.
+    would best explain the measurement, the likeliest first. It is filled even if the evidence is not sufficient.
     """
 
     decision: Decision

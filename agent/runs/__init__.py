@@ -1,1 +1,2 @@
-"""Runs on a machine: start, execution, resumption and abandonment. Also contains the identification from files."""
+"""Start, execution, resumption and abandonment of runs on a machine. The package also contains the identification from
+files."""

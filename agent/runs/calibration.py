@@ -56,7 +56,7 @@ class CalibrationRun(GuardedRun):
         self.calibrate(prepared.standing_at)
 
     def calibrate(self, standing_at: int | None) -> None:
-        """Calibrate the machine: measure all positions of the set, estimate, write the table and prove it.
+        """Measure all positions of the set, estimate the machine's errors, write the new table and prove it.
         `standing_at` is the station at which the artefact stands, or None.
 
         The state of the run must be MEASURING, and the active compensation must have been read before.

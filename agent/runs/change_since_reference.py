@@ -56,7 +56,7 @@ def change_since(
 
     `fused` is True if the estimate of that night was the prior of `estimate`. In this case, the covariance of the
     expected difference is the covariance of the prior minus the covariance of `estimate`. If the two estimates are
-    independent, it is the sum of their covariances.
+    independent, the covariance of the expected difference is the sum of both covariances.
     """
     offset, old = job.tool_offset_mm, reference.estimate
     grid = evaluation_grid(old.model.ranges_mm)

@@ -9,7 +9,7 @@ from agent.runs.unfinished_run import UnfinishedRun
 
 
 class CompensationState(Enum):
-    """State of the controller's compensation, compared with the state that the journal leads to expect."""
+    """State of the controller's compensation, compared with the state expected from the journal."""
 
     AS_EXPECTED = "as the last run left it"
     NOT_ACTIVATED = "the former table acts; a new one was written or begun, and never activated"

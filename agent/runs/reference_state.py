@@ -78,7 +78,8 @@ class ReferenceState:
 
 @dataclass(frozen=True)
 class FullCalibrationNeed:
-    """Decision of the run `run_id` that the next slot that permits it must be used for a full calibration."""
+    """Decision that a full calibration is needed. It was made by the run `run_id`; the next slot that permits a full
+    calibration is used for it."""
 
     run_id: str
     since: str
@@ -96,8 +97,7 @@ def record_full_calibration_need(journal: RunJournal, reason: str) -> None:
 
 
 def write_copy(directory: Path, run_id: str) -> None:
-    """Write a copy of the estimate of `run_id` beside the journal. No copy is written if that run is not the last
-    accepted night.
+    """Write a copy of the estimate of `run_id` beside the journal, but only if that run is the last accepted night.
 
     Raises InputError if the journal cannot be read or the copy cannot be written.
     """

@@ -65,7 +65,8 @@ def detour_corners(centre: Array, start: TipLocation, end: TipLocation, stylus_a
 
 
 def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
-    """Return the k corners of a path from `first` past the end of the bar to `last`, as an array of shape (1, k, 3).
+    """Return the k corners of a path from `first` past the end of a bar artefact to `last`, as an array of shape (1, k,
+    3).
 
     The tip first lifts off the surface if it touches the ball. It then moves along Y, then along Z, and then straight
     to `last`.

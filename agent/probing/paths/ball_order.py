@@ -21,7 +21,7 @@ def measuring_sequence(
     last: int,
 ) -> list[int]:
     """Return the balls other than `first` and `last` in the order that takes the tip from `last` past all of them to
-    `first` in the shortest time."""
+    `first` in the shortest time. The times are those of straight paths."""
     key = (pose, tuple(balls), first, last)
     if key not in finder.sequences:
         finder.sequences[key] = _sequence(finder, pose, probing, balls, first, last)

@@ -100,8 +100,8 @@ class FreePathRules:
 
     `stylus_axis` (3,) is the unit vector along which the stylus points. `lower_mm` and `upper_mm` (3,) are the limits
     of the axes' travel. `clearance_mm` is the minimum distance between moving and stationary bodies on every path. The
-    uncertainty of the artefact's pose is added to this clearance. It is `unaligned_uncertainty_mm` until the end balls
-    of the position have been measured, and `aligned_uncertainty_mm` afterwards.
+    uncertainty of the artefact's pose is added to this clearance. The uncertainty is `unaligned_uncertainty_mm` until
+    the end balls of the position have been measured, and `aligned_uncertainty_mm` afterwards.
     """
 
     stylus_axis: Array
@@ -161,8 +161,8 @@ class FreePathFinder:
         """Return the fastest free path from `start` to `end`; None if no path is proved free.
 
         The corners are relative to the mount's location. `uncertainty_mm` is the largest deviation of the artefact from
-        `pose`. `mount_x_mm` is the X coordinate of the mount's location; it determines how far the axes can travel from
-        there.
+        `pose`. `mount_x_mm` is the X coordinate of the mount's location. It is needed to keep the path within the
+        travel of X.
         """
         uncertainty_mm = round_up_uncertainty(uncertainty_mm)
         unlimited = self._cached_path(pose, start, end, uncertainty_mm, (-math.inf, math.inf))

@@ -34,8 +34,8 @@ class PlannedPosition(Protocol):
 
 
 class PathPlanner(Protocol):
-    """Interface of the path planner that one plan uses. A plan starts and ends at the retreat plane or at the park
-    location. Between two positions, the tip may stay closer to the artefact."""
+    """Interface of the path planner that one plan uses. A plan starts and ends at the retreat plane. Between two
+    positions, the tip may stay closer to the artefact."""
 
     def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
         """Return the measuring order of the balls as three values: the end ball that is measured first and once more at
@@ -63,8 +63,8 @@ class PathPlanner(Protocol):
     def from_ball(self, key: str, centre: Array) -> Plan[None]: ...
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Start planning from the present place of the tip, which is in the plane in front of `ball`. `centre` (3,) is
-        the place at which the ball was found."""
+        """Start planning from the present place of the tip, which is in the plane in front of `ball`. `centre` (3,)
+        holds the axis positions at which the ball was found."""
         ...
 
     def leave(self, key: str, centre: Array) -> Plan[None]:

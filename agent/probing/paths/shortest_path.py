@@ -1,4 +1,5 @@
-"""Path planner that moves the tip on the fastest path that is proved free, or on a plain path if there is none."""
+"""Path planner that moves the tip on the fastest path that is proved free. If no path is proved free, the tip moves on
+a plain path by way of a safe plane."""
 
 from __future__ import annotations
 
@@ -128,7 +129,7 @@ class ShortestPathPlanner:
         return _BallTouchPath(self, ball)
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move to the park location beside the station, which no bar reaches in any pose.
+        """Move to the park location beside the station. No bar reaches this location in any pose.
 
         If no path to the park location is proved free, lift off the surface and withdraw straight along the stylus. The
         stylus then moves only through space that it has already passed.
@@ -163,8 +164,8 @@ class ShortestPathPlanner:
         return np.asarray(free)
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Start planning from the present place of the tip, which is in the plane in front of `ball`. `centre` (3,) is
-        the place at which the ball was found."""
+        """Start planning from the present place of the tip, which is in the plane in front of `ball`. `centre` (3,)
+        holds the axis positions at which the ball was found."""
         station = position.station
         artefact_pose = self._finder.pose_at(station, position.azimuth_deg, position.elevation_deg)
         nominal = self._finder.ball_axes(artefact_pose, station)

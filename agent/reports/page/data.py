@@ -1,6 +1,6 @@
 """Data that a report shows.
 
-If the data come from an identification of files, `ReportData.run` is empty. A run on a machine adds decisions, the
+If the data come from an identification from files, `ReportData.run` is empty. A run on a machine adds decisions, the
 verification and events. The page omits every section whose value is None or empty.
 """
 
@@ -180,8 +180,8 @@ class RunFacts:
 class IdentificationData:
     """Result of an identification, as a report shows it.
 
-    `positions` contains the poses to which the indices in `observations.position` refer. `residuals_mm` (n, 3) holds
-    the residuals of the n observations, in the order of the observations.
+    `positions` is the list of positions to which the indices in `observations.position` refer. `residuals_mm` (n, 3)
+    holds the residuals of the n observations, in the order of the observations.
     """
 
     observations: Observations
@@ -208,7 +208,8 @@ class ReportData:
     """Complete data of a report.
 
     `tool_offset` (3,) is the tool offset in mm to which the table and all volumetric errors refer. `identification` is
-    None if the run has no estimate. `gates_enforced` is False if the gates were only computed for information.
+    None if the run has no estimate. `gates_enforced` is False if the gates are shown for information only and do not
+    decide whether a table is written.
     """
 
     header: Header

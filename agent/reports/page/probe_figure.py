@@ -10,8 +10,8 @@ RING_LOOK = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
 
 
 def draw_qualification(probe: ProbeFacts) -> str:
-    """Return an SVG of the stylus qualification with one colour for each latitude on the ball. Points are the residuals
-    of the touches. Lines are the pretravel map, which is subtracted from the touches of the run."""
+    """Return an SVG of the stylus qualification with one colour for each latitude on the ball. Points show the
+    residuals of the touches. Lines show the pretravel map, which is subtracted from the touches of the run."""
     drawing = Drawing("qualification", 10.4, 2.4, Margins(right=1.9))
     with drawing as figure:
         panel = figure.subplots()

@@ -23,8 +23,8 @@ class BallResiduals:
     """Residuals of n measured balls.
 
     `position` (n,) and `ball` (n,) are indices counted from 0. `residual_um` (n, 3) holds the residuals in µm, and
-    `standardised` (n, 3) holds them divided by their standard deviations. `accepted` (n,) is False for rejected balls.
-    `station_starts` contains the index of the first position of each station, except that of the first station.
+    `standardised` (n, 3) holds the residuals divided by their standard deviations. `accepted` (n,) is False for
+    rejected balls. `station_starts` contains the index of the first position of every station after the first station.
     """
 
     position: Indices

@@ -41,7 +41,7 @@ def measure(
     rules: PositionRules,
     mount_poses: Mapping[int, MountPoseEstimate] | None = None,
 ) -> MeasuredPositions:
-    """Measure `positions`, which are positions of a night. The key of every step begins with `prefix`."""
+    """Measure the given positions of a night. The key of every step begins with `prefix`."""
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, mount_poses))
 
 

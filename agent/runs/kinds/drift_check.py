@@ -46,8 +46,8 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Comparison of the ball centres of one night with the last accepted night. `nights` is the number of nights
-    between the two."""
+    """Comparison of the ball centres of one night with their prediction from the last accepted night. `nights` is the
+    number of nights between the two."""
 
     job: Job
     reference: ReferenceState
@@ -71,9 +71,9 @@ class Judge:
 
     @property
     def before_um(self) -> float:
-        """Volumetric error (VE) in µm that was expected at the end of the last accepted night with the table active.
+        """Volumetric error (VE) in µm that was expected with the active table at the end of the last accepted night.
 
-        The best-fitting rigid motion is removed.
+        It is computed after removal of the best-fitting rigid motion.
         """
         estimate = self.reference.estimate
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, self.reference.table.written).aligned_um
@@ -82,7 +82,7 @@ class Judge:
         """Return the VE in µm that is expected from `estimate` if the active table corrects the p parameters `written`
         (p,).
 
-        The best-fitting rigid motion is removed.
+        It is computed after removal of the best-fitting rigid motion.
         """
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, written).aligned_um
 

@@ -25,10 +25,10 @@ from agent.runs.run_context import RunContext
 
 @dataclass(frozen=True)
 class Slot:
-    """Slot of a night.
+    """Machine time available for a night (slot).
 
-    `minutes` is the available machine time, of which `reserve` minutes must remain unused. `full_allowed` is True if a
-    full calibration is permitted.
+    `minutes` is the length of the slot, of which `reserve` minutes must remain unused. `full_allowed` is True if a full
+    calibration is permitted.
     """
 
     minutes: float
@@ -146,8 +146,8 @@ class CalibrationPendingRun(GuardedRun):
 def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Judge, report: NightReport) -> None:
     """Continue `run` as a full calibration of `job`. The results that `run` has so far are kept.
 
-    The operator is not asked for consent to the change of the machine. Whoever permitted a full calibration has given
-    it.
+    The operator is not asked for consent to the change of the machine, because the permission for a full calibration
+    includes this consent.
     """
     full = CalibrationRun(job, context, judge.reference, judge.nights, Consent.GIVEN)
     full.progress = run.progress
