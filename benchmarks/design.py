@@ -4,8 +4,9 @@ The criterion is the expected VCE. At every step of the search, and for every ca
 computes the full covariance of all unknowns with that candidate added. From that covariance it computes the criterion
 as a trace. The direct evaluation is timed on a sample of candidates and extrapolated to all candidates of all steps.
 
-Search and direct evaluation start from the same information factors of the candidates. The time for these factors and
-the time for the cycle times of the candidates are measured separately.
+Search and direct evaluation start from the same information factors of the candidates. A factor F gives the information
+matrix FᵀF that a candidate adds. The time for these factors and the time for the cycle times of the candidates are
+measured separately.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Time that the engine needs for a step, in addition to the time of the device.
 
-It is measured with two durable commits per step in the journal, and without a journal.
+The time is measured with two durable commits per step in the journal, and without a journal.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ def median_step_us(engine: Engine) -> float:
 
 
 def commit_us(directory: Path) -> float:
-    """Return the median time in µs of a single minimal durable commit on the same disk. It is the lower limit for a
-    journal.
+    """Return the median time in µs of a single minimal durable commit on the same disk.
+
+    A step with a commit in the journal cannot take less time than this commit.
     """
     journal = Journal(directory)
     connection = journal._connection

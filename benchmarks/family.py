@@ -1,13 +1,13 @@
-"""Volumetric errors (VE, VCE) of 10,000 machines of the family, computed by quadratic forms and compared with a grid.
+"""Volumetric errors (VE, VCE) of 10,000 machines of the family by quadratic forms, compared with evaluation on a grid.
 
-The quadratic form is compared with two direct evaluations of every machine on a grid of 60×20×20 points. They are timed
-on a sample of the machines, and the times per machine are compared.
+The quadratic form is compared with two direct evaluations of every machine on a grid of 60×20×20 points. Both direct
+evaluations are timed on a sample of the machines, and the times per machine are compared.
 
 The direct evaluation `exact` multiplies the transforms of the axes at every point of the grid, which is the definition
 of VE. The direct evaluation `linear` starts from a precomputed basis of the field, and each machine then costs one
 matrix product. The quadratic form must agree with `linear` to 1e-9. Both direct evaluations remove the best rigid
 motion with a basis that is computed once. The preparation of the quadratic form (grid, basis, rigid motions) is timed
-as well, and one of the ratios includes it.
+as well, and one of the ratios includes the time of this preparation.
 """
 
 from __future__ import annotations

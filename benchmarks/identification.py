@@ -6,12 +6,12 @@ compared with an identification that chooses one of seven orders by evidence.
 The reference solves the same maximum-a-posteriori problem with `scipy.optimize.least_squares` and its own finite
 differences. The problem contains the exact model, the poses and the prior population, but no nuisance parameters.
 
-The bare core is only the linear algebra: it projects the poses out, forms the normal equations, factorises them and
-solves them once. It is timed twice. The variant `bare_core` starts from a whitened Jacobian that is already arranged by
-position. The variant `core_with_basis` starts from axis positions and poses; it evaluates the basis of the field there,
-whitens it and arranges it. The variant `core_with_basis` is the fair baseline, because every identification must first
-build this matrix. Neither variant finds the poses, evaluates the exact model, takes a second step, returns a covariance
-or checks its input; `identify` does all of this.
+The bare core is only the linear algebra: it eliminates the poses by projection, forms the normal equations, factorises
+them and solves them once. The bare core is timed in two variants. The variant `bare_core` starts from a whitened
+Jacobian that is already arranged by position. The variant `core_with_basis` starts from axis positions and poses; it
+evaluates the basis of the field there, whitens it and arranges it. The variant `core_with_basis` is the fair baseline,
+because every identification must first build the Jacobian. Neither variant finds the poses, evaluates the exact model,
+takes a second step, returns a covariance or checks its input; `identify` does all of this.
 
 Every round times all alternatives in turn. Times are medians over the rounds, and ratios are medians of the ratios
 within a round. Other load on the computer therefore affects all alternatives equally. If other programs use the
@@ -146,7 +146,7 @@ def jacobian(case_: Case) -> tuple[Array, Array]:
 
 
 def core(design: Array, poses: Array, target: Array) -> Array:
-    """Solve the linearised identification once: project the poses out, factorise the normal equations and solve them.
+    """Solve the linearised identification once: eliminate the poses by projection and solve the normal equations.
 
     Returns the p parameters, shape (p,), in units of their prior standard deviations. `design` and `poses` are the
     results of `jacobian`, and `target` contains the whitened residuals.

@@ -48,8 +48,10 @@ def at_rest_mm(controller: Controller) -> float:
 
 
 def in_motion_mm(controller: Controller, feed_mm_per_min: int) -> float:
-    """Return the largest distance in mm between the motor path, without the correction of the table, and the programmed
-    line.
+    """Return the largest distance in mm of the motor path from the programmed line, after subtraction of the
+    correction.
+
+    The correction is that of the table.
     """
     controller.at(*START_MM)
     controller("mdi", "G4 P0.1")

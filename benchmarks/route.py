@@ -24,7 +24,7 @@ def minutes(job: Job) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the figures of each position set by name.
+    """Return the figures of all position sets. The key of a figure starts with the name of its position set.
 
     `seeking_s` is the CPU time in s for the search for paths. It is the difference between a first plan, which searches
     for the paths, and a second plan, which does not search again.

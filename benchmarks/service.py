@@ -1,12 +1,12 @@
-"""Figures of the service at real speed, as one line of JSON.
+"""Performance figures of the service at real speed, as one line of JSON.
 
 The figures are the time from an abort request to the stop command, the overhead per step, the CPU share and the memory.
 
 `volcal serve` and `volcal simulate` run as separate processes on the wall clock. Four clients poll the status, and one
 client receives the events. The instant of an abort request is taken before its connection is made. The instant of the
 stop command is taken when the command STOP passes between agent and controller. The overhead of a step is the time from
-the result of the previous step to the start of the step. It is evaluated only for steps with an effect on the machine,
-and not for readings, because the device itself takes time for a reading.
+the result of the previous step to the start of the step. The overhead is evaluated only for steps with an effect on the
+machine, and not for readings, because the device itself takes time for a reading.
 """
 
 from __future__ import annotations
@@ -129,9 +129,10 @@ def ask_abort(running: Service) -> float:
 
 
 def measure_run(running: Service, seconds: float) -> dict[str, float]:
-    """Start a run, abort it `seconds` s after its first touch, and return its figures.
+    """Start a run, observe it for `seconds` s, abort it, and return its figures.
 
-    The figures contain the times between its steps, which are taken from its journal, and its CPU share and memory.
+    The figures are the times between the steps of the run, taken from its journal, and the CPU share and the memory of
+    the service.
     """
     run_id = running.start()
     running.until(lambda now: now["touches"] > 0, "a touch", FIRST_TOUCH_WITHIN_S)

@@ -26,7 +26,7 @@ PathName = str | PathLike[str]
 def shipped_file(name: str) -> Path:
     """Return the path of a file from the configuration that is shipped with volcal, such as `machines/case-study.toml`.
 
-    Raises FormatError if there is no such file. The error lists the files in the same folder.
+    Raises FormatError if there is no such file. The error message lists the files in the same folder.
 
     >>> volcal.shipped_file("machines/case-study.toml").name
     'case-study.toml'

@@ -31,12 +31,13 @@ CASE_STUDY_STATIONS_MM = (
 
 @dataclass(frozen=True, eq=False)
 class MeasuringSetup:
-    """Set-up of a machine and an artefact, whose mount stands at several stations. Each ball is touched five times.
+    """Set-up of a machine and an artefact on a mount at several stations. Each ball is touched five times.
 
-    `stations_mm`, shape (S, 3), contains for each of S stations the foot of the mount in the workpiece frame, starting
-    with station 1. `tool` is the name of the tool used for measuring; None means the first tool of the machine.
-    `touch_sigma_um` is the standard deviation of one touch. `clearance_mm` is the distance to the ends of travel that a
-    touch needs in addition to the radii of ball and tip. Raises DataError or ModelError if a value is invalid.
+    `stations_mm`, shape (S, 3), contains one point for each of S stations, starting with station 1. It is the point on
+    the azimuth axis of the mount at the height of the middle of the bar, in the workpiece frame. `tool` is the name of
+    the tool used for measuring; None means the first tool of the machine. `touch_sigma_um` is the standard deviation of
+    one touch. `clearance_mm` is the distance to the ends of travel that a touch needs in addition to the radii of ball
+    and tip. Raises DataError or ModelError if a value is invalid.
 
     >>> setup = volcal.case_study()
     >>> setup.machine.name, setup.artefact.count, len(setup.stations_mm)
@@ -102,8 +103,8 @@ class MeasuringSetup:
         return Procedure({self.tool_name: layout}, covariance_mm2)
 
     def at(self, stations_mm: ArrayLike) -> MeasuringSetup:
-        """Return a copy of this set-up with the mount at other stations, `stations_mm` of shape (S, 3) in mm for S
-        stations.
+        """Return a copy of this set-up with the mount at S other stations, given by `stations_mm`, shape
+        (S, 3), in mm.
         """
         return replace(self, stations_mm=as_points(stations_mm, "stations"))
 

@@ -21,11 +21,10 @@ from volcal.measuring_setup import MeasuringSetup
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Set of positions and its expected effect.
+    """Set of positions, and the volumetric errors expected before and after compensation if this set is measured.
 
-    `valuation` contains the volumetric errors that are expected before and after compensation, if these positions are
-    measured. The function `design` orders the positions by station, azimuth and elevation. The function `evaluate`
-    keeps the given order.
+    `valuation` contains the expected errors. The function `design` orders the positions by station, azimuth and
+    elevation. The function `evaluate` keeps the given order.
     """
 
     positions: tuple[Position, ...]
@@ -70,9 +69,10 @@ def design(
 
 
 def evaluate(setup: MeasuringSetup, positions: Sequence[Position] | str) -> Design:
-    """Return `positions` with the volumetric errors that are expected before and after compensation.
+    """Evaluate `positions` without a measurement, and return them as a `Design`.
 
-    The compensation is assumed to use an identification from these positions. No measurement is needed.
+    The result contains the volumetric errors that are expected before and after compensation, if the machine is
+    identified from these positions.
 
     >>> volcal.evaluate(setup, "S3").valuation.percent > 50.0
     True

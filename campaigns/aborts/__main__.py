@@ -12,8 +12,8 @@ defect. An interruption happens before the step, in the middle of its motion, or
 is journaled.
 
 `--every K` selects each K-th step. Steps near those that read, write or activate tables are always selected. The exit
-code is 0 only if the former table is active after every interruption. A run whose link is permanently lost passes also
-if it reports that the former table could not be activated again.
+code is 0 only if the former table is active after every interruption. There is one exception: after a permanent loss of
+the link the run may instead report that the former table could not be activated again.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def summarise(left: Sequence[dict[str, Any]], keys: Sequence[str]) -> dict[str, Any]:
     """Return the totals of the results `left` of all interrupted runs, and the failures.
 
-    A run that completed although it was interrupted also counts as failed if, at the interruption, a step with an
-    effect on the machine was still to come.
+    A run that completed although it was interrupted also counts as failed if a step with an effect on the machine was
+    still to come when the interruption happened.
     """
     last_acting = max(place for place, key in enumerate(keys, start=1) if key.endswith("!"))
     failed = [one for one in left if one["failures"] or (one.get("completed") and one["ordinal"] <= last_acting)]

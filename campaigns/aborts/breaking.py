@@ -30,8 +30,8 @@ IMMEDIATE = (s.AskOperator, s.StageTable, s.ActivateBank)
 class Interruption:
     """Interruption of one step.
 
-    `how` is its kind, for example ``abort`` or ``disk full``. `when` is its instant: ``before`` the step, in the
-    ``middle`` of the step, or ``after`` the effect of the step.
+    `how` is the kind of the interruption, for example ``abort`` or ``disk full``. `when` is its instant: ``before`` the
+    step, in the ``middle`` of the step, or ``after`` the effect of the step.
     """
 
     how: str
@@ -102,7 +102,8 @@ class Interrupter:
     def rig(self, whole: Rig) -> Rig:
         """Return a rig that is equal to `whole` except for two things.
 
-        Its device is behind a breakable link, and all its actions are carried out by `perform`.
+        The device of the returned rig is behind a breakable link, and all actions of the rig are carried out by
+        `perform`.
         """
         [(name, device)] = whole.devices.items()
         self.link = BreakableLink(device)

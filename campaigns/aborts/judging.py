@@ -31,7 +31,7 @@ WITHDRAWING = ("abort", "refused", "guard", "disk full", "no", "defect")
 def check_interruption(
     interrupter: Interrupter, ended: RunResult | None, defect: BaseException | None
 ) -> dict[str, Any]:
-    """Check the conditions that must hold after the interruption, and return an object with three keys.
+    """Check the conditions that must hold after the interruption, and return an object with up to three keys.
 
     ``failures`` lists the violated conditions. ``completed`` is True if the run completed before the interruption was
     noticed. ``active`` is the number of the active bank; the key is present only if the run did not complete.

@@ -127,9 +127,9 @@ ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
 
 
 def check_refused_and_restored() -> dict[str, Any]:
-    """Check the two regular ends of a run that leave the former table active, and return the failures.
+    """Carry out two uninterrupted runs that must end with the former table active, and return the failures.
 
-    In one of these runs a gate refuses the new table. In the other run the verification fails, and the former table is
+    In the first run a gate refuses the new table. In the second run the verification fails, and the former table is
     restored.
     """
     failed = []

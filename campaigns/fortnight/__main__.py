@@ -1,4 +1,4 @@
-"""Simulated fortnight with many kinds of incidents. It produces a run history.
+"""Simulated fortnight of the real service with many kinds of incidents. The fortnight produces a run history.
 
     python -m campaigns.fortnight [--figure trend.png] [--csv fortnight.csv]
 

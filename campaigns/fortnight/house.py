@@ -59,9 +59,9 @@ def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = 
 
 
 class ServiceHost:
-    """State directory with its settings and, most of the time, a running service.
+    """Host of the service: a state directory with its settings and, most of the time, the running service.
 
-    If the host is used as a context manager, all its processes end when the context ends.
+    If the host is used as a context manager, all processes that it has started end when the context ends.
     """
 
     def __init__(self, directory: Path, ready: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> None:

@@ -30,10 +30,10 @@ GOOD_NIGHT = ExpectedRun("nightly", "complete", "timer", FUSED_DECISIONS)
 
 
 class Incidents:
-    """Incidents on one host and one plant.
+    """Incidents of the fortnight on one service host and one simulated plant.
 
-    `by_name` maps the name of each incident to the method that carries it out. If `compared` is True, a night with a
-    power failure is compared with the same night run without interruption.
+    `by_name` maps the name of each incident to the method that carries out the incident. If `compared` is True, a night
+    with a power failure is compared with the same night run without interruption.
     """
 
     def __init__(self, host: ServiceHost, plant: FortnightPlant, *, compared: bool) -> None:

@@ -23,8 +23,9 @@ def read_history(host: ServiceHost) -> list[Row]:
 
 
 def read_trends(host: ServiceHost, figure: Path | None = None) -> Row:
-    """Return the result of `volcal history trend` for three errors: without a table, with the active table, and held
-    out.
+    """Return the trends of three errors, as the command `volcal history trend` reports them.
+
+    The errors are the error without a table, the error with the active table, and the error at held-out positions.
     """
     names = [part for name in ("ve_bare", "ve_acting", "held_out") for part in ("--of", name)]
     drawn = [] if figure is None else ["--figure", str(figure)]

@@ -51,7 +51,10 @@ class Programme:
 
     @property
     def season(self) -> Season:
-        """Season of the nights, in which the collision happens before the slot of the evening named `DAMAGE`."""
+        """Season of this fortnight: the nights and the date of the collision.
+
+        The collision happens before the slot of the evening named `DAMAGE`.
+        """
         damaged = self.evenings.index(DAMAGE) if DAMAGE in self.evenings else len(self.evenings)
         return Season(len(self.evenings) - 1, damaged, seed=1)
 

@@ -1,4 +1,4 @@
-"""Command `python -m campaigns.nights`."""
+"""Command `python -m campaigns.nights`, which simulates a season of nightly runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Definition of a season of nights, and the error that a full calibration would leave in each night."""
+"""Definition of a season, and the error that a full calibration would leave in each of its nights.
+
+A season is a sequence of nights in which the errors of one machine change.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +34,9 @@ COLLISION = {"B0Z": 12.0, "EAZ": 4.0, "EYX": 3.0}
 
 @dataclass(frozen=True)
 class Season:
-    """Season of `nights` nights after a first full calibration. A collision happens before the time slot of night
-    `step`.
+    """Sequence of `nights` nights after a first full calibration, in which the errors of one machine change.
+
+    A collision happens before the time slot of night `step`.
     """
 
     nights: int = 30

@@ -1,4 +1,4 @@
-"""Command `python -m campaigns.resume`."""
+"""Command `python -m campaigns.resume`, which interrupts and resumes a run at each of its steps."""
 
 from __future__ import annotations
 

@@ -74,8 +74,8 @@ class KillSwitch:
 class KillableClock:
     """Clock of one process that uses a simulated machine, with a kill switch.
 
-    The machine outlives the process. The clock therefore starts at the present time of the machine. If the kill switch
-    is set to kill midway, a call of `sleep` ends with the kill after half of its duration.
+    The machine outlives the process. The clock therefore starts at the present time of the machine. If
+    `kill_switch.midway` is True, `sleep` kills the run after half of the sleeping time.
     """
 
     inner: Clock

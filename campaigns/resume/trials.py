@@ -46,7 +46,7 @@ from campaigns.resume.case import (
 
 @dataclass
 class InterruptionRecorder:
-    """Recorder that forks a copy of the run at each selected instant, and has the run in the copy killed there.
+    """Recorder that forks a copy of the run at each selected instant, and kills the run in this copy at that instant.
 
     The recorder keeps a list of these instants. Each copy writes its result to a file in the directory `results`.
     """

@@ -7,20 +7,21 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class WarmingRow:
-    """Results for one machine that was calibrated three times: at 20 °C, at 23 °C, and while warming from 20 °C to 23
-    °C.
+    """Results for one machine after three calibrations: at 20 °C, at 23 °C, and while it warmed from 20 °C to
+    23 °C.
 
     The third calibration is called the warm run. `minutes` is the machine time of the warm run. `machine_k` and
     `artefact_k` are the temperature changes in K of the machine and the ball bar between the first and the last ball of
-    the warm run. The following fields are true volumetric errors in µm, after the best-fitting rigid motion is removed.
+    the warm run before the verification.
 
-    `constant` is the error after the calibration at 20 °C. `settled` is the error after the calibration at 23 °C.
-    `warm` is the error after the warm run, for the machine as it was at the last ball before the verification. `ratio`
-    is `warm` divided by `settled`.
+    `constant`, `settled`, `warm`, `undrifted`, `untold`, `late` and `bare` are true volumetric errors in µm, after the
+    best-fitting rigid motion is removed. `constant` is the error after the calibration at 20 °C. `settled` is the
+    error after the calibration at 23 °C. `warm` is the error with the table of the warm run, for the machine as it was
+    at the last ball before the verification. `ratio` is `warm` divided by `settled`.
 
     `undrifted` and `untold` are errors for the same state of the machine as `warm`, but with other tables. Both tables
     are identified from the ball centres of the warm run. For `undrifted`, the identification assumes that the machine
-    does not drift. For `untold`, it assumes in addition that the bar has a temperature of 20 °C.
+    does not drift. For `untold`, the identification assumes in addition that the bar has a temperature of 20 °C.
 
     `late` and `bare` are errors for the machine as it is at the end of the warm run. `late` is the error with the table
     of the warm run, and `bare` is the error without a table.

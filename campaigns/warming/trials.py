@@ -6,16 +6,17 @@ machine grow. The column bends with an additional lag behind the machine's therm
 thermometers have noise, lag and offsets.
 
 The results are true volumetric errors with the table that the run has written; the best-fitting rigid motion is
-removed. They are evaluated for the machine as it was at the last ball of the set, because the estimate describes this
-state. The same machine and bar are also calibrated twice at constant temperature: once at 20 °C, and once at 23 °C,
-where the expansion of the bar is as uncertain as in the warm run. The ball centres of the warm run are identified two
-more times: first without a drift of the machine, and then also with the bar assumed to be at 20 °C.
+removed. The errors are evaluated for the machine as it was at the last ball of the set, because the estimate describes
+this state. The same machine and bar are also calibrated twice at constant temperature: once at 20 °C, and once at
+23 °C, where the expansion of the bar is as uncertain as in the warm run. The ball centres of the warm run are
+identified two more times. Both identifications assume that the machine does not drift. The second also assumes that the
+bar is at 20 °C.
 
     python -m campaigns.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
 
 The output ends with one line of JSON. The exit code is 0 only if three claims hold. First, the rms error over the
-machines is at most a fifth larger in the warm runs than at 23 °C. Second, every machine and bar has warmed by about 3
-K. Third, for every machine the error more than doubles if the identification omits the drift.
+machines is at most a fifth larger in the warm runs than at 23 °C. Second, every machine and bar has warmed by about
+3 K. Third, for every machine the error more than doubles if the identification omits the drift.
 """
 
 from __future__ import annotations

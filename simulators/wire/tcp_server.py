@@ -16,8 +16,7 @@ log = structlog.get_logger()
 
 
 class TcpServer:
-    """TCP server that listens from its construction on, and calls `serve(connection)` for each connection after
-    `start`.
+    """TCP server that listens from its construction on. After `start` it calls `serve(connection)` for each connection.
 
     If `one_client` is True, the connections are served one at a time: the next connection waits until the present one
     has closed, as with a PLC that has a single Modbus socket. An OSError raised by `serve` means that the peer has
@@ -49,7 +48,9 @@ class TcpServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port on which the server listens; if port 0 was requested, the port chosen by the system."""
+        """Host and port on which the server listens. If port 0 was requested, this is the port that the
+        system chose.
+        """
         host, port = self._listener.getsockname()[:2]
         return str(host), int(port)
 

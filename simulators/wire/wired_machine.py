@@ -27,8 +27,8 @@ class Links:
     """Addresses at which the simulated machine listens.
 
     `speed` is the number of machine seconds per second of the wall clock. If `speed` is None, the agent advances time
-    in lockstep over the address `time`. If `modbus_rtu` is given, the controller listens on that serial line and not on
-    TCP, because the controller accepts only one master.
+    in lockstep over the address `time`. If `modbus_rtu` is given, the controller listens only on the serial line that
+    `modbus_rtu` describes, and not on TCP, because the controller accepts only one master.
     """
 
     modbus: Address
@@ -99,8 +99,9 @@ class WiredMachine:
         """Return everything that the agent must know: the actual addresses, the stations, and the drives on the CAN
         bus.
 
-        The value ``can_nodes`` contains the drives of the first mount, and ``can_mounts`` the drives of every mount by
-        the number of the mount. If each station has its own mount, the number of a mount is the number of its station.
+        The value ``can_nodes`` contains the drives of the first mount. The value ``can_mounts`` maps the number of each
+        mount to the drives of the mount. If each station has its own mount, the number of a mount is the number of its
+        station.
         """
         settings = self.world.scenario.settings
         nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drive_configs(len(self.world.mounts))]

@@ -48,7 +48,7 @@ def scenario_of_night(scenario: Scenario, night: int) -> Scenario:
 
 
 def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
-    """Return the change, shape (p,), of the p model parameters since night 0 that is caused by seasonal scale errors.
+    """Return the change of the p model parameters by seasonal scale errors since night 0, as an array of shape (p,).
 
     A scale error s over a travel of length L corresponds to the value s L / 2 of the Legendre coefficient of order 1.
     """
@@ -64,7 +64,7 @@ def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
 
 
 def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
-    """Return the change, shape (p,), of the p model parameters that is caused by one collision.
+    """Return the change of the p model parameters by one collision, as an array of shape (p,).
 
     `jumps` maps the name of each changed error to its change in µm or µrad. If the name of an error motion contains no
     Legendre order, the coefficient of its lowest order changes.

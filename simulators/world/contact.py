@@ -82,15 +82,17 @@ class ContactSolver:
         return None
 
     def pressing(self, path: StraightPath, centre: Point) -> bool:
-        """Return True if a motion along `path`, which starts in contact, first moves the tip further into the ball at
-        `centre`.
+        """Return True if a motion along `path`, which starts in contact, initially moves the tip further into the ball.
+
+        `centre` is the centre of this ball.
         """
         return _closing(self.tip(path.start), path.direction, centre) < 0.0
 
     def deeper(self, path: StraightPath, centre: Point, overtravel: float) -> float | None:
-        """Return the path distance in mm at which the ball deflects the tip by more than `overtravel` mm.
+        """Return the path distance in mm at which the deflection of the tip begins to exceed `overtravel` mm.
 
-        Returns None if the deflection of the tip never exceeds `overtravel` on the path.
+        The tip is deflected by the ball with the given `centre`. Returns None if the deflection never exceeds
+        `overtravel` on the path.
         """
         return entry_distance(self.tip(path.start), path, centre, self._reach - overtravel)
 

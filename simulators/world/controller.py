@@ -38,8 +38,9 @@ LIMIT_TOLERANCE_MM = 1e-6
 
 @dataclass(frozen=True)
 class Latch:
-    """Displayed axis positions in mm at the last trip of the probe. `sequence` is the number of the touch that tripped
-    it.
+    """Displayed axis positions in mm at the last trip of the probe.
+
+    `sequence` is the number of the touch in which the probe tripped.
     """
 
     sequence: int

@@ -50,13 +50,15 @@ class TableField:
 
 
 class TipShift:
-    """Offset in mm of the true tip centre from its nominal place, the displayed axis position plus the tool offset.
+    """Offset in mm of the true tip centre from the nominal tip centre.
 
-    If the axes display the position X, the drives go to X plus the correction of the table at X. At that place of the
-    drives the true machine has a deviation and a `thermal` deformation. The position-dependent part of the offset is
-    the sum of correction, deviation and thermal deformation. Two other parts are the same at every position: the
-    thermal `drift`, and the `play`, which is the error that the last motion leaves by backlash and limited
-    repeatability.
+    The nominal tip centre is the displayed axis position plus the tool offset. If the axes display the position X, the
+    drives go to X plus the correction of the table at X. At that place of the drives the true machine has a deviation
+    and a `thermal` deformation. The position-dependent part of the offset is the sum of correction, deviation and
+    thermal deformation.
+
+    Two other parts are the same at every position. One is the thermal `drift`. The other is the `play`, the error that
+    the last motion leaves because of backlash and limited repeatability.
     """
 
     def __init__(self, machine: FieldOfMany | None) -> None:

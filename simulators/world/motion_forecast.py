@@ -1,4 +1,7 @@
-"""Events along a motion, computed when the motion begins, and the motion law that results from them."""
+"""Events along a motion, computed when the motion begins, and the motion law that results from these events.
+
+A motion law is the distance along the path as a function of time.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,10 @@ class PathEvents(NamedTuple):
 
 
 class MotionForecast(NamedTuple):
-    """Motion law that the axes will follow, and the instants in s of the events along the path."""
+    """Motion law (distance along the path as a function of time) that the axes will follow, and its events.
+
+    The instants of the events are in s.
+    """
 
     law: MotionLaw
     trip_s: float | None
@@ -61,7 +67,7 @@ class MotionForecast(NamedTuple):
 
 
 def forecast_motion(law: MotionLaw, events: PathEvents, deceleration: float) -> MotionForecast:
-    """Return the forecast of a motion that follows `law` until an event changes it.
+    """Return the forecast of a motion that follows the motion law `law` until an event changes the motion.
 
     The motion brakes with `deceleration` in mm/s² when the probe trips, and it ends abruptly at a collision.
     """

@@ -92,7 +92,7 @@ class MountPhysics:
     def position_deg(self, axis: str, instant_s: float | None = None) -> float:
         """Return the encoder reading of `axis` in degrees, at present or at `instant_s`.
 
-        A future reading assumes that no other command changes the motion.
+        The reading at a future instant is valid only if no other command changes the motion.
         """
         return self._axes[axis].position_deg(self.now_s if instant_s is None else instant_s)
 
@@ -124,7 +124,7 @@ class MountPhysics:
     def angles_deg(self, instant_s: float | None = None) -> tuple[float, float]:
         """Return the encoder readings of azimuth and elevation in degrees, at present or at `instant_s`.
 
-        Future readings assume that no other command changes the motion.
+        The readings at a future instant are valid only if no other command changes the motion.
         """
         instant_s = self.now_s if instant_s is None else instant_s
         return self._axes[AZIMUTH].position_deg(instant_s), self._axes[ELEVATION].position_deg(instant_s)

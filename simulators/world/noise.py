@@ -32,5 +32,7 @@ class NoiseSource:
 
 
 def generator(seed: int, stream: str) -> np.random.Generator:
-    """Return a random generator for values that are drawn only once. Each `stream` has an independent generator."""
+    """Return a random generator for values that are drawn only once. Each name `stream` has an independent
+    generator.
+    """
     return np.random.default_rng([seed, crc32(stream.encode())])

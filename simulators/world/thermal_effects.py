@@ -91,11 +91,11 @@ class ThermalEffects:
 class ThermalField:
     """Thermal deformation field of a machine with changed scales and a bent column.
 
-    `stretch`, shape (3,), is the relative change of the scale of each axis; each scale expands from its zero. The
+    `stretch`, shape (3,), is the relative change of the scale of each axis; the zero of each scale stays in place. The
     column is a cantilever that is heated from one side, and it bends along Y. At the position z of the Z axis its
-    displacement w is w = `bend_mm` ((z - z0)/Lz)², where z0 is the lower end of the Z travel and Lz is its length. The
-    slope of the column rotates everything that the column carries about X. The tip of a tool that extends along Y is
-    therefore lowered.
+    displacement w is w = `bend_mm` ((z - z0)/Lz)², where z0 is the lower end of the Z travel and Lz is the length of
+    the Z travel. The slope of the column is a rotation about X of everything that the column carries. The tip of a tool
+    that extends along Y is therefore lowered.
     """
 
     stretch: Array
@@ -116,8 +116,9 @@ class ThermalField:
 
 
 def artefact_bow_mm(settings: ThermalSettings, warming: ThermalState, now_s: float) -> float:
-    """Return the bow of the artefact at instant `now_s`: the displacement of its middle from the line of its ends, in
-    mm.
+    """Return the bow of the artefact at instant `now_s` in mm.
+
+    The bow is the displacement of the artefact's middle from the straight line between its ends.
     """
     if settings.artefact_bow_um_per_k == 0.0:
         return 0.0
@@ -125,8 +126,7 @@ def artefact_bow_mm(settings: ThermalSettings, warming: ThermalState, now_s: flo
 
 
 def bend_balls(balls: Array, bow: float) -> Array:
-    """Return the ball centres, shape (N, 3), in mm of an artefact of N balls along X after the artefact is bent to an
-    arc.
+    """Return the N ball centres, shape (N, 3) in mm, of an artefact along X after the artefact is bent to an arc.
 
     The ends of the artefact stay in place, and its middle is displaced by `bow` mm along Z.
     """

@@ -47,14 +47,15 @@ class ThermalState:
     def column_change_k(self, now_s: float) -> float:
         """Return the change in K, since the start, of the temperature difference between the two sides of the column.
 
-        This difference follows the ambient with a longer time constant than the machine's thermometer does.
+        The temperature difference lags behind the temperature at the machine's thermometer, by an additional time
+        constant.
         """
         s = self._settings
         lag_h = None if s.machine_time_constant_h is None else s.machine_time_constant_h + s.bend_time_constant_h
         return self._change_k(now_s, lag_h, s.machine_k_per_h)
 
     def artefact_lag_k(self, now_s: float) -> float:
-        """Return by how many K the ambient has warmed more than the artefact since the start.
+        """Return the temperature rise of the ambient minus that of the artefact, both since the start, in K.
 
         Returns 0 if the artefact does not follow the ambient.
         """

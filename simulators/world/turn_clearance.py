@@ -1,7 +1,7 @@
-"""Conservative test for collisions during a turn of a mount, with spheres around everything that turns.
+"""Conservative test for collisions during a turn of a mount.
 
-A passed test proves that there is no collision. A failed test proves nothing, and the caller must then check the bodies
-themselves.
+The test encloses everything that turns in spheres. A passed test proves that there is no collision. A failed test
+proves nothing, and the caller must then check the bodies themselves.
 """
 
 from __future__ import annotations

@@ -25,8 +25,7 @@ from twin.collision.swept_volume import SphereCover, cover_turning_bodies
 
 @dataclass(frozen=True, eq=False)
 class WorkpieceSnapshot:
-    """State of the workpiece at one instant: the true ball centres, the body names of the balls, and all bodies around
-    them.
+    """State of the workpiece at one instant: the true ball centres, the names of the balls, and all bodies around them.
 
     `pose` is the pose of the artefact; if there are several artefacts, it is the pose of the first. `allowed_contacts`
     are the pairs of bodies that may touch.
@@ -46,9 +45,9 @@ class WorkpieceSnapshot:
 class Workpiece:
     """Mount and true artefact at one station, with the pose of the artefact for given mount angles and temperature.
 
-    The pose is recomputed only if a mount angle changes or if the temperature changes by at least 1 mK, which is 17 nm
-    on a long bar. If there are several workpieces, `name_suffix` is appended to the names of the bodies of this
-    workpiece.
+    The pose is recomputed only if a mount angle changes or if the temperature changes by at least 1 mK (17 nm of
+    expansion on a long bar). If there are several workpieces, `name_suffix` is appended to the names of the bodies of
+    this workpiece.
     """
 
     def __init__(
@@ -122,9 +121,9 @@ class Workpiece:
         return self._cover
 
     def true_angles_rad(self, instant_s: float) -> tuple[float, float]:
-        """Return the true azimuth and elevation in rad at `instant_s`, in the form that `mount_pose` requires.
+        """Return the true azimuth and elevation of the bar in rad at `instant_s`.
 
-        The azimuth includes the rotation of the mount by which the operator misplaced it.
+        The azimuth includes the angle by which the operator has placed the mount in a wrong direction.
         """
         azimuth, elevation = self.mount.true_angles_rad(*self.mount.angles_deg(instant_s))
         return azimuth + self._yaw_rad, elevation

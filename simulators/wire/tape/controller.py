@@ -2,7 +2,7 @@
 
 The controller reads characters into a small buffer, at the speed of its serial line. It sends DC3 when the buffer is
 nearly full, and DC1 again when the buffer is nearly empty. Characters are transferred as machine time passes. The
-methods `press_read` and `press_punch` stand for the operator's keys.
+methods `press_read` and `press_punch` correspond to keys that the operator presses.
 
 Sources: FANUC B-63503EN/02 (Series 0i connection manual), section 5.3: DC1 starts and DC3 stops a reader, DC2 switches
 a punch on and DC4 switches it off, and each character of eight bits contains one even parity bit. FANUC B-63950EN/02,
