@@ -37,7 +37,7 @@ def median_step_us(engine: Engine) -> float:
 def commit_us(directory: Path) -> float:
     """Return the median time in µs of a single minimal durable commit on the same disk.
 
-    A step with a commit in the journal cannot take less time than this commit.
+    This time is the lower limit for the time of a step with a commit in the journal.
     """
     journal = Journal(directory)
     connection = journal._connection

@@ -59,7 +59,8 @@ FIXED = Options(estimate_scales=False, outliers="none", misfit_mm=0.0)
 class Case:
     """Simulated measurement of K positions.
 
-    `rotation`, shape (K, 3, 3), and `centre`, shape (K, 3) in mm, are the poses from which the reference starts.
+    `rotation`, shape (K, 3, 3), and `centre`, shape (K, 3) in mm, give the pose of the artefact in each position. The
+    function `reference` starts from these poses.
     """
 
     model: ErrorModel

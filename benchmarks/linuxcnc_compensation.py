@@ -48,10 +48,9 @@ def at_rest_mm(controller: Controller) -> float:
 
 
 def in_motion_mm(controller: Controller, feed_mm_per_min: int) -> float:
-    """Return the largest distance in mm of the motor path from the programmed line, after subtraction of the
-    correction.
+    """Return the largest distance in mm of the motor path from the programmed line.
 
-    The correction is that of the table.
+    The correction of the table is subtracted from the motor path first.
     """
     controller.at(*START_MM)
     controller("mdi", "G4 P0.1")

@@ -48,8 +48,8 @@ EXIT_NOT_RUN = 77
 class LinuxCncTrial:
     """One trial of `volcal calibrate` on a running LinuxCNC.
 
-    `changes` maps texts in the settings of the shipped example to the texts that replace them. `scenario_changes` does
-    this for texts in the scenario of the example. `arguments` are passed on to `volcal calibrate`.
+    `changes` maps texts in the settings of the shipped example to the texts that replace them. `scenario_changes` maps
+    texts in the scenario of the example in the same way. `arguments` are passed on to `volcal calibrate`.
     """
 
     work: Path

@@ -28,7 +28,7 @@ class Forks:
         """Fork the process. Return None in the child.
 
         In the parent, wait for the child to end and return the child's result. If the child has sent no result or has
-        not ended in time, the parent receives an object that gives this reason under ``failures``.
+        not ended in time, return an object that states this reason under the key ``failures``.
         """
         reading, writing = os.pipe()
         child = os.fork()

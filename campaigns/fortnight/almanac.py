@@ -1,6 +1,6 @@
 """Simulated calendar for a fortnight that is simulated within minutes.
 
-A file gives the date and time of the calendar, which then advances with machine time.
+A file gives the date and time of the calendar. From this instant the calendar advances with machine time.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Nights of one machine that drifts: a full calibration, then short time slots, with a collision before one slot.
+"""Trial of nightly calibrations of one machine that drifts and has one collision.
 
-Every night is a whole run of the agent (`volcal nightly`) on the simulated machine of that night, in this process and
-on virtual time. The result of a night includes facts that only the simulator knows: the true volumetric error with the
-active table, and the reach. The reach is the error that a full calibration in the same night would have left.
+The first night is a full calibration, and each later night has a short time slot. Every night is a whole run of the
+agent (`volcal nightly`) on the simulated machine of that night, in this process and on virtual time. The result of a
+night includes facts that only the simulator knows: the true volumetric error with the active table, and the reach. The
+reach is the error that a full calibration in the same night would have left.
 
 The reach is computed by a Monte Carlo simulation of ball centres, without touches. The simulation takes the true ball
 centres of the whole position set on a copy of that night's machine. It measures them through the exact error field with

@@ -9,10 +9,13 @@ from dataclasses import dataclass
 class NightRow:
     """Results of one night; all errors are in µm.
 
-    Four fields are true errors after the best-fitting rigid motion is removed. `true_before` is the error with the
-    table of the previous night, `true_after` the error with the table that is active in the morning, and `untouched`
-    the error with the table of the first night. `reach` is the error that a full calibration in that night would leave.
-    `ratio` is `true_after` divided by `reach`. `ve_now` and `ve_after` are the errors that the agent itself reports.
+    `true_before`, `true_after`, `untouched` and `reach` are true errors after the best-fitting rigid motion is removed.
+    `true_before` is the error with the table of the previous night. `true_after` is the error with the table that is
+    active in the morning. `untouched` is the error with the table of the first night. `reach` is the error that a full
+    calibration in that night would leave. `ratio` is `true_after` divided by `reach`.
+
+    `ve_now` and `ve_after` are errors that the agent reports. `ve_now` is the error with the active table, and
+    `ve_after` is the error with a table made from the estimate of this night.
     """
 
     night: int

@@ -162,7 +162,8 @@ class Controller:
     def trace(self, tag: int) -> None:
         """Assign the following motions to the step with the number `tag`, or to no step if `tag` is 0.
 
-        If the scenario sets `noise_by_step`, the noise of a motion depends only on its step.
+        If the scenario sets `noise_by_step`, the noise of a motion depends on its step and not on the number of the
+        motion.
         """
         self._tag = tag
 

@@ -134,7 +134,9 @@ class MountPhysics:
         return self._errors.angles_rad(azimuth_deg, elevation_deg)
 
     def wobble_mm(self, azimuth_deg: float) -> Array:
-        """Return the displacement, shape (3,), in mm of the azimuth axis by its wobble at the given encoder reading."""
+        """Return the displacement of the azimuth axis by its wobble, shape (3,), in mm, at the given
+        encoder reading.
+        """
         return self._errors.wobble_mm(azimuth_deg)
 
 

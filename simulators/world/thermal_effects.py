@@ -63,8 +63,8 @@ class ThermalEffects:
     # ------------------------------------------------------------------ deformation
 
     def drift_mm(self, now_s: float) -> Point:
-        """Return the displacement, shape (3,), of the tip in mm by thermal growth of spindle and ram since
-        the start.
+        """Return the displacement of the tip by thermal growth of spindle and ram since the start, shape
+        (3,), in mm.
         """
         if self.state.machine_is_constant:
             return ZERO

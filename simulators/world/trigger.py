@@ -1,4 +1,4 @@
-"""Trip of a touch-trigger probe with pretravel, lobing (dependence of the pretravel on the direction), and noise."""
+"""Trip of a touch-trigger probe: pretravel, lobing (dependence of the pretravel on the touch direction), and noise."""
 
 from __future__ import annotations
 

@@ -17,9 +17,9 @@ from twin.machine.volumetric import evaluation_grid, volumetric_error
 class MachineTruth:
     """True error of the machine at its present temperature.
 
-    `banks` is the controller's own mapping of banks, not a copy, and `warm_field` is a function that returns the
-    present thermal field. The thermal growth of spindle and ram is excluded: it shifts the whole field like a new zero
-    point, and a table need not correct such a shift.
+    `banks` maps bank numbers to tables; it is shared with the controller and not copied. `warm_field` is a function
+    that returns the present thermal field. The thermal growth of spindle and ram is excluded: it shifts the whole field
+    like a new zero point, and a table need not correct such a shift.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """Conservative test for collisions during a turn of a mount.
 
-The test encloses everything that turns in spheres. A passed test proves that there is no collision. A failed test
+The test uses spheres that enclose all turning bodies. A passed test proves that there is no collision. A failed test
 proves nothing, and the caller must then check the bodies themselves.
 """
 

@@ -32,9 +32,9 @@ class TurnCrash:
 
 
 def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision of probe or ram with the turning artefact between `start_s` and `end_s`, or None.
+    """Return the first collision of probe or ram with the turning artefact between the instants `start_s` and `end_s`.
 
-    The forecast assumes that no other command or fault occurs before `end_s`.
+    Returns None if there is no collision. The forecast assumes that no other command or fault occurs before `end_s`.
     """
     if _stays_outside(workpiece, controller, start_s):
         return None

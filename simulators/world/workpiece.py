@@ -115,7 +115,7 @@ class Workpiece:
 
     @property
     def cover(self) -> SphereCover | None:
-        """Set of spheres that encloses everything that turns with the mount; None if the mount carries no artefact."""
+        """Set of spheres that encloses all bodies that turn with the mount; None if the mount carries no artefact."""
         if self._cover is None and self._artefact is not None:
             self._cover = cover_turning_bodies(self._artefact, self._geometry)
         return self._cover
@@ -123,7 +123,7 @@ class Workpiece:
     def true_angles_rad(self, instant_s: float) -> tuple[float, float]:
         """Return the true azimuth and elevation of the bar in rad at `instant_s`.
 
-        The azimuth includes the angle by which the operator has placed the mount in a wrong direction.
+        The azimuth includes the small rotation of the mount that results from its placement by the operator.
         """
         azimuth, elevation = self.mount.true_angles_rad(*self.mount.angles_deg(instant_s))
         return azimuth + self._yaw_rad, elevation
