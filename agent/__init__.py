@@ -1,3 +1,3 @@
 """Agent that calibrates a machine tool. Its packages contain the settings, the execution of steps, probing, planning,
-results, runs, reports, the service and the command line.
+studies, results, history, reports, runs, the service and the command line.
 """

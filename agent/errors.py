@@ -3,7 +3,7 @@
 ::
 
     VolcalError (drivers/errors.py)
-    └── RunError                  the run itself decided to end                       exit code 4
+    └── RunError                  decision of the run itself                          exit code 4
         ├── PlanRefused           the preflight found a violated limit, a collision or an unreachable ball
         ├── GateRefused           the estimate must not become a table
         ├── MeasurementFault      a ball, a probe check or a drift is out of its limits

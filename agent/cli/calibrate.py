@@ -63,8 +63,8 @@ def calibration_here() -> RunRequest:
 def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: float | None = None) -> RunResult:
     """Carry out `request` in this process with a progress bar on stderr, and return the result of the run.
 
-    Ctrl-C and SIGTERM abort the run. `nights` is the number of nights since the last accepted night. If `nights` is
-    None, the number is computed from the calendar.
+    Ctrl-C and SIGTERM abort the run. `nights` is the number of nights since the last run whose result was accepted as
+    reference. If `nights` is None, the number is computed from the calendar.
     """
     job = job_of(request, settings, base)
     kind = kind_of(request, slot_minutes=request.slot_minutes, nights=nights)

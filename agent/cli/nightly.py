@@ -1,4 +1,5 @@
-"""Commands `volcal verify` and `volcal nightly`, both of which compare the machine with the last accepted night.
+"""Commands `volcal verify` and `volcal nightly`. Both compare the machine with the last accepted night, that is, with
+the last run whose result was accepted as reference.
 
 `verify` writes nothing to the controller. `nightly` uses the rest of its time slot to improve the compensation.
 """

@@ -45,7 +45,7 @@ def to_json(value: object) -> str:
 
 
 def table_digest(table: TableImage) -> int:
-    """Return the CRC-32 of the corrections of a table, in the byte order in which they are sent over the link.
+    """Return the CRC-32 of the corrections of a table, in the byte order in which they are sent to the controller.
 
     The corrections are big-endian 32-bit integers. The index of x varies slowest; the corrections dx, dy and dz of a
     node follow one another.

@@ -34,7 +34,8 @@ class StepJournal(Protocol):
     def aside(self) -> StepJournal:
         """Return a journal for steps that are not part of the procedure.
 
-        Such steps withdraw the probe if a run is interrupted, and return it if the run is resumed.
+        For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
+        if the run is resumed.
         """
         ...
 
@@ -66,13 +67,15 @@ class Engine:
     def aside(self) -> Engine:
         """Return an engine with the same actions for steps that are not part of the procedure.
 
-        Such steps withdraw the probe if a run is interrupted, and return it if the run is resumed. They are journaled,
-        but a replay skips them. They are not passed to the observer and are therefore not counted.
+        For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
+        if the run is resumed. Such steps are journaled, but a replay skips them. They are not passed to the observer
+        and are therefore not counted.
         """
         return Engine(self._actions, None if self._journal is None else self._journal.aside())
 
     def run(self, plan: Plan[T]) -> T:
-        """Run `plan` to its end and return its conclusion. The plan is closed in any case.
+        """Run `plan` to its end and return the value that the plan returns. The plan, a generator, is closed in any
+        case.
 
         If a step raises a `VolcalError`, the key of the step is added to the error. If the plan itself raises a
         `VolcalError`, the key of the last step whose result the plan received is added to the error.

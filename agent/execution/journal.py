@@ -128,10 +128,10 @@ class RunJournal:
         self._aside = 0
 
     def aside(self) -> Self:
-        """Return a writer for rows that are not part of the procedure. Replays skip these rows.
+        """Return a writer for rows of steps that are not part of the procedure. Replays skip these rows.
 
-        The rows record steps that withdraw the probe if a run is interrupted, and steps that return it if the run is
-        resumed.
+        For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
+        if the run is resumed.
         """
         other = copy.copy(self)
         other._recorded, other._aside = ReplayLog(), 1

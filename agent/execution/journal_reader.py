@@ -1,11 +1,11 @@
 """Reader of the journal. It returns typed rows, changes nothing and never delays the writer.
 
-The methods identify a run by its number in the journal (`RunRow.run`). They can read a journal of an older version
-without migrating it. Only the method `origin` and the argument `procedure_only` need data that a journal of version 1
-lacks.
+A method with the parameter `run` expects the number of a run in the journal (`RunRow.run`). The reader can read a
+journal of an older version without migrating it. Only the method `origin` and the argument `procedure_only` need data
+that a journal of version 1 lacks.
 
-Some rows are not part of the procedure: they record steps that withdraw the probe if a run is interrupted, and steps
-that return it if the run is resumed.
+Some rows record steps that are not part of the procedure. For example, steps withdraw the probe and restore the table
+if a run ends early, and steps move the probe back if the run is resumed.
 """
 
 from __future__ import annotations
@@ -132,8 +132,8 @@ class JournalReader:
     def steps(self, run: int, kind: str | None = None, *, procedure_only: bool = False) -> tuple[StepRow, ...]:
         """Return the steps of a run in the order in which they were recorded.
 
-        If `kind` is given, only steps of the class with this name are returned. If `procedure_only` is True, rows that
-        are not part of the procedure are omitted; this also applies to the methods below.
+        If `kind` is given, only steps of the class with this name are returned. If `procedure_only` is True, steps that
+        are not part of the procedure are omitted, for example steps that withdraw the probe at the end of a run.
         """
         query = queries.STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
         return self._rows(StepRow, _restricted(query, procedure_only), run=run, kind=kind)

@@ -44,7 +44,7 @@ class ReplayLog:
     to the entries of that table, each of which is compared as a whole. `ordinal` is the last sequence number assigned
     in the run. `resumptions` is the number of times that the run has been resumed.
 
-    Records that are not part of the procedure are not in the queues, such as steps that withdraw the probe.
+    Records that are not part of the procedure, such as steps that withdraw the probe, are not in the queues.
     """
 
     steps: deque[RecordedStep] = field(default_factory=deque)

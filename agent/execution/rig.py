@@ -1,4 +1,7 @@
-"""Rig, which is the set of devices of one machine in their roles, and the action that carries out each type of step."""
+"""Devices of one machine in their roles, together called the rig.
+
+The rig also provides the action that carries out each type of step.
+"""
 
 from __future__ import annotations
 
@@ -70,8 +73,9 @@ class Rig:
     _open: list[str] = field(default_factory=list)
 
     def open(self) -> None:
-        """Open every device. If a device cannot be opened, close the devices that are already open and raise its
-        error.
+        """Open every device.
+
+        If a device cannot be opened, close the devices that are already open and raise the error of the failed device.
         """
         for name, device in self.devices.items():
             try:
@@ -223,9 +227,10 @@ class Rig:
 
 
 def step_tag(run: int, key: str) -> int:
-    """Return the tag of a step, which a controller can display and log.
+    """Return the tag of a step. A controller can display and log this number for the step.
 
-    The tag is the CRC-32 of the text ``RUN/KEY``. If the CRC-32 is 0, the tag is 1.
+    The tag is the CRC-32 of the text ``RUN/KEY``, made of the run number and the step key. If the CRC-32 is 0, the tag
+    is 1.
     """
     return zlib.crc32(f"{run}/{key}".encode()) or 1
 

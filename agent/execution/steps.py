@@ -21,7 +21,7 @@ Point: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MoveTo:
-    """Move in a straight line to `target_mm`. If no feed is given, the move is a rapid move.
+    """Straight move of the axes to `target_mm`. If no feed is given, the move is a rapid move.
 
     A guarded move stops if the probe trips. Every move near the artefact is guarded.
     """
@@ -36,7 +36,7 @@ class MoveTo:
 class Retrace:
     """Guarded move that repeats the end of an earlier step. `of` is the key of the earlier step.
 
-    The move approaches the position from the same side as the earlier step, and therefore takes up the play of the axes
+    The move approaches `target_mm` from the same side as the earlier step, and therefore takes up the play of the axes
     in the same direction.
     """
 

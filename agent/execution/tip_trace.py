@@ -42,11 +42,11 @@ class LastMotion:
         self._at, self._begun = at, None
 
     def exit_point(self, here: Array) -> Array:
-        """Return the axis positions, shape (3,) in mm, to which the probe first moves if it is withdrawn from
-        `here`.
+        """Return the position to which the probe moves first if it is withdrawn from the position `here`. Both are axis
+        positions in mm, shape (3,).
 
-        After a touch, these are the axis positions at the start of the touch. They are the same if the motion away from
-        the surface was interrupted, because a move back along the path of that motion would lead onto the surface.
+        After a touch, the result is the position at the start of the touch. This is also the result if the motion away
+        from the surface was interrupted, because a move back along the path of that motion would lead onto the surface.
 
         After any other interrupted motion, the result is a point on the path, at most `WITHDRAWAL_MM` back from `here`.
         If the stylus cannot be touching anything, the result is `here`.

@@ -1,6 +1,6 @@
 """Update of the history after a run.
 
-This function writes logs. It is therefore separate from `agent.history.sync`, which does not write logs.
+`update_history` writes logs. It is therefore separate from `agent.history.sync`, which does not write logs.
 """
 
 from __future__ import annotations

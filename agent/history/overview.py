@@ -41,7 +41,7 @@ def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Tre
 
     The trends of the volumetric errors and of the held-out balls come first, in the order of `trends`. Of the other
     trends, those with a tolerance come before those without. In each of these two groups, trends with an alarm come
-    first, and the further order is that of decreasing significance of the drift.
+    first. Trends that are still equal are sorted by the significance of their drift, the most significant first.
     """
     volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]

@@ -91,10 +91,10 @@ class StoredRun:
     is removed. A value is None if the run ended before the value was known, or if runs of this kind do not have the
     value.
 
-    `since` is the identity of the run of the last accepted night, and `nights` is the number of nights since then.
-    `ve_before_um` is the VE estimated without a table. `ve_after_um` is the VE predicted with the new table.
-    `ve_now_um` is the VE that a night run expects with the table that is active at its start. `acting_um` is the VE
-    with the table that is active at the end of the run.
+    `since` is the identity of the last run whose result was accepted as reference, and `nights` is the number of nights
+    since that run. `ve_before_um` is the VE estimated without a table. `ve_after_um` is the VE predicted with the new
+    table. `ve_now_um` is the VE that a verify or nightly run expects with the table that was active at the start of the
+    run. `acting_um` is the VE with the table that is active at the end of the run.
 
     `digest` is a hash of all stored values. An unchanged run is recognised by its digest and is not written again. The
     last three fields contain the rows of the run in the other tables; they are not columns.

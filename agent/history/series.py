@@ -69,8 +69,8 @@ def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Se
 def nights_of(runs: Sequence[StoredRun]) -> Array:
     """Return the number of nights between the first run and each run, shape (n_runs,).
 
-    A run may record the number of nights since the last accepted night. For such a run, the result is computed from
-    this number; for any other run, it is computed from the calendar.
+    A run may record the number of nights since the last run whose result was accepted as reference. For such a run, the
+    returned number is computed from the recorded number. For any other run, it is computed from the calendar.
     """
     nights: dict[str, float] = {}
     last = 0.0

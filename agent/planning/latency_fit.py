@@ -42,9 +42,9 @@ class StepKindTiming:
     """Times of all steps of one kind, in seconds.
 
     `observed_s` and `predicted_s` are the sums of the observed and of the predicted times of the steps. `latency_s` is
-    the latency of one step in the settings, and `suggested_latency_s` is the fitted latency. The latency is the time of
-    a step minus the time of its motion; for an AskOperator step, it is the whole time. `rest_s` is the rms of the
-    residuals with the fitted latency.
+    the latency of one step according to the settings, and `suggested_latency_s` is the fitted latency. The latency is
+    the time of a step minus the time of its motion; for an AskOperator step, it is the whole time. `rest_s` is the rms
+    of the residuals with the fitted latency.
     """
 
     kind: str

@@ -65,8 +65,8 @@ def run_preflight(
     starts at its own initial positions. `procedure` returns the plan; by default, it is the plan of a calibration.
     `watch` is called after every step.
 
-    Raises PlanRefused, which names the step and, for a collision, the two bodies. Raises ConfigurationError if no
-    held-out position can be measured. Errors raised by `watch` are passed on.
+    Raises PlanRefused if a step breaks a rule or fails; the error names the step and, for a collision, the two bodies.
+    Raises ConfigurationError if no held-out position can be measured. Errors raised by `watch` are passed on.
     """
     plan = (procedure or whole_procedure)(job)
     began = wall_seconds()
@@ -131,8 +131,8 @@ def _require_proof(verified: MeasuredPositions) -> None:
 def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
     """Return the plan of a calibration, which has three parts.
 
-    The plan prepares the probe, measures the position set and the held-out positions, and then measures the held-out
-    positions again as with the new table.
+    The plan first prepares the probe. It then measures the position set and the held-out positions. Finally, it
+    measures the held-out positions again, as a run does to verify the new table.
     """
     prepared = yield from job.preparation_plan()
     order = replace(job.measuring_order, standing_at=prepared.standing_at)

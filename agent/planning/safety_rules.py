@@ -1,6 +1,6 @@
 """Safety rules that apply to every measuring plan.
 
-The preflight checks the rules at each step, because the simulated machine may permit more than they do.
+The preflight checks the rules at each step, because the simulated machine may permit more than the rules.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Mounts and artefacts at the stations.
 
-There are three arrangements: one mount is carried from station to station, or each station has its own mount, or each
-station has both its own mount and its own artefact.
+There are three arrangements. One mount is carried with its artefact from station to station, or each station has its
+own mount and one artefact is carried, or each station has its own mount and its own artefact.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def bodies_around(
 ) -> Mapping[int, tuple[Body, ...]]:
     """Return a mapping from each station to the bodies of the mounts and artefacts at the other stations.
 
-    The probe must avoid these bodies. The mapping is empty if the mount is carried.
+    The probe must avoid these bodies. The mapping is empty if one mount is carried from station to station.
     """
     if not change.own_mounts:
         return {}

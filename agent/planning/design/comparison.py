@@ -26,7 +26,7 @@ class VariantDesign:
 
     @property
     def result(self) -> DesignResult:
-        """Design of this variant. Access raises ValueError with the text `reason` if `design` is None."""
+        """Design of this variant. Raises ValueError with the text `reason` if `design` is None."""
         if self.design is None:
             raise ValueError(self.reason)
         return self.design
@@ -35,10 +35,11 @@ class VariantDesign:
 def compare_variants(
     variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say
 ) -> list[VariantDesign]:
-    """Return a design for each variant, and mark the best one.
+    """Return a design for each variant, and mark the best design.
 
-    If the goal is a target error, the design that takes the least time is the best. For any other goal, the design with
-    the smallest expected VCE is the best. If no variant reaches the goal, the error of the first variant is raised.
+    If the goal is a target error, the best design is the one that takes the least time. For any other goal, the best
+    design is the one with the smallest expected VCE. If no variant reaches the goal, the error of the first variant is
+    raised.
     """
     choices: list[VariantDesign] = []
     errors: list[UserError] = []

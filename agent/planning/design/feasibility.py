@@ -1,4 +1,5 @@
-"""Feasibility of a position: freedom of its plan from collisions, and the minutes that its measurement takes.
+"""Feasibility of a position. The module checks the plan of the position for collisions and computes the minutes that
+the plan takes.
 
 A search evaluates hundreds of positions. This module therefore checks only the straight moves of the plan against the
 nominal bodies, which takes milliseconds per position. The finished set is checked by a preflight, which simulates the
