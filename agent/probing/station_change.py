@@ -77,7 +77,7 @@ def park_mounts(
     prefix: str, when: str, change: StationChange, locations: RetreatLocations, here: Array, stations: Sequence[int]
 ) -> Plan[Array]:
     """Turn the mounts at `stations` to their parked angles; return the axis positions (3,) at the end. While a mount
-    turns, the probe waits at the park location of its station."""
+    turns, the probe waits beside the station, clear of the mount."""
     for station in stations:
         key = f"{prefix}/station-{station}/{when}"
         yield MoveTo(f"{key}/retreat", _point(locations.at_retreat_plane(here)))

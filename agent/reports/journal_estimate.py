@@ -44,7 +44,7 @@ def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEs
     it.
 
     `unresolved_mm2` is the variance, in mm² for each direction, of a part of the misfit. This part varies over
-    distances that are too short for the misfit modes.
+    distances too short for the functions (modes) by which the misfit is estimated.
     """
     document = stored.document
     return JournalEstimate(

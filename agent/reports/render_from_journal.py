@@ -1,4 +1,5 @@
-"""Rendering of the report of a run from the journal. The report contains the trend of all runs up to that run."""
+"""Rendering of the report of a run from the journal. The report shows how the main results changed over all runs up to
+that run."""
 
 from __future__ import annotations
 

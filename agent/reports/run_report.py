@@ -44,8 +44,8 @@ TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Nigh
 def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> ReportData:
     """Return the report data of a run that has ended or was interrupted.
 
-    `trend` is an SVG with the trends of all runs up to this run. Raises InputError if the run did not record its
-    inputs.
+    `trend` is an SVG that shows the main results of all runs up to this run. Raises InputError if the run did not
+    record its inputs.
     """
     inputs = record.decision(INPUTS)
     if inputs is None:

@@ -36,8 +36,8 @@ from twin.units import UM_PER_MM
 class EstimationResult:
     """Estimate from `observations`, and the compensation table made from the estimate.
 
-    `volumetric` contains the estimated volumetric error (VE) of the bare machine and the predicted volumetric error
-    (VCE) of the compensated machine.
+    `volumetric` contains the estimated volumetric error (VE) of the machine without compensation and the predicted
+    volumetric error (VCE) of the compensated machine.
     """
 
     observations: Observations
@@ -103,7 +103,8 @@ def order_text(estimate: Estimate) -> str:
 
 
 def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
-    """Return one warning for each estimated factor of a variance that has reached a bound of its permitted range."""
+    """Return one warning for each scale that has reached a bound of its permitted range. A scale is an estimated factor
+    on an assumed standard deviation."""
     return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
 
 

@@ -23,7 +23,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class VolumetricSummary:
-    """Estimated VE of the bare machine (`before_raw`, `before_aligned`) and predicted VCE (`after_raw`,
+    """Estimated VE of the machine without compensation (`before_raw`, `before_aligned`) and predicted VCE (`after_raw`,
     `after_aligned`).
 
     The values ending in `_raw` contain the rigid motion of the workspace. The values ending in `_aligned` are computed

@@ -40,9 +40,9 @@ def estimate_gates(
     """Return the three gates on the estimate: the fit of the residuals, the number of redundant measurements, and the
     gain in accuracy.
 
-    `before` is the estimated volumetric error of the bare machine, without a contribution of its uncertainty.
-    `expected` is the predicted volumetric error with the table active. The aligned values of both are compared, because
-    a rigid motion of the workspace is not an error of the machine.
+    `before` is the estimated volumetric error of the machine without compensation. It contains no contribution of its
+    own uncertainty. `expected` is the predicted volumetric error with the table active. The aligned values of both are
+    compared, because a rigid motion of the workspace is not an error of the machine.
     """
     share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")
     return (

@@ -1,4 +1,4 @@
-"""Conversion of measured balls into observations of the bare machine."""
+"""Conversion of measured balls into observations of the bare machine, that is, of the machine without compensation."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ def observations_of(
     correction: Correction,
     thermal_regressors: Array | None = None,
 ) -> Observations:
-    """Return the observations of the bare machine. Their axis positions are the displayed positions plus the
-    corrections of the active table.
+    """Return the observations of the machine without compensation. Their axis positions are the displayed positions
+    plus the corrections of the active table.
 
     `correction` maps n displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
-    `thermal_regressors` (n, w) contains the values of w regressors in K; it is None if the machine did not drift.
+    `thermal_regressors` (n, w) contains the values in K of w regressors of the thermal drift; it is None if the machine
+    did not drift.
     """
     displayed = np.array([ball.found.centre_mm for ball in balls])
     return Observations(

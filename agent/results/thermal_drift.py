@@ -44,8 +44,8 @@ def change_k(temperature: TemperatureSettings, balls: Sequence[MeasuredBall]) ->
 
 
 def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Observations:
-    """Return the observations of the bare machine. If the machine drifted, they contain thermal regressors and smoothed
-    temperatures of the artefact."""
+    """Return the observations of the machine without compensation. If the machine drifted, the observations contain
+    regressors of the thermal drift and smoothed temperatures of the artefact."""
     if not is_drifting(job.settings.temperature, balls):
         return observations_of(balls, job.tool_offset_mm, correction)
     instants_s = np.array([ball.conditions.instant_s for ball in balls])

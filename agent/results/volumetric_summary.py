@@ -1,5 +1,5 @@
-"""Estimated volumetric error (VE) of the bare machine, and predicted volumetric error (VCE) of the compensated
-machine."""
+"""Estimated volumetric error (VE) of the machine without compensation, and predicted volumetric error (VCE) of the
+compensated machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 
 def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:
-    """Return the estimated VE of the bare machine and the VCE expected after compensation.
+    """Return the estimated VE of the machine without compensation and the VCE expected after compensation.
 
     Both are computed over the standard grid of the workspace, in µm.
     """

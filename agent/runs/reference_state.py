@@ -1,9 +1,9 @@
 """Reference state of a machine: the estimate of the last accepted night, and the table that has been active since then.
 
 The journal is the only source of the reference state. One kind of decision in it accepts an estimate and names the
-table that was activated with the estimate. Another kind states that a full calibration is needed; such a decision is
-valid until a later night is accepted. A copy of the accepted estimate is written beside the journal, for people and for
-`volcal identify --carried-over`. Runs do not read this copy.
+table that is active from then on. Another kind states that a full calibration is needed; such a decision is valid until
+a later night is accepted. A copy of the accepted estimate is written beside the journal, for people and for `volcal
+identify --carried-over`. Runs do not read this copy.
 """
 
 from __future__ import annotations

@@ -68,14 +68,14 @@ class PathPlanner(Protocol):
         ...
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move to the retreat plane or to the park location. `centre` (3,) is the centre of the ball that was measured
-        last."""
+        """Move the tip to the retreat plane, or to the park location beside the station, where the probe is clear of
+        the turning artefact. `centre` (3,) is the centre of the ball that was measured last."""
         ...
 
 
 class PlainPathPlanner:
     """Path planner that withdraws the tip by `retract_mm` from every ball. Between positions, it moves the tip to the
-    retreat plane and to the park location."""
+    retreat plane and to the park location, where the probe is clear of the turning artefact."""
 
     def __init__(self, retreat: Retreat, probing: ProbingParameters) -> None:
         self._retreat = retreat

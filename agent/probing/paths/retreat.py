@@ -1,4 +1,5 @@
-"""Retreat plane and park locations. Paths by way of them are safe between positions without a collision check."""
+"""Retreat plane, and park locations beside the stations. Paths by way of the plane and these locations are safe between
+positions without a collision check."""
 
 from __future__ import annotations
 

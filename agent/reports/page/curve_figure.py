@@ -39,8 +39,8 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
 
 
 def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
-    """Return an SVG of the cross-effect of ram and column at full overhang. Each contribution is drawn as a function of
-    the height."""
+    """Return an SVG of the cross-effect of ram and column with the ram fully extended. Each contribution is drawn as a
+    function of the height."""
     drawing = Drawing("cross-effect", 5.6, 1.9)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.35)

@@ -154,9 +154,9 @@ class RunFacts:
     """Data of a run on a machine.
 
     `times` contains table rows about the start and the end of the run. `banks` contains table rows about the former
-    table, the table that was written, and the bank that is active at the end. `trend` is an SVG with the trends of all
-    runs up to this run. `drifts_um` contains one value in µm for each position: the displacement of the position's
-    first ball when it was measured again at the end of the position.
+    table, the table that was written, and the bank that is active at the end. `trend` is an SVG that shows the main
+    results of all runs up to this run. `drifts_um` contains one value in µm for each position: the displacement of the
+    position's first ball when it was measured again at the end of the position.
     """
 
     touches: int | None = None

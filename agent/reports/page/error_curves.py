@@ -17,7 +17,8 @@ SAMPLES = 81
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """Values of an error function and their standard uncertainties at n axis positions. `unit` is µm or µrad."""
+    """Error function `value` and its standard uncertainty `sigma` at n axis positions `position_mm`. All three are
+    arrays (n,). `unit` is µm or µrad."""
 
     name: str
     argument: str
@@ -62,7 +63,8 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
 
 
 def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """Return the curves of the contributions of the cross-effect to EYZ and EAZ at full overhang, as functions of Z.
+    """Return the curves of the contributions of the cross-effect to EYZ and EAZ with the ram fully extended, as
+    functions of Z.
 
     The result is empty if the model has no cross-effect.
     """

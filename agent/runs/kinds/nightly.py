@@ -100,8 +100,9 @@ class Night:
 
 
 class NightlyRun(CalibrationRun):
-    """Run of a night. It consists of the verification, further positions in the rest of the slot, the combination with
-    the earlier estimate, and the proof."""
+    """Run of a night. It verifies the machine, measures further positions in the rest of the slot, and combines the
+    measurements with the earlier estimate. If the expected gain is large enough, it also writes an updated table and
+    proves it."""
 
     def __init__(
         self,

@@ -57,8 +57,7 @@ class PositionChooser:
         measured: Sequence[Position] = (),
         left_out: Sequence[Position] = (),
     ) -> Iterator[Position]:
-        """Yield positions in descending order of gain per minute, until their time exceeds `minutes` or their number
-        reaches `most`.
+        """Yield at most `most` positions in descending order of gain per minute, as long as they fit into `minutes`.
 
         The gain is the reduction of the uncertainty that remains after `prior` and the positions `measured`. Positions
         in `left_out` are never chosen.
