@@ -29,7 +29,7 @@ class Clock(Protocol):
 
 
 class RealClock:
-    """Clock that runs with the wall clock."""
+    """Clock whose time is the monotonic time of the computer."""
 
     def now(self) -> float:
         return time.monotonic()
@@ -173,8 +173,8 @@ class InterruptibleClock:
 def without_interrupts(clock: Clock) -> Clock:
     """Return the inner clock of an `InterruptibleClock`; return any other clock unchanged.
 
-    Use the result for waits between a request and its answer. These waits must not be interrupted, because hold and
-    stop send requests themselves while the run is interrupted.
+    Use the returned clock for waits between a request and its answer. These waits must not be interrupted, because the
+    commands hold and stop also send requests while the run is interrupted.
     """
     return clock.inner if isinstance(clock, InterruptibleClock) else clock
 

@@ -24,9 +24,7 @@ class DriveDescription:
     product_code: int | None = None
 
     def with_identity(self, settings: AxisSettings) -> AxisSettings:
-        """Return `settings` with the vendor id and the product code from the EDS file, where the settings leave them
-        open.
-        """
+        """Return a copy of `settings` in which a missing vendor id or product code is taken from the EDS file."""
         found = {"vendor_id": self.vendor_id, "product_code": self.product_code}
         missing = {name: value for name, value in found.items() if value and getattr(settings, name) is None}
         return settings.model_copy(update=missing)

@@ -1,7 +1,8 @@
 """One axis of the mount: a CiA 402 drive in profile position mode and homing mode.
 
-The driver polls the statusword with SDO requests on a clock that it is given, so its behaviour is the same in virtual
-and in real time. It does not use PDOs, because the positions in PDOs lag by a cycle.
+The driver polls the statusword of the drive with SDO requests (service data objects). It waits on a clock that it is
+given, so its behaviour is the same in virtual and in real time. It does not use PDOs (process data objects), because
+the positions in PDOs lag by a cycle.
 """
 
 from __future__ import annotations
@@ -121,10 +122,10 @@ class Drive:
             )
 
     def prepare(self) -> None:
-        """Set the heartbeat time of the node and switch the node to the NMT state *operational*. The drive does not
-        move.
+        """Set the heartbeat time of the node and switch the node to the state *operational*. The drive does not move.
 
-        This is necessary when the mount opens, and again after a restart of the node.
+        The state is switched by network management (NMT). This is necessary when the mount opens, and again after a
+        restart of the node.
         """
         self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)
         self.node.start()
@@ -264,7 +265,9 @@ class Drive:
             raise
 
     def check_in_motion(self) -> None:
-        """Call `check`, and raise MotionFault if it returns an emergency that the settings do not tolerate."""
+        """Call `check`, and raise MotionFault if an emergency message has an error code that the settings do not
+        tolerate.
+        """
         self._require_no_emergency(self.check())
 
     def _require_no_emergency(self, codes: list[int]) -> None:

@@ -24,9 +24,9 @@ _log = structlog.get_logger("canopen_mount")
 
 @dataclass(frozen=True)
 class Factor:
-    """Expected value of one object, or of a ratio stored in two sub-indexes of an object.
+    """Factor that the drive must have: one object, or a ratio stored in two sub-indexes of an object.
 
-    `key` is the key of the axis settings that gives the expected value.
+    `values` contains the expected value or ratio. `key` is the key of the axis settings that gives it.
     """
 
     name: str
@@ -35,7 +35,10 @@ class Factor:
     key: str
 
     def agrees(self, found: tuple[int, ...]) -> bool:
-        """Return True if `found` equals the expected value. Ratios are compared by value, so 36:1 equals 72:2."""
+        """Return True if `found` equals the expected value.
+
+        Ratios are compared by their value, so 36:1 equals 72:2.
+        """
         if len(found) == 1:
             return found == self.values
         return bool(found[1]) and Fraction(*found) == Fraction(*self.values)

@@ -26,7 +26,7 @@ class SoftLimits:
 def read_soft_limits(node: DriveNode) -> SoftLimits | None:
     """Return the software limits stored in the drive; None if there are none or if they are disabled.
 
-    A drive has disabled its limits if the lower limit is not below the upper one.
+    The limits are disabled if the lower limit is not below the upper one.
     """
     lower, upper = node.read_optional(objects.LOWER_LIMIT), node.read_optional(objects.UPPER_LIMIT)
     if lower is None or upper is None or lower >= upper:

@@ -1,4 +1,5 @@
-"""CANopen node of a drive: its objects (read and written by SDO), its emergency messages and its heartbeat.
+"""CANopen node of a drive: its objects (read and written by SDO, service data objects), its emergency messages and its
+heartbeat.
 
 The messages of a node arrive in order. When the answer to an SDO request arrives, every earlier message of the node has
 therefore been received. After a read of the statusword, all earlier emergency and boot-up messages are known.

@@ -1,4 +1,4 @@
-"""Monitoring of a node for restarts, silence, emergencies and changes of its NMT state."""
+"""Monitor of a CANopen node: it detects restarts, silence, emergencies and changes of the network state (NMT)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class NodeMonitor:
-    """Monitor of one node; the driver calls `check` repeatedly during every wait.
+    """Monitor of one CANopen node; the driver calls `check` repeatedly during every wait.
 
     The age of the latest heartbeat is measured on the given clock. A heartbeat may seem late only because this process
-    was busy, so the node is queried by SDO before it is declared lost.
+    was busy. Therefore the node is queried by an SDO request before it is declared lost.
     """
 
     def __init__(self, node: DriveNode, clock: Clock, *, timeout_s: float | None) -> None:

@@ -1,4 +1,4 @@
-"""Driver plugin ``canopen-mount``."""
+"""Driver plugin ``canopen-mount`` for a rotary mount with two CiA 402 drives on a CAN bus."""
 
 from __future__ import annotations
 

@@ -21,7 +21,10 @@ INT32_MAX = 2**31 - 1
 
 @dataclass(frozen=True)
 class AxisScale:
-    """Scale of one axis. `counts_per_degree` is exact and positive; `direction` is 1 or -1."""
+    """Scale of one axis: conversion between mount angles and encoder counts.
+
+    `counts_per_degree` is exact and positive; `direction` is 1 or -1.
+    """
 
     counts_per_degree: Fraction
     direction: int
@@ -41,11 +44,14 @@ class AxisScale:
         return cls(density, direction, offset_deg)
 
     def counts(self, angle_deg: float) -> int:
-        """Return the count nearest to an angle, rounding half to even."""
+        """Return the encoder count nearest to a mount angle in degrees.
+
+        If two counts are equally near, the even one is returned.
+        """
         return round(self.direction * (Fraction(angle_deg) - Fraction(self.offset_deg)) * self.counts_per_degree)
 
     def angle_deg(self, counts: int) -> float:
-        """Return the angle in degrees of a count, rounded once to float64."""
+        """Return the mount angle in degrees for an encoder count, rounded once to float64."""
         return float(self.direction * Fraction(counts) / self.counts_per_degree + Fraction(self.offset_deg))
 
     def rate(self, degrees: float) -> int:

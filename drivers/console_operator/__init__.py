@@ -1,1 +1,1 @@
-"""Operator device that asks through the terminal in which volcal runs."""
+"""Operator device that asks its questions in the terminal in which volcal runs."""

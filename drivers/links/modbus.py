@@ -53,7 +53,7 @@ class LatencyStatistics:
     def median_s(self) -> float:
         """Median of the most recent round-trip times in s; 0 if there were none.
 
-        `window` limits how many round trips are considered (1000 by default).
+        At most `window` round trips are considered (1000 by default).
         """
         return median(self._recent) if self._recent else 0.0
 
@@ -110,8 +110,7 @@ class ModbusLink:
             raise ProtocolError("the answer to a write names other registers", register=register, **self.where)
 
     def exchange(self, register: int, data: bytes, read: int, count: int, *, idempotent: bool) -> bytes:
-        """Write `data` to the registers from `register` on, then read `count` registers from `read` on and return their
-        bytes.
+        """Write `data` starting at `register`, then read `count` registers starting at `read` and return their bytes.
 
         Function 23 writes and reads in one round trip. If the server does not support function 23, this and all later
         calls use functions 16 and 3 instead.

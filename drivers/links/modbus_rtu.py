@@ -1,7 +1,8 @@
 """Modbus RTU on a serial line, over pyserial.
 
-This module does not use pymodbus, which would make a bad line look like a dead controller. It searches for a frame
-anywhere in the received bytes, silently skips an answer of another unit, and reports a garbled answer as a timeout.
+This module does not use pymodbus, because pymodbus makes a bad line look like a dead controller: it searches for a
+frame anywhere in the received bytes, silently skips an answer of another unit, and reports a garbled answer as a
+timeout.
 
 RTU frames have no transaction number. Before each request, received bytes are discarded. After a failed request, bytes
 are also read and discarded until the line is quiet. An answer that arrives even later is accepted as the answer to the

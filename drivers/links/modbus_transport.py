@@ -48,8 +48,8 @@ class Transport(Protocol):
 def answer_length(request: bytes) -> int:
     """Return the length in bytes of the answer to `request` if the unit reports no exception.
 
-    Both are counted from the function code on, without a checksum. Source: MODBUS Application Protocol V1.1b3, 6.3 …
-    6.17.
+    The length is counted from the function code on, without a checksum. `request` also begins with the function code
+    and contains no checksum. Source: MODBUS Application Protocol V1.1b3, 6.3 … 6.17.
     """
     if request[0] in (READ, WRITE_AND_READ):
         return 2 + 2 * int.from_bytes(request[3:5], "big")

@@ -1,6 +1,6 @@
-"""Link to the bridge process.
+"""Link to the bridge process between volcal and LinuxCNC.
 
-If the bridge does not answer while the machine must be stopped, it is replaced by a new bridge process.
+If the machine must be stopped and the bridge process does not answer, a new bridge process is started for the stop.
 """
 
 from __future__ import annotations

@@ -47,9 +47,10 @@ class LinuxCnc:
         self._parts: _Parts | None = None
 
     def open(self) -> None:
-        """Start the bridge process.
+        """Start the bridge process, and home the joints if this is possible without a motion.
 
-        The joints are also homed if they are not yet homed, the settings allow homing, and no joint has to move for it.
+        The joints are homed only if they are not yet homed, the settings allow homing, and every joint has an absolute
+        encoder.
         """
         if self._parts is not None:
             return
@@ -62,7 +63,11 @@ class LinuxCnc:
         self._parts = _Parts(self._session)
 
     def close(self) -> None:
-        """Restore the modal codes and the mode in effect before the first motion, and end the bridge process."""
+        """End the bridge process.
+
+        If motions were made, the modal codes in effect before the first motion are restored first, and the controller
+        is switched to manual mode.
+        """
         parts, self._parts = self._parts, None
         try:
             if parts is not None and self._session.link.connected:

@@ -1,4 +1,4 @@
-"""Straight motions by MDI lines, from the start of the motion until its end."""
+"""Straight motions of a LinuxCNC machine. Each motion is commanded by one MDI line and followed until its end."""
 
 from __future__ import annotations
 
@@ -95,10 +95,9 @@ class LinuxCncMotion:
         return LinuxCncMotionResult(before.position, ended)
 
     def stop(self) -> None:
-        """Stop the motion.
+        """Stop the motion without waiting for standstill.
 
-        The method does not wait for standstill, because it may be called while a sleep of the clock is being
-        interrupted.
+        The method must not wait, because it may be called while a sleep of the clock is being interrupted.
         """
         self._braking = True
         self._session.link.abort()

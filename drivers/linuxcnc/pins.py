@@ -1,4 +1,4 @@
-"""Interface through which a compensation store reads and sets HAL pins.
+"""Interface through which a compensation store reads and sets pins of HAL, the hardware abstraction layer of LinuxCNC.
 
 The link to the bridge process implements this interface.
 """
@@ -24,9 +24,8 @@ class Pins(Protocol):
         ...
 
     def set(self, name: str, value: PinValue) -> None:
-        """Set a pin in the same way as `halcmd setp`.
+        """Set a pin, as the command `halcmd setp` does.
 
-        If the pin is linked to a signal that has no writing pin, the signal is set instead, in the same way as by
-        `halcmd sets`.
+        If the pin is linked to a signal that no other pin writes, set this signal, as the command `halcmd sets` does.
         """
         ...

@@ -74,10 +74,10 @@ class LinuxCncSession:
         return parse_snapshot(self.link.ask("status", pins=self._pins), self.properties.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
-        """Return a mapping from each permission to True if it is granted, and to False otherwise.
+        """Return, for each permission, True if it is granted and False otherwise.
 
-        The permissions follow from the state of LinuxCNC in `snapshot`. A permission with a configured HAL pin is
-        granted only if this pin is also true.
+        A permission follows from the state of LinuxCNC in `snapshot`. If a HAL pin is configured for the permission,
+        this pin must also be true.
         """
         on = snapshot.task_state == ON
         given = dict.fromkeys(Permission, True) | {

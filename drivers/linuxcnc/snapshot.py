@@ -18,9 +18,9 @@ ON = "on"
 class Snapshot:
     """State of LinuxCNC at one instant.
 
-    `position` and `probed` are the present and the latched machine position, both without external offsets.
-    `program_offset` is the machine position minus the programmed position. `errors` contains the messages of LinuxCNC
-    since the previous snapshot.
+    `position` is the machine position, and `probed` is the machine position latched at the last trip of the probe; both
+    are without external offsets. `program_offset` is the machine position minus the programmed position. `errors`
+    contains the messages of LinuxCNC since the previous snapshot.
     """
 
     position: Triple

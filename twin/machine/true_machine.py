@@ -33,9 +33,9 @@ class TrueMachine:
     deflection: DeflectionGrid | None
 
     def deviation(self, bare_positions: Array) -> Array:
-        """Return the deviation of the tool centre point at axis positions without any correction applied.
+        """Return the deviation of the tool centre point at n axis positions, without any compensation.
 
-        The axis positions and the result have shape (n, 3) and are in mm.
+        The axis positions and the deviation have shape (n, 3) and are in mm.
         """
         total = np.zeros_like(bare_positions)
         if self.model is not None:

@@ -120,11 +120,11 @@ def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> VolumetricRms:
 class QuadraticForm:
     """Mean square of a deviation field over a grid, as a quadratic function of the p model parameters.
 
-    The field is linear in the parameters. A fixed field, which does not depend on them, can be added.
+    The field is linear in the parameters. A fixed field, which does not depend on the parameters, can be added.
 
-    `raw` and `aligned`, shape (p, p), are the quadratic coefficients in mm² per product of two parameter units.
-    `raw_linear` and `aligned_linear`, shape (p,), and `raw_constant` and `aligned_constant` come from the fixed field;
-    they are zero if there is none.
+    `raw` and `aligned`, shape (p, p), are the quadratic coefficients in mm² per product of two parameter units. The
+    fixed field causes the linear coefficients `raw_linear` and `aligned_linear`, shape (p,), and the constants
+    `raw_constant` and `aligned_constant`. All of these are zero if there is no fixed field.
     """
 
     model: ErrorModel
@@ -139,8 +139,9 @@ class QuadraticForm:
 
     @classmethod
     def build(cls, model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> QuadraticForm:
-        """Build the quadratic form for the axis positions of a grid, shape (n, 3), and a tool offset, shape (3,), in
-        mm.
+        """Build the quadratic form for a grid and a tool offset in mm.
+
+        The axis positions of the grid have shape (n, 3), and the tool offset has shape (3,).
         """
         points = as_points(axis_positions, "axis positions")
         offset = as_vector(tool_offset, 3, "tool offset")
@@ -157,8 +158,9 @@ class QuadraticForm:
         return cls(model, points, offset, raw, aligned, np.zeros(model.size), np.zeros(model.size))
 
     def with_field(self, field: ArrayLike) -> QuadraticForm:
-        """Return a quadratic form for the same grid with the fixed `field`, shape (n, 3), in mm added to the linear
-        field.
+        """Return a quadratic form that also includes a fixed field on the same grid.
+
+        `field`, shape (n, 3), contains the deviations in mm that are added to the linear field.
         """
         fixed = as_points(field, "field")
         if fixed.shape != self.axis_positions.shape:
@@ -204,11 +206,10 @@ class QuadraticForm:
         return VolumetricRms(float(raw[0]), float(aligned[0]))
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Return the root of the expected mean square over machines whose parameters have mean zero and this
-        `covariance`.
+        """Return the root of the mean square that is expected over machines with random parameters.
 
-        With P for the covariance, shape (p, p), the result is sqrt(trace(Q P) + c). Q is `raw` or `aligned`, and c is
-        the mean square of the fixed field.
+        The parameters have mean zero and the `covariance` P, shape (p, p). The result is sqrt(trace(Q P) + c), where Q
+        is `raw` or `aligned`, and c is the mean square of the fixed field.
         """
         raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
         aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant

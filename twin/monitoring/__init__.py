@@ -1,4 +1,4 @@
-"""Trends over nights: control charts, drift with separate steps, and the time until a limit is reached."""
+"""Trends over nights: control charts, drift, sudden steps, and the time until a limit is reached."""
 
 from twin.monitoring.control_chart import EwmaChart, IndividualsChart, ewma_chart, individuals_chart
 from twin.monitoring.crossing import LimitCrossing, limit_crossing

@@ -1,5 +1,4 @@
-"""Control charts of single values: the individuals chart, and the chart of the exponentially weighted moving average
-(EWMA).
+"""Control charts of single values: individuals chart and EWMA chart (exponentially weighted moving average).
 
 The individuals chart (Shewhart, with limits from the moving range) follows ISO 7870-2. The EWMA chart follows ISO
 7870-6. Its weight of 0.2 and its limit width of 2.962 standard deviations are those of Lucas & Saccucci, Technometrics
@@ -41,10 +40,10 @@ class IndividualsChart:
 
 @dataclass(frozen=True, eq=False)
 class EwmaChart:
-    """EWMA control chart of n values: moving averages `values` with their limits `lower` and `upper`, each of shape
-    (n,).
+    """EWMA control chart of n values.
 
-    `outside` contains the indices of the moving averages that are beyond a limit.
+    `values` contains the moving averages, `lower` and `upper` contain their limits; each has shape (n,). `outside`
+    contains the indices of the moving averages that are beyond a limit.
     """
 
     values: Array

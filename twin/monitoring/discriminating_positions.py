@@ -4,8 +4,8 @@ A position is described by its information factor W: WᵀW is the information (t
 centres give about the unknowns z of the identification. If z changes by a, the whitened measurement of the position
 changes by W a. Touch noise and the covariance C of z give this measurement the covariance I + W C Wᵀ, where I is the
 identity matrix. The detectability of the change is the noncentrality of the χ² test, aᵀWᵀ(I + W C Wᵀ)⁻¹W a. If a is the
-difference of two suspected jumps, the detectability is twice the divergence between them (Box & Hill, Technometrics 9,
-1967).
+difference of two suspected jumps, the detectability is twice the Kullback-Leibler divergence between the two hypotheses
+(Box & Hill, Technometrics 9, 1967).
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from twin.monitoring.step_detection import ERRORS
 class JumpQuestions:
     """Questions about possible jumps of the errors, which further measurements should answer.
 
-    `shifts`, shape (m, P), contains m possible shifts of the P unknowns z. `weights`, shape (q, m), contains one row
-    for each of the q questions: the weights with which the noncentralities of the m shifts are summed.
+    The noncentrality of a χ² test measures how clearly a measurement would show a shift of the unknowns. `shifts`,
+    shape (m, P), contains m possible shifts of the P unknowns z. `weights`, shape (q, m), contains one row for each of
+    the q questions: the weights with which the noncentralities of the m shifts are summed.
     """
 
     shifts: Array
@@ -56,8 +57,9 @@ class JumpQuestions:
     def noncentralities(self, factors: Array, covariance: Array) -> Array:
         """Return the noncentrality, shape (N, q), that each of N positions contributes to each of the q questions.
 
-        `factors`, shape (N, r, P), contains the information factors of the positions, with r rows each. `covariance`,
-        shape (P, P), is the covariance of the unknowns z before these positions are measured.
+        A large noncentrality means that the position answers the question clearly. `factors`, shape (N, r, P), contains
+        the information factors of the positions, with r rows each. `covariance`, shape (P, P), is the covariance of the
+        unknowns z before these positions are measured.
         """
         seen = factors @ self.shifts.T
         noise = np.eye(factors.shape[1]) + factors @ covariance @ factors.transpose(0, 2, 1)
@@ -73,10 +75,11 @@ def rank_discriminating_positions(
 ) -> Iterator[int]:
     """Yield the indices of the candidates in the order in which they should be measured.
 
-    Each yielded candidate is the one with the largest value per minute, if `measured` and all candidates yielded
-    earlier have been measured. The value is the increase of the sum of ln(1 + noncentrality) over the questions. The
-    logarithm gives little value to questions that are already answered. `allowed`, shape (N,), marks the candidates
-    that may be yielded, each of them once. `minutes`, shape (N,), contains the time that each candidate needs.
+    The next candidate is always the one with the largest value per minute, assuming that the positions `measured` and
+    all candidates yielded earlier have been measured. The value is the increase of the sum of ln(1 + noncentrality)
+    over the questions. Questions that are already answered therefore contribute little. `allowed`, shape (N,), marks
+    the candidates that may be yielded, each of them once. `minutes`, shape (N,), contains the time that each candidate
+    needs.
     """
     left, chosen = allowed.copy(), list(measured)
     obtained = _answered(candidates, measured, questions)

@@ -1,14 +1,14 @@
 """Drift per night by weighted linear regression, with separate terms for steps at known times.
 
 The separate terms prevent the steps from biasing the drift. The value y_i of night t_i is modelled as y_i = level +
-slope (t_i - t_n) - (sum of the steps after t_i), where t_n is the last night.
+slope (t_i - t_n) - (sum of the sizes of all steps later than t_i), where t_n is the last night.
 
 The variances are assumed to be proportional to the stated variances. The factor of proportionality is estimated from
 the residuals (GUM Type A; Deming 1943), because contributions common to all nights (certificate, prior) are part of the
 stated uncertainty but cause no scatter about a trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom, the
-stated uncertainties are used unchanged. Estimates of neighbouring nights share information and therefore scatter too
-little. If the residuals have a lag-1 correlation r > 0, the variance is multiplied by (1 + r) / (1 - r) (Bartlett
-1935).
+stated uncertainties are used unchanged. If the estimates of neighbouring nights share information, they scatter too
+little. Therefore, if the residuals have a lag-1 correlation r > 0, the variance is multiplied by (1 + r) / (1 - r)
+(Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -69,11 +69,11 @@ class Drift:
 
 
 def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Sequence[float] = ()) -> Drift:
-    """Fit the drift of the `values` measured in n `nights`.
+    """Fit the drift of the `values` that were measured in n `nights`.
 
-    `nights`, in ascending order, `values` and `sigmas` have shape (n,); `sigmas` contains the standard uncertainties of
-    the values. `steps` contains the times, in nights, at which a new level begins. Raises DataError if there are too
-    few values or if the input is invalid.
+    The nights must be in ascending order. `sigmas` contains the standard uncertainties of the values. These three
+    arrays have shape (n,). `steps` contains the times, in nights, at which a new level begins. Raises DataError if
+    there are too few values or if the input is invalid.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     _check(t, y, u)

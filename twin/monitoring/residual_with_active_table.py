@@ -34,7 +34,8 @@ class ResidualWithTable:
 
     @classmethod
     def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ResidualWithTable:
-        """Prepare the computation for a `grid` of axis positions, shape (n, 3), and a tool offset, shape (3,), in mm.
+        """Prepare the computation of the residual error for a `grid` of axis positions, shape (n, 3), and a tool
+        offset, shape (3,), in mm.
 
         `scales` are the scale factors of noise, prior and misfit from the current estimate.
         """
@@ -44,8 +45,8 @@ class ResidualWithTable:
     def of(self, mean: Array, covariance: Array, written: ArrayLike) -> VolumetricRms:
         """Return the root of the expected mean square of the residual field (machine minus table).
 
-        The P unknowns z of the machine have the given `mean`, shape (P,), and `covariance`, shape (P, P). The table
-        corrects the model parameters `written`, shape (p,), in mm or rad.
+        The P unknowns z of the machine have the given `mean`, shape (P,), and `covariance`, shape (P, P). `written`,
+        shape (p,), contains the model parameters in mm or rad from which the table was computed.
         """
         return self._root(covariance, self.uncompensated(mean, written), self.left_out_mm2)
 
@@ -58,9 +59,10 @@ class ResidualWithTable:
         return self._root(np.zeros_like(self.form.raw), step, 0.0)
 
     def uncompensated(self, mean: Array, written: ArrayLike) -> Array:
-        """Subtract the parameters `written` in a table from the `mean`, shape (P,), of the unknowns z.
+        """Return the mean of the unknowns z, shape (P,), minus the parameters that the table compensates.
 
-        `written`, shape (p,), is in mm or rad and is converted to the units of z. Return the difference, shape (P,).
+        `mean`, shape (P,), is the mean of z. `written`, shape (p,), contains the model parameters in mm or rad from
+        which the table was computed; they are converted to the units of z.
         """
         return uncompensated(self.unknowns, mean, written)
 
@@ -79,9 +81,10 @@ class ResidualWithTable:
 
 
 def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
-    """Subtract the parameters `written` in a table from the `mean`, shape (P,), of the unknowns z.
+    """Return the mean of the unknowns z, shape (P,), minus the parameters that the table compensates.
 
-    `written`, shape (p,), is in mm or rad and is converted to the units of z. Return the difference, shape (P,).
+    `mean`, shape (P,), is the mean of z. `written`, shape (p,), contains the model parameters in mm or rad from which
+    the table was computed; they are converted to the units of z.
     """
     parameters, scale = as_vector(written, unknowns.model.size, "written parameters"), unknowns.scale
     left = mean.copy()
@@ -101,11 +104,11 @@ def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
 def residual_covariance(
     unknowns: Unknowns, scales: Scales, mean: Array, covariance: Array, points: ArrayLike, tool_offset: ArrayLike
 ) -> Array:
-    """Return the matrix of second moments, shape (3n, 3n), in mm² of the residual field (machine minus table).
+    """Return the second moments, shape (3n, 3n), of the residual field (machine minus table) in mm².
 
     The residual field is taken at n axis positions `points`, shape (n, 3). Rows and columns run point by point, in the
-    order x, y, z. `mean`, shape (P,), is the mean of the unknowns z minus the parameters in the table, as returned by
-    `uncompensated`. `covariance`, shape (P, P), is the covariance of z.
+    order x, y, z. `mean`, shape (P,), is the mean of the unknowns z minus the parameters that the table compensates, as
+    returned by `uncompensated`. `covariance`, shape (P, P), is the covariance of z.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     blocks = unknowns.blocks

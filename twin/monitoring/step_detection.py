@@ -5,15 +5,17 @@ centres give the equations y = A z + noise. The design matrix A and the right si
 projected out of both. The noise has the standard deviation σ. The innovation y - A m, the difference between
 measurement and expectation, then has the covariance S = σ² I + A C Aᵀ, where I is the identity matrix.
 
-A score test examines the hypothesis that one error has also jumped by a. The matrix J selects the coefficients of this
-error in z. The jump a has mean zero and the variance Λ that the error has in the family of machines. The logarithm of
-the likelihood ratio is then
+A score test examines the hypothesis that the coefficients of one error have also changed by the vector a. The matrix J
+selects these coefficients in z. The change a has mean zero and the covariance Λ that the coefficients have in the
+family of machines. The logarithm of the likelihood ratio is then
 
     ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(I + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
 
 with the score s, shape (P,), and the information F, shape (P, P). The second term penalises an error with many
-coefficients for its degrees of freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995). F is computed as F = C⁻¹ -
-C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
+coefficients for its degrees of freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995). F is computed from the prior and
+the design matrix as
+
+    F = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
 """
 
 from __future__ import annotations
@@ -100,12 +102,12 @@ class Innovation:
 
     @cached_property
     def posterior_mean(self) -> Array:
-        """Mean (P,) of z after these ball centres have been included."""
+        """Mean, shape (P,), of the unknowns z given the prior knowledge and the measured ball centres."""
         return np.asarray(self.mean + self.covariance @ self.score)
 
     @cached_property
     def posterior_covariance(self) -> Array:
-        """Covariance (P, P) of z after these ball centres have been included."""
+        """Covariance, shape (P, P), of the unknowns z given the prior knowledge and the measured ball centres."""
         after = self.covariance - self.covariance @ self.information @ self.covariance
         return np.asarray(0.5 * (after + after.T))
 
@@ -119,11 +121,11 @@ class Innovation:
         return tuple(sorted(found, key=lambda one: -one.evidence))
 
     def find_jumps(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Search for the errors that have jumped, one after another, and return them.
+        """Search for the errors that have jumped, and return them in the order in which they are found.
 
-        Each search step takes the error with the largest evidence. Errors found in earlier steps stay free to have
-        jumped. The search ends at an error whose evidence is smaller than `evidence`, or after `most` errors. `jump` is
-        the standard deviation of the assumed jump of a coefficient, divided by the standard deviation of the
+        Each step of the search takes the error with the largest evidence. Errors found in earlier steps remain free to
+        have jumped. The search ends when the largest evidence is smaller than `evidence`, or after `most` errors.
+        `jump` is the standard deviation of the assumed jump of a coefficient, divided by the standard deviation of the
         coefficient in the family of machines.
         """
         left, named = self, []
@@ -186,8 +188,9 @@ class Innovation:
 def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
     """Compare measured ball centres (`observations`) with the prior knowledge `known`.
 
-    The covariance in `known` must already include the process noise for the time since the earlier estimate. The scale
-    of the touch noise is taken from `known`. Raises DataError if model, artefact or balls do not match.
+    The covariance in `known` must already include the changes that are expected since the earlier estimate (the process
+    noise). The scale of the touch noise is taken from `known`. Raises DataError if model, artefact or balls do not
+    match.
     """
     options = Options(carried_over=known, outliers="none", estimate_scales=False)
     problem = build_problem(family, observations, artefact, options)

@@ -70,7 +70,10 @@ class FieldError:
 
     @classmethod
     def of(cls, estimate: Estimate, truth: TrueMachine, axis_positions: Array) -> FieldError:
-        """Return the field error at axis positions, shape (n, 3), in mm, for the tool of the true machine `truth`."""
+        """Return the error of the field that `estimate` predicts at n axis positions, shape (n, 3), in mm.
+
+        The error is computed for the tool of the true machine `truth`.
+        """
         offset = truth.tool_offset
         left = truth.deviation(axis_positions)
         left -= exact_deviation(estimate.model, axis_positions, offset, estimate.parameters)
@@ -90,7 +93,7 @@ class FieldError:
     def pointwise_levels(self) -> Array:
         """Return one level for each component of the error at each point, as an array of shape (3n,).
 
-        Each level is that of the symmetric interval whose end coincides with the true value.
+        Each level belongs to the symmetric uncertainty interval that ends exactly at the true value.
         """
         return two_sided_level(self.error / np.sqrt(np.diagonal(self.covariance)))
 
@@ -103,18 +106,18 @@ class FieldError:
 
 
 def two_sided_level(standardised: Array) -> Array:
-    """Return the levels, shape (n,), of symmetric intervals about zero of a standard normal variable.
+    """Return, for each given value v, the probability that a standard normal variable lies between -|v| and |v|.
 
-    Interval i ends at the given value `standardised[i]`.
+    `standardised`, shape (n,), contains the values; the result also has shape (n,).
     """
     return np.asarray(2.0 * ndtr(np.abs(standardised)) - 1.0)
 
 
 def joint_level(error: Array, covariance: Array) -> float:
-    """Return the level of the uncertainty ellipsoid whose surface passes through `error`, shape (n,).
+    """Return the level of the uncertainty ellipsoid whose surface passes through the point `error`, shape (n,).
 
-    `covariance`, shape (n, n), defines the shape of the ellipsoid. Directions in which the covariance is zero are
-    ignored.
+    The ellipsoid is centred on zero, and `covariance`, shape (n, n), defines its shape. Directions in which the
+    covariance is zero are ignored.
     """
     values, vectors = np.linalg.eigh(covariance)
     used = values > _MIN_VARIANCE * values[-1]
@@ -136,12 +139,11 @@ def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) ->
 
 @dataclass(frozen=True)
 class VolumetricComparison:
-    """Comparison of the true with the expected value of the volumetric error (VE) or the volumetric compensated error
-    (VCE).
+    """Comparison of a true volumetric error with its expected value, for VE or for VCE.
 
     `true_mm` is the true value, and `expected_mm` is the root of the expected mean square. Both apply after the
-    best-fitting rigid motion has been removed. `level` is the level of the equal-tailed interval whose end coincides
-    with the true value.
+    best-fitting rigid motion has been removed. `level` is the level of the equal-tailed uncertainty interval that ends
+    exactly at the true value.
     """
 
     true_mm: float
@@ -152,9 +154,10 @@ class VolumetricComparison:
 def volumetric_comparisons(
     estimate: Estimate, truth: TrueMachine, grid: Array
 ) -> tuple[VolumetricComparison, VolumetricComparison]:
-    """Compare the true VE, and then the true VCE, with the distribution that `estimate` states for it.
+    """Compare the true VE and the true VCE with their distributions according to `estimate`.
 
-    Both are computed over axis positions `grid`, shape (n, 3), in mm. Return the two comparisons in this order.
+    Both are computed over the axis positions `grid`, shape (n, 3), in mm. Return the comparison of VE first and that of
+    VCE second.
     """
     offset = truth.tool_offset
     true = truth.deviation(grid)
@@ -171,10 +174,11 @@ def volumetric_comparisons(
 def held_out_levels(
     estimate: Estimate, family: Family, seen: Observations, artefact: Artefact, options: Options
 ) -> Array:
-    """Return one level, shape (K,), for each of the K held-out positions in `seen`.
+    """Return one level for each of the K held-out positions in `seen`, as an array of shape (K,).
 
-    The level is that of the joint uncertainty region of all balls of the position, after the pose of the position has
-    been removed. The estimate must not have used the observations in `seen`.
+    The pose of each position is fitted and removed. The level is that of the joint uncertainty region of all balls of
+    the position whose boundary passes through the measured values. The estimate must not have used the observations in
+    `seen`.
     """
     problem = build_problem(family, seen, artefact, options)
     left, local = problem.sides(estimate.z)

@@ -62,7 +62,7 @@ class ErrorBudget:
     def contributions(self) -> Mapping[str, VolumetricRms]:
         """Contribution of each influence to the expected VCE.
 
-        The contribution is the root of the part of the expected mean square that the influence causes.
+        An influence causes a part of the expected mean square; its contribution is the root of this part.
         """
         squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
         fixed = self.field.fixed_square(self.bias)
@@ -82,7 +82,7 @@ class ErrorBudget:
 
     @cached_property
     def total(self) -> Array:
-        """Second moments (u, u) of all influences together, without the deflection."""
+        """Second moments, shape (u, u), caused by all influences together; the deflection is not included."""
         return np.asarray(np.sum(list(self.moments.values()), axis=0))
 
     @property
@@ -123,9 +123,9 @@ def error_budget(
     """Return the error budget of a procedure that identifies `model` from planned `observations`.
 
     The true machines follow `assumptions`; `family` is the prior of the identification. The error is evaluated for a
-    tool offset, shape (3,), on a `grid` of axis positions, shape (n, 3), in mm. All scales are 1 and no ball is
-    rejected, regardless of `options`. To evaluate many position sets, build the `FieldForm` once and use
-    `error_budget_of_form`.
+    tool offset, shape (3,), on a `grid` of axis positions, shape (n, 3), in mm. The scales (factors on the standard
+    deviations of noise, prior and misfit) are 1 and no ball is rejected, regardless of `options`. To evaluate many
+    position sets, build the `FieldForm` once and use `error_budget_of_form`.
     """
     return error_budget_of_form(
         FieldForm.build(model, assumptions, grid, tool_offset), family, artefact, observations, options
@@ -135,9 +135,9 @@ def error_budget(
 def error_budget_of_form(
     field: FieldForm, family: Family, artefact: Artefact, observations: Observations, options: Options
 ) -> ErrorBudget:
-    """Return the error budget of a procedure for an existing quadratic form of the residual field.
+    """Return the error budget of a procedure for an existing quadratic form `field` of the residual field.
 
-    Raises DataError if `family`, the prior, belongs to another model than `field`.
+    `family` is the prior of the identification. Raises DataError if it belongs to another model than `field`.
     """
     if family.model != field.model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")

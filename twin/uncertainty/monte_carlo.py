@@ -1,9 +1,9 @@
 """Monte Carlo simulation of a whole procedure: true machine, true artefact, simulated measurements, residual error.
 
 Every quantity that `twin.identification` models as uncertain is drawn at random here. The machine is drawn from its
-family (uniform, of any Legendre order, with deflection), and the artefact from its certificate. The errors of
-thermometer, drift and touches are drawn from their uncertainties. The true field is computed from the exact product of
-the axis transforms, not from its linearisation.
+family, which may have any Legendre order and a deflection; its parameters are uniformly distributed. The artefact is
+drawn from its certificate. The errors of thermometer, drift and touches are drawn from their uncertainties. The true
+field is computed from the exact product of the axis transforms, not from its linearisation.
 """
 
 from __future__ import annotations
@@ -73,14 +73,15 @@ def compensated_errors(form: FieldForm, truths: Array, estimates: Array) -> tupl
     """Return the volumetric compensated errors (VCE) of m machines in mm, raw and aligned, as two arrays of shape (m,).
 
     Aligned means after the best-fitting rigid motion has been removed. `truths`, shape (m, t), contains the t true
-    parameters of each machine; `estimates`, shape (m, p), contains the p parameters by which it is compensated.
+    parameters of each machine; `estimates`, shape (m, p), contains the p model parameters of its compensation.
     """
     return form.form.values(_embed(form, truths, form.true_indices) - _embed(form, estimates, form.model_indices))
 
 
 def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> VolumetricRms:
-    """Return the volumetric error that remains on the machine `truth` after compensation with the parameters of
-    `estimate`.
+    """Return the volumetric error that remains on the machine `truth` after compensation.
+
+    The compensation uses the parameters of `estimate`.
     """
     raw, aligned = compensated_errors(form, truth.parameters[None, :], estimate.parameters[None, :])
     return VolumetricRms(float(raw[0]), float(aligned[0]))

@@ -140,7 +140,8 @@ class QuadraticDistribution:
     def at_most(self, value: float) -> float:
         """Return the probability that Q ≤ value.
 
-        The result is accurate even for very small probabilities, which 1 - `exceeds` would lose by rounding.
+        A very small probability is also accurate; if it were computed as 1 - `exceeds(value)`, it would be lost by
+        rounding.
         """
         return self._at_most(value - self.least)
 

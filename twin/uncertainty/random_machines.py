@@ -62,7 +62,8 @@ class RandomMachine:
     def measure(self, planned: Observations, artefacts: Artefact, rng: np.random.Generator) -> Observations:
         """Simulate the measurement of the `planned` balls on this machine, and return the observations.
 
-        As in a real measurement, the observations contain the stated covariance of the ball centres, not the true one.
+        As in a real measurement, the covariance in the observations is the stated covariance of the ball centres, not
+        the true one.
         """
         true = replace(planned, covariance=self.noise**2 * planned.covariance)
         seen = simulated_observations(true, artefacts, self.truth, self.assumptions, rng)

@@ -26,9 +26,9 @@ class TruthAssumptions:
     uncertainty; an error that is switched off is zero.
 
     `artefact_temperature_c` is the true temperature of the artefact during the measurement. `thermometer_uncertainty_k`
-    is the standard uncertainty of the thermometer of the artefact; its error is constant during a run. The machine
-    drifts linearly from the first to the last ball of each position, and `drift_mm` is the standard deviation of this
-    drift, per direction, at the last ball.
+    is the standard uncertainty of the thermometer of the artefact; the error of the thermometer is constant during a
+    run. The machine drifts linearly from the first to the last ball of each position, and `drift_mm` is the standard
+    deviation of this drift, per direction, at the last ball.
     """
 
     family: Family

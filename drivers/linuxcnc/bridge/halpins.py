@@ -1,4 +1,7 @@
-"""Access to HAL pins, signals and parameters by name, from the system's Python."""
+"""Access by name to the pins, signals and parameters of HAL, the hardware abstraction layer of LinuxCNC.
+
+The module runs in the Python interpreter of the Linux distribution.
+"""
 
 from __future__ import annotations
 
@@ -33,10 +36,9 @@ class HalPins:
         return [self.get(name) for name in names]
 
     def set(self, name: str, value: Value) -> None:
-        """Set a pin in the same way as `halcmd setp`.
+        """Set a pin, as the command `halcmd setp` does.
 
-        If the pin is linked to a signal that has no writing pin, the signal is set instead, in the same way as by
-        `halcmd sets`.
+        If the pin is linked to a signal that no other pin writes, set this signal, as the command `halcmd sets` does.
         """
         self.get(name)
         text = str(int(value)) if isinstance(value, bool) else repr(value)

@@ -1,4 +1,8 @@
-"""Compensation store for LinuxCNC: two banks of tables, applied by one of three methods."""
+"""Compensation store for LinuxCNC with two banks of tables.
+
+Tables are applied by one of three methods: external offsets, volcal's own kinematics module, or screw-compensation
+files.
+"""
 
 from drivers.linuxcnc.compensation.factory import LinuxCncStore, create_store
 from drivers.linuxcnc.compensation.settings import CompensationSettings

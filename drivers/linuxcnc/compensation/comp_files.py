@@ -1,13 +1,14 @@
 """Compensation store that uses the screw-compensation files of LinuxCNC.
 
-LinuxCNC reads these files when it starts, and corrects each axis as a function of the position of this axis only (the
-own-axis part of a table). Each bank consists of the following files:
+LinuxCNC reads these files when it starts. It then corrects each axis as a function of the position of this axis only;
+this is the own-axis part of a table. The directory of the store contains the following files for each bank, and one
+link:
 
 ::
 
     bank1.table                 the whole table as it was staged
-    bank1/x.comp y.comp z.comp  own-axis part of that table, COMP_FILE_TYPE = 0
-    bank1/bank.hal              signals with the bank and the table with which LinuxCNC was started
+    bank1/x.comp y.comp z.comp  own-axis part of this table, COMP_FILE_TYPE = 0
+    bank1/bank.hal              HAL signals with the number of the bank and the CRC-32 of its table
     acting -> bank1             link named in the INI file; activation changes only this link
 """
 
@@ -43,7 +44,7 @@ class CompFileStore:
         return self._banks.limits
 
     def active_bank(self) -> int:
-        """Return the bank that LinuxCNC has used since its last start."""
+        """Return the bank that was selected when LinuxCNC was started."""
         return self._signal(BANK_SIGNAL)
 
     def pending_bank(self) -> int | None:

@@ -103,9 +103,9 @@ class LiveStore:
     def activate(self, bank: int) -> None:
         """Activate a bank, and wait until it is active.
 
-        The bank is armed with the CRC-32 of its table. The activation is then confirmed with a number (nonce) that the
-        loader gives for this one activation. If the loader is applying corrections to the axes, the method also waits
-        until the new correction has settled.
+        The bank is first armed with the CRC-32 of its table. The activation is then confirmed with a number that the
+        loader has issued for this activation only (a nonce). If the loader is applying corrections to the axes, the
+        method also waits until the new correction has settled.
         """
         self._require_alive()
         crc = 0
