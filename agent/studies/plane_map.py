@@ -29,8 +29,8 @@ class Plane:
 
 
 def map_nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
-    """Return the X coordinates, the Y coordinates and the height Z of the map's nodes in mm. The height is that of the
-    published map; if the machine does not reach it, the height is the middle of the Z range.
+    """Return the X coordinates, the Y coordinates and the height Z of the map's nodes in mm. The height is
+    `MAP_HEIGHT_MM`, as in a published map. If the machine does not reach this height, it is the middle of the Z range.
     """
     x, y, (low, high) = ranges_mm
     height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)

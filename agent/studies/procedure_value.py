@@ -44,11 +44,12 @@ class ProcedureVariant:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Volumetric error that remains after one measuring procedure with one identification variant.
+    """Volumetric error that remains after one measuring procedure, if the machine is identified with one variant of the
+    identification options.
 
-    `expected` is the root of the expected mean square VCE in closed form, or None if the machine is not identified.
-    `simulated` is the rms VCE of `machines` simulated machines, and `standard_error` is the standard error of this rms
-    value. Both are None if the procedure was not simulated.
+    `expected` is the square root of the expected mean square VCE in closed form, or None if the machine is not
+    identified. `simulated` is the rms VCE of `machines` simulated machines, and `standard_error` is the standard error
+    of this rms value. `simulated` and `standard_error` are None if the procedure was not simulated.
     """
 
     expected: VolumetricRms | None
@@ -57,8 +58,8 @@ class Verdict:
     machines: int = 0
 
     def with_simulation(self, spread: ErrorSample | None) -> Verdict:
-        """Return the verdict with simulation results added. `spread` contains the VCE of each simulated machine. If
-        `spread` is None, one of the machines could not be identified, and the result is the verdict "not identified".
+        """Return the verdict with simulation results added. `spread` contains the VCE of each simulated machine. It is
+        None if one of the machines could not be identified. In this case the result is the verdict "not identified".
         """
         if spread is None:
             return Verdict(None)
@@ -73,8 +74,8 @@ class ProcedureEvaluator:
 
     @cached_property
     def field(self) -> FieldForm:
-        """Quadratic form that gives the volumetric error over the published grid from the residual parameter errors. It
-        is built once and used for all procedures and variants.
+        """Quadratic form that gives the mean square of the remaining error over the evaluation grid. It depends on
+        neither the procedure nor the identification variant, so it is built only once.
         """
         case = self.case
         grid = evaluation_grid(case.machine.model.ranges_mm)
@@ -82,7 +83,7 @@ class ProcedureEvaluator:
 
     @property
     def before(self) -> VolumetricRms:
-        """Root of the expected mean square VE, that is, of the volumetric error without compensation."""
+        """Expected volumetric error without compensation. It is the square root of the expected mean square VE."""
         return self.field.uncompensated()
 
     def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:
@@ -147,8 +148,8 @@ class ProcedureEvaluator:
         return ErrorSample.compensated(self.field, machines) if len(machines) == len(found) else None
 
     def procedure(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ProcedureTask:
-        """Return a task that simulates the procedure on the machine whose number it is given. Raises DataError if there
-        is no position with at least three balls within reach.
+        """Return a task that simulates the procedure `trial` on one machine. The task is called with the number of the
+        machine. Raises DataError if there is no position with at least three balls within reach.
         """
         if trial.planned is None:
             raise DataError("none of the positions has three balls within reach")

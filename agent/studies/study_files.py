@@ -1,4 +1,4 @@
-"""Files of a study. They are NAME.png, NAME.svg, NAME.csv and NAME.json, and either all four are written or none."""
+"""Files of a study: NAME.png, NAME.svg, NAME.csv and NAME.json. The four files are written together or not at all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DIGITS = 8
 
 
 def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
-    """Write the four files of a study to `folder`, either all or none. Return a mapping from file suffix to path.
+    """Write the four files of a study to `folder`, together or not at all. Return a mapping from file suffix to path.
     Raises InputError if the files cannot be written.
     """
     drawn = picture(result.name, result.draw, result.size_in)

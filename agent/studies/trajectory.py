@@ -32,13 +32,13 @@ LINE_STYLES = (":", "--", "-")
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryResult:
-    """Deviations at n points of a trajectory, as arrays (n, 3) in µm. The rigid motion of the workspace is removed from
-    them.
+    """Deviations at n points of a trajectory, as arrays (n, 3) in µm. The best-fitting rigid motion of the workspace is
+    removed from all deviations.
 
-    `machine_um` contains the true deviations of the simulated machine. `models_um` and `sigma_um` are mappings from a
-    number of balls. `models_um` gives the deviations predicted by the model that was identified with that number of
-    balls. `sigma_um` gives the expected rms difference between the machine and that model. Numbers of balls that do not
-    identify the machine are left out.
+    `machine_um` contains the true deviations of the simulated machine. `models_um` and `sigma_um` are mappings whose
+    keys are numbers of balls. `models_um` gives the deviations predicted by the model that was identified with that
+    number of balls. `sigma_um` gives the expected rms difference between the machine and that model. A number of balls
+    is left out if it does not identify the machine.
     """
 
     z_mm: Array
@@ -78,7 +78,9 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def middle_line(ranges_mm: Ranges) -> Array:
-    """Return axis positions (n, 3) over the full range of Z, with X and Y in the middle of their ranges."""
+    """Return n axis positions (n, 3) on a line parallel to Z. The line covers the full range of Z, with X and Y in the
+    middle of their ranges.
+    """
     x, y, z = ranges_mm
     line = np.tile([0.5 * sum(x), 0.5 * sum(y), 0.0], (POINTS, 1))
     line[:, 2] = np.linspace(*z, POINTS)
@@ -86,7 +88,7 @@ def middle_line(ranges_mm: Ranges) -> Array:
 
 
 def compare_along(case: StudyCase, variant: IdentificationVariant, line: Array) -> TrajectoryResult:
-    """Return the deviations of the machine and of its models at the axis positions `line` (n, 3)."""
+    """Return the deviations of the simulated machine and of its models at the n axis positions `line` (n, 3)."""
     evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
     basis, deflection = evaluator.field.columns_at(line, aligned=True)
     truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters

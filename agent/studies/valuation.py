@@ -1,5 +1,6 @@
-"""Test of the valuation of position sets. For random sets, the valuation, which is computed before any measurement, is
-compared with the simulated VCE.
+"""Test of the valuation of position sets. The valuation of a set is the expected reduction of the volumetric error by
+compensation in percent, and is computed before any measurement. For random sets, the study compares the valuation with
+the simulated VCE.
 """
 
 from __future__ import annotations

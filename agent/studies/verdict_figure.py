@@ -1,5 +1,5 @@
-"""Curves of verdicts, drawn on one axis or on an axis in two parts. The axis has two parts if a variant is far worse
-than no compensation.
+"""Curves of the VCE for several identification variants. The VCE axis is in two parts if the VCE of a variant is far
+larger than the error without compensation.
 
 The lower part is linear from zero and shows the results worth comparing. The upper part is logarithmic and shows the
 variants that make a machine much worse.
@@ -73,8 +73,8 @@ class BrokenAxes:
         return self.lower if self.upper is None else self.upper
 
     def draw_curve(self, coordinates: Sequence[float], verdicts: Sequence[Verdict], series: int) -> None:
-        """Draw the closed-form VCE as a line and the simulated VCE as open squares. The line has a gap at each verdict
-        in which the machine is not identified.
+        """Draw the closed-form VCE as a line and the simulated VCE as open squares. The line is interrupted if the
+        machine is not identified.
         """
         expected = [np.nan if value is None else value for value in map(aligned_um, verdicts)]
         for axes in self.parts:

@@ -43,8 +43,8 @@ def aligned_um(verdict: Verdict) -> float | None:
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
-    """Return the largest absolute difference between simulated and closed-form VCE over all verdicts, in standard
-    errors.
+    """Return the largest absolute difference between the simulated and the closed-form VCE over all verdicts in `rows`.
+    Each difference is divided by the standard error of the simulated VCE.
 
     The VCE is computed after the best-fitting rigid motion is removed. Return None if no verdict has at least
     `MIN_MACHINES` simulated machines.

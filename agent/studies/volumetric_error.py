@@ -30,8 +30,8 @@ PERCENTS = (0.0, 1.0, 2.5, *np.arange(5.0, 100.0, 5.0).tolist(), 97.5, 99.0, 100
 @dataclass(frozen=True, eq=False)
 class FamilyErrors:
     """Parameters and volumetric errors of m machines drawn from a family. `parameters` (m, p) contains p parameters per
-    machine. `raw_um` and `aligned_um` contain one volumetric error per machine in µm, before and after the best-fitting
-    rigid motion is removed.
+    machine. `raw_um` contains the volumetric error of each machine in µm. `aligned_um` contains the volumetric error of
+    each machine in µm after the best-fitting rigid motion is removed.
     """
 
     parameters: Array
@@ -78,8 +78,9 @@ def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.rand
 
 
 def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
-    """Return two maps of the length of the deviation in one horizontal plane. The first map shows the raw deviation.
-    The second shows the deviation after the best-fitting rigid motion of the workspace is removed.
+    """Return two maps of the length of the deviation in one horizontal plane, for the machine with the given
+    parameters. The first map shows the raw deviation. The second map shows the deviation after the best-fitting rigid
+    motion of the workspace is removed.
     """
     x_mm, y_mm, height_mm = map_nodes(field.model.ranges_mm)
     points = np.stack(np.meshgrid(x_mm, y_mm, [height_mm], indexing="ij"), axis=-1).reshape(-1, 3)

@@ -46,7 +46,9 @@ class Workers(Protocol):
 
 
 def generator(seed: int, *item: int) -> np.random.Generator:
-    """Return the random generator of one item of a study. It is independent of the generators of all other items."""
+    """Return the random generator for one item of a study, computed from the seed and the numbers `item` that identify
+    the item. The generators of different items are independent.
+    """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=item))
 
 

@@ -1,1 +1,3 @@
-"""Ball artefact: calibrated ball centres, positions on the machine, touch patterns, sphere fit and measured centres."""
+"""Ball artefact: its calibrated ball centres, its positions on the machine, the touches of its balls, and the fitted
+ball centres.
+"""

@@ -95,8 +95,8 @@ def ball_bar(
     cte_standard_uncertainty_per_k: float = 0.0,
     sag_mm: float = 0.0,
 ) -> Artefact:
-    """Return a bar of equally spaced balls. `length_mm` is the distance between the end balls along the bar, whatever
-    the number of balls.
+    """Return a bar of equally spaced balls. `length_mm` is the distance between the end balls along the bar. It does
+    not depend on the number of balls.
     """
     return Artefact(
         name=name,
@@ -116,8 +116,8 @@ def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: f
     """Return the ball centres of a bar as an array (balls, 3) in mm, equally spaced along X.
 
     If the holders are not tilted, each ball is one holder length from the bar axis, in the direction -Y. If the holders
-    are tilted by an angle θ, each ball is displaced from this location by the holder length times sin θ. The directions
-    of the displacements alternate from ball to ball: up (+Z), out (-Y), down (-Z) and in (+Y).
+    are tilted by an angle θ, each ball is displaced from this location by the holder length times sin θ. The direction
+    of the displacement repeats every four balls: up (+Z), out (-Y), down (-Z) and in (+Y).
     """
     if balls < 2:
         raise DataError(f"a ball bar needs at least two balls, got {balls}")

@@ -50,8 +50,8 @@ class HeldOutTest:
 def held_out_residuals(observations: Observations, tool_points: Array, artefact: Artefact) -> HeldOutResiduals:
     """Fit the calibrated artefact rigidly to the measured points of each position, and return the residuals.
 
-    `tool_points` (n, 3) contains one row for each row of `observations`. It is the position of the stylus centre in mm,
-    in the workpiece frame, according to the controller. Raises DataError if a position has fewer than three balls.
+    `tool_points` (n, 3) has one row for each row of `observations`. Each row is the position of the stylus centre in
+    mm, in the workpiece frame, according to the controller. Raises DataError if a position has fewer than three balls.
     """
     placed = np.zeros((observations.size, 3))
     freedom = 0

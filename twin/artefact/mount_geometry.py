@@ -15,8 +15,8 @@ class MountGeometry:
     """Dimensions in mm of the mount and of the bar on it. They are used to place the bar and to check for collisions.
 
     `shaft_mm` is the distance between the vertical azimuth axis and the middle of the bar axis, measured in the
-    direction of the holders. The pedestal stands below the mount on the azimuth axis. It extends from the surface of
-    the machine table, at the height `table_z_mm` in the workpiece frame, to `head_mm` above the mount location.
+    direction of the holders. The pedestal stands on the machine table under the azimuth axis. It extends from the
+    height `table_z_mm` (surface of the table, in the workpiece frame) to `head_mm` above the mount location.
     """
 
     shaft_mm: float = 120.0

@@ -18,15 +18,15 @@ from twin.errors import DataError
 class Observations:
     """Measured ball centres, with one ball centre in each of n rows.
 
-    - `position` (n,) is the number of the artefact's position (and so of its pose), counted from 0.
+    - `position` (n,) is the number of the artefact's position, counted from 0. The artefact has one pose per position.
     - `ball` (n,) is an index into the artefact's list of balls.
     - `tool` (n,) is an index into `tool_offsets` (T, 3), the offsets of T tools in mm.
     - `axis_positions` (n, 3) contains machine coordinates in mm, without tool offset.
     - `covariance` (n, 3, 3) is the covariance of each fitted centre in mm².
     - `temperature_c` (n,) is the temperature of the artefact.
     - `elevation_rad` (n,) is the elevation of the mount.
-    - `thermal_regressors` (n, w) contains w measures of the temperature change of the machine in K, from the start of
-      the run to the measurement of each row. If the machine is assumed not to drift, w is 0.
+    - `thermal_regressors` (n, w) contains w thermal regressors in K. Each is a temperature change of the machine from
+      the start of the run to the measurement of the row. If the machine is assumed not to drift, w is 0.
 
     Raises DataError if a value cannot be used. The error names the row, counted from 0.
     """

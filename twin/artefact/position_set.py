@@ -31,8 +31,8 @@ crossing face diagonals of each of the planes XY, ZX and YZ.
 
 @dataclass(frozen=True)
 class Position:
-    """Orientation of the artefact at one station, and the name of the tool with which it is measured. Stations are
-    counted from 1.
+    """Orientation of the artefact at one station, and the name of the tool for its measurement. Stations are counted
+    from 1.
 
     If the tool is None, the tool of the run is used.
     """
@@ -63,7 +63,7 @@ class Pose:
     rotation: Array
 
     def apply(self, points: Array) -> Array:
-        """Transform points (n, 3) from the artefact frame to the workpiece frame."""
+        """Transform points (n, 3) in mm from the artefact frame to the workpiece frame."""
         return self.centre + points @ self.rotation.T
 
 

@@ -53,11 +53,11 @@ class ObliqueTouch:
 
 @dataclass(frozen=True)
 class LostMotion:
-    """Lost motion of an axis in mm with its standard uncertainty `sigma_mm`. It is positive if the axis lags behind its
-    drive.
+    """Lost motion of an axis in mm with its standard uncertainty `sigma_mm`. The lost motion is positive if the axis
+    lags behind its drive.
 
-    `value_mm` is the deviation after downward motion minus the deviation after upward motion. It is the reversal value
-    of ISO 230-2 with the opposite sign.
+    `value_mm` is the deviation after downward motion minus the deviation after upward motion. This difference is the
+    reversal value of ISO 230-2 with the opposite sign.
     """
 
     value_mm: float

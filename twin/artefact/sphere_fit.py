@@ -2,9 +2,9 @@
 result.
 
 The fit is a Gauss-Newton iteration on the geometric distances. It starts from the algebraic sphere, so two steps are
-enough. The fit runs once per ball, also during a preflight. Each ball has only five to twenty-five points, and for so
-few points sums of plain floats are faster than sums of arrays (a quarter of the time for 5 points). LAPACK is used only
-for the 3×3 or 4×4 system of equations.
+enough. The fit runs once per ball, also during a preflight. Each ball has only five to twenty-five points. For so few
+points, sums of plain floats are faster than sums of arrays: for 5 points they took a quarter of the time. LAPACK is
+used only to solve the 3×3 or 4×4 system of equations.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class SphereFit:
 
     @property
     def centre_covariance(self) -> Array:
-        """Covariance (3, 3) mm² of the centre."""
+        """Covariance (3, 3) of the centre in mm²."""
         return self.covariance[:3, :3]
 
 

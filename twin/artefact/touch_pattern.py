@@ -56,7 +56,8 @@ def approach_directions(count: int, stylus_axis: Array) -> Array:
 
 
 def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
-    """Return the approach directions of one touch at the pole and of all touches on `rings`, as unit vectors.
+    """Return the approach directions of one touch at the pole and of all touches on `rings`, as unit vectors. A ring is
+    a circle of latitude of the ball.
 
     The array has one row (3,) per touch. The touch at the pole is first, followed by the rings in the given order.
     """
@@ -73,17 +74,19 @@ def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
 
 
 def centre_covariance(directions: Array, touch_sigma_mm: float) -> Array:
-    """Return the covariance (3, 3) of a fitted ball centre in mm². The ball is touched k times along `directions` (k,
-    3), and the radius is estimated together with the centre.
+    """Return the covariance (3, 3) of a fitted ball centre in mm² if the radius is estimated together with the centre.
+
+    The ball is touched k times along `directions` (k, 3). Each touch has the standard uncertainty `touch_sigma_mm`.
     """
     return fit_sphere(-directions, touch_sigma_mm).centre_covariance
 
 
 def known_radius_covariance(directions: Array, touch_sigma_mm: float, radius_sigma_mm: float) -> Array:
-    """Return the covariance (3, 3) of a fitted ball centre in mm² if the radius is not estimated.
+    """Return the covariance (3, 3) of a fitted ball centre in mm² if the radius is known and is not estimated.
 
-    The radius is known with the standard uncertainty `radius_sigma_mm`. An error of the radius shifts the centre and
-    therefore contributes to the covariance.
+    The ball is touched k times along `directions` (k, 3). Each touch has the standard uncertainty `touch_sigma_mm`. The
+    known radius has the standard uncertainty `radius_sigma_mm`. An error of the radius shifts the centre, so it
+    contributes to the covariance.
     """
     given = fit_sphere(-directions, touch_sigma_mm, 1.0, near=np.zeros(3)).centre_covariance
     moved = centre_shift_per_radius(directions)

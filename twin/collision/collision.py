@@ -54,12 +54,13 @@ class Scene:
         clearance_mm: float = 0.0,
         ignored: Collection[tuple[str, str]] = (),
     ) -> Hit | None:
-        """Return the first contact during a straight move of the tip centre from `start` to `end`. Return None if there
-        is none.
+        """Return the first contact during a straight move of the tip centre from `start` to `end`, or None if there is
+        no contact.
 
-        Two bodies are in contact if their distance is at most `clearance_mm`. Coordinates are in mm. `ignored` contains
-        the pairs of names (moving, obstacle) of bodies that are allowed to touch. The result is exact, because the
-        bodies only translate.
+        Two bodies are in contact if their distance is at most `clearance_mm`. If two bodies are already that close at
+        the start, this counts as a contact only if the move brings them closer. Coordinates are in mm. `ignored`
+        contains the pairs of names (moving, obstacle) of bodies that are allowed to touch. The result is exact, because
+        the bodies only translate.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         first: Hit | None = None

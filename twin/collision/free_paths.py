@@ -1,10 +1,10 @@
 """Fastest collision-free path of the tip between two points among stationary bodies.
 
 A path is a sequence of straight moves, and the tip stops after each move. The caller provides a list of candidate
-paths. They are tested in ascending order of duration, with the exact swept distance between every pair of bodies. The
-first candidate that keeps the clearance on all its moves is therefore the fastest free candidate. It is not necessarily
-the shortest path among the obstacles, because this path need not be a candidate. The search succeeds if the caller
-includes a candidate that is known to be free.
+paths. They are tested in ascending order of duration. A test is exact: it computes the smallest distance between every
+pair of bodies during each move. The first candidate that keeps the clearance on all its moves is the fastest free
+candidate. There may be a shorter path among the obstacles that is not in the list. The search succeeds if the list
+includes a path that is known to be free.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def retract_candidates(
     `back` (3,) is the unit vector along a machine axis in which the probe retracts. `limit` is the smallest permissible
     coordinate in the direction -`back`. `lateral` (3,) is a vector in mm that points away from the surface touched at
     the start. If it is given, the probe also moves sideways while it retracts. The lateral displacement grows by
-    `RETRACT_SLANT` per unit of retract distance.
+    `RETRACT_SLANT` per unit of retract distance. A further candidate then has its only corner at `start` + `lateral`.
     """
     first, last = np.array(start), np.array(end)
     # Coordinates against `back`; each retract gives a plane in which the probe crosses over.

@@ -106,7 +106,9 @@ class MeasuringLayout:
         return self.own_artefacts.get(station, self.artefact)
 
     def first_ball(self, station: int) -> int:
-        """Return the ball number that the first ball of the station's artefact has in observations."""
+        """Return the number of the first ball at a station, as used in observations. Observations count the balls of
+        all stations together if each station has its own artefact.
+        """
         return sum(own.count for number, own in self.own_artefacts.items() if number < station)
 
     def location(self, station: int) -> Array:

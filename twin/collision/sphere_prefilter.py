@@ -1,7 +1,7 @@
 """Fast closed-form test for straight moves on which two spheres come too close to each other.
 
 On nearly every path with a collision, the stylus tip comes too close to a ball. It is usually the same ball as on the
-path tested before. This test takes a microsecond and is done before the exact test of all bodies.
+previously tested path. This test takes a microsecond and is done before the exact test of all bodies.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Swept volume of a rotating artefact, and the largest depth to which the probe may stay in the workspace during the
+"""Volume swept by a rotating artefact, and the limit up to which the probe may stay in front of the artefact during the
 rotation.
 
 The two axes of a mount rotate at the same time. Either axis may be ahead of the other, and the mount may stop halfway.

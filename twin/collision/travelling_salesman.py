@@ -1,6 +1,6 @@
 """Search for the cheapest order in which to visit a number of points.
 
-For few points, the order found is the best possible. For more points, a first order is improved step by step by
+For few points, the order found is the best possible. For more points, an initial order is improved step by step by
 exchanges.
 
 The cost of a leg between two points may depend on its direction and may take long to compute. Costs are therefore
@@ -35,9 +35,9 @@ def shortest_tour(
     compute.
 
     If there are at most `MAX_EXACT_NODES` nodes, the result is a best order (method of Held and Karp, 1962). If there
-    are more, the result is a local optimum. The cost can then not be reduced by reversing one part of the tour (2-opt),
-    or by moving up to three successive nodes to another place (Or-opt). If several orders have the same cost, the order
-    of `nodes` decides, so the result is reproducible.
+    are more, the result is a local optimum. Its cost cannot be reduced by reversing one part of the tour (2-opt), or by
+    moving up to three successive nodes to another place (Or-opt). If several orders have the same cost, the order of
+    `nodes` decides, so the result is reproducible.
     """
     if len(nodes) <= MAX_EXACT_NODES:
         return _exact(nodes, start, end, cost)

@@ -1,4 +1,5 @@
-"""TOML file with the part of a part program's setup that is not stated in the program itself.
+"""TOML file with the information that is needed to interpret a part program, but is not contained in the program
+itself.
 
 The file contains work offsets, reference points, tools and the initial state of the controller.
 """

@@ -1,5 +1,5 @@
-"""Corrections stored as FANUC controllers store them. Each correction is an integer, which the controller multiplies by
-a detection unit and a magnification.
+"""Corrections in the form in which FANUC controllers store them. Each correction is an integer, which the controller
+multiplies by a detection unit and a magnification.
 """
 
 from __future__ import annotations

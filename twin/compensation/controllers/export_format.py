@@ -44,8 +44,8 @@ class ControllerExport:
 
     - `files` maps each file name to the text of the file.
     - `correction` is a function that predicts the correction of the controller if it reads these files. It includes the
-      rounding of the values in the files. Its result is the displacement added to the command, whatever the sign
-      convention of the format.
+      rounding of the values in the files. Its result is the displacement that the controller adds to the command. The
+      sign of the result does not depend on the sign convention of the format.
     - `losses` describes the features of the table that the format cannot represent.
     - `facts` contains values for the operator, for example values that have to be set by hand in the controller.
     """

@@ -3,8 +3,8 @@ times a magnification.
 
 Parameters 3620 to 3624 are described with an example in the parameter manual 0i-PB (B-63980EN). According to the
 manual, compensation number n belongs to an interval of the axis. This interval ends, in the positive direction, at the
-reference position plus (n - P3620) × P3624, where P stands for the value of a parameter. The compensation at a position
-is the sum of the increments from the reference point to this position.
+reference position plus (n - P3620) × P3624. Here P3620 and P3624 are the values of parameters 3620 and 3624. The
+compensation at a position is the sum of the increments from the reference point to this position.
 
 Two facts are known only from experience. The controller adds the sum to the command, and the punched data have the form
 that this module creates.

@@ -1,4 +1,4 @@
-"""Checks whether a table meets the requirements of a controller, and resampling of a table to another grid. The
+"""Checks of a table against the requirements of a controller, and resampling of the table to another grid. The
 requirements concern the spacing, the number of points and the size of the values.
 """
 
@@ -26,7 +26,7 @@ Shape = tuple[int, int, int]
 def require_small_corrections(table: CompensationTable, largest_mm: float = LARGEST_CORRECTION_MM) -> None:
     """Raise DataError if the largest correction exceeds `largest_mm`.
 
-    The error names the line in the CSV file of the table that contains the largest correction.
+    The error names the line of the table's CSV file in which the largest correction is stored.
     """
     sizes = np.abs(table.corrections).max(axis=-1)
     index = int(np.argmax(sizes))

@@ -1,12 +1,12 @@
-"""HEIDENHAIN nonlinear axis error compensation. It uses one `.COM` table for each causing axis, and a `.CMA` table that
-lists the `.COM` tables.
+"""HEIDENHAIN nonlinear axis error compensation. It uses one `.COM` table for each causing axis, which is the axis whose
+position causes the errors. A `.CMA` table lists the `.COM` tables.
 
 The formats are described in the technical manuals MANUALplus 620, 6.10.3, and TNC 407. A `.COM` table has up to 256
 evenly spaced rows. Each row belongs to a position of the causing axis and has a column for each affected axis. The
-causing axis is the one in whose column the `.CMA` table lists the file.
+`.CMA` table has one column per causing axis, in which it lists the `.COM` table of this axis.
 
 The tables contain the measured error, and the control moves against it. Only one line of the `.CMA` table is active at
-a time, so two lines are two banks.
+a time, so two lines serve as two banks.
 """
 
 from __future__ import annotations

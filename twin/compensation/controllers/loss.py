@@ -25,7 +25,8 @@ A rigid motion and the rounding of the table are not counted.
 
 @dataclass(frozen=True)
 class CompensationLoss:
-    """Volumetric error over the workspace without a table (`before`), with the full table, and with the reduced table.
+    """Volumetric error over the workspace without a table (`before`), with the full table (`full`), and with the
+    reduced table (`reduced`).
 
     If `estimated` is True, the error is that of the estimated machine. If it is False, there is no estimate, and the
     errors of the machine are inferred from the table. `unknown_mm` is the contribution of the uncertainty of the

@@ -1,9 +1,10 @@
 """Reduction of a table to functions that controllers support. These are functions of one axis position, and products of
 two such functions.
 
-On an evenly spaced grid, a field is the sum of a mean, a main effect of each axis, an interaction of each pair of axes,
-and a remainder that depends on all three axes (analysis of variance). All these parts are orthogonal to each other. If
-some parts are omitted, the sum of the others is therefore still the best fit. The remainder is always omitted.
+On an evenly spaced grid, a field is a sum of several parts (analysis of variance). They are a mean, a main effect of
+each axis, an interaction of each pair of axes, and a remainder that depends on all three axes. All these parts are
+orthogonal to each other. If some parts are omitted, the sum of the others is therefore still the best fit. The
+remainder is always omitted.
 
 A small rigid motion of the workspace consists only of means and main effects. The best reduction before a rigid
 alignment is therefore also the best after it.
@@ -90,9 +91,9 @@ def select_terms(
     """Select the main effects and products that reduce the error most, relative to the number of controller tables they
     need.
 
-    The terms are considered in descending order of the mean square error that they remove per table. Terms with an rms
-    below `LEAST_RMS_MM` are omitted. Terms for which fewer than the needed number of the `most_tables` tables remain
-    are also omitted.
+    These terms are considered in descending order of the mean square error that they remove per table. A term is
+    omitted if its rms is below `LEAST_RMS_MM`. It is also omitted if it needs more tables than are left of the
+    `most_tables` permitted tables.
 
     Interactions are decomposed into products by a singular value decomposition. No other set of the same number of
     products leaves a smaller error. If an axis has a main effect, the sum of all its terms is zero at the reference

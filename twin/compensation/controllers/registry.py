@@ -35,8 +35,8 @@ FORMATS: Mapping[str, ExportFormat] = {
 
 
 def all_options() -> tuple[FormatOption[object], ...]:
-    """Return all options that the formats declare, in the order of the formats. An option of several formats is
-    returned once.
+    """Return all options that the formats declare, in the order of the formats. An option that several formats declare
+    is returned once.
     """
     return tuple({option.key: option for one in FORMATS.values() for option in one.options}.values())
 

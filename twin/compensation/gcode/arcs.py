@@ -59,7 +59,7 @@ def read_arc(
     unit_mm: float,
     centre_origin: Sequence[float] | None,
 ) -> Arc:
-    """Return the arc from `start` to `end` (axis positions in mm) of a block that is executed with G2 or G3.
+    """Return the arc that a block with G2 or G3 in effect describes. `start` and `end` are axis positions in mm.
 
     If arc centres are absolute (G90.1), `centre_origin` is the axis position of the program's zero point. If they are
     relative to the start of the arc (G91.1), it is None. Raises FormatError if the block does not describe an arc.

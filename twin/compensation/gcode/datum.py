@@ -34,8 +34,8 @@ def program_zero(block: Block, modal: ModalState) -> Triple:
 
 
 def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
-    """Return the programmed axis position after the block. An axis without a word in the block keeps its programmed
-    position.
+    """Return the programmed axis position in mm after the block. An axis without a word in the block keeps its
+    programmed position.
     """
     values, unit, position = block.values, modal.unit_mm, modal.position
     if machine:

@@ -64,8 +64,8 @@ class LineFormatter:
 
         A piece gets a line if at least one of its rounded axis words changes. The last piece always gets a line.
 
-        With G93, F is the reciprocal of the time for a line in minutes. The value of F in each line is therefore
-        computed from the line's share of the total time.
+        With G93, F is the reciprocal of the duration of a line's motion in minutes. The value of F in each line is
+        therefore computed from the line's share of the total duration.
         """
         count, waiting, first = len(values), 0, True
         for number, (piece, bits) in enumerate(zip(values, axes, strict=True), start=1):

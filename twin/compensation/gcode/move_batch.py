@@ -130,7 +130,8 @@ class CorrectedPoints:
 
     - `points` (n, 3) contains the axis positions to be commanded in mm.
     - `largest_mm` is the length of the largest correction.
-    - `beyond_mm` (n,) is the distance of each programmed point from the volume if it is outside.
+    - `beyond_mm` (n,) is the distance of each programmed point from the border of the volume. It is positive if the
+      point is outside.
     - `held_mm` (n,) is the amount by which the correction of each point was limited to keep the point in the volume.
     - `extrapolated` is the number of points whose correction depends on a node outside the measured region.
     """

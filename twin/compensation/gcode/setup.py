@@ -1,4 +1,4 @@
-"""Setup of a part program that is not stated in the program itself.
+"""Information that is needed to interpret a part program, but is not contained in the program itself.
 
 It consists of work offsets, tool lengths and the initial state of the controller.
 """

@@ -97,7 +97,7 @@ class ProgramWriter:
     def corrected_point(self, point: Triple, block: Block) -> Triple:
         """Return the corrected axis position of `point` in mm. The point is not included in the counts of the summary.
 
-        If the point is outside the volume of the table and this is not permitted, `block` is refused.
+        If the point is outside the volume of the table and such points are not permitted, `block` is refused.
         """
         points = np.array([point])
         found = correct_points(self.table, points, held=self._held)
