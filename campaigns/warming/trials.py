@@ -7,10 +7,10 @@ thermometers have noise, lag and offsets.
 
 The results are true volumetric errors with the table that the run has written; the best-fitting rigid motion is
 removed. The errors are evaluated for the machine as it was at the last ball of the set, because the estimate describes
-this state. The same machine and bar are also calibrated twice at constant temperature: once at 20 °C, and once at
-23 °C, where the expansion of the bar is as uncertain as in the warm run. The ball centres of the warm run are
-identified two more times. Both identifications assume that the machine does not drift. The second also assumes that the
-bar is at 20 °C.
+this state. The same machine and bar are also calibrated at constant temperature, once at 20 °C and once at 23 °C. At
+23 °C the expansion of the bar is as uncertain as in the warm run. The ball centres of the warm run are identified two
+more times. Both identifications assume that the machine does not drift. The second also assumes that the bar is at
+20 °C.
 
     python -m campaigns.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
 

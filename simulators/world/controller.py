@@ -124,7 +124,7 @@ class Controller:
 
     @property
     def probe_free_s(self) -> float | None:
-        """Instant in s at which the probe loses contact, if it was deflected when the current motion started.
+        """Instant in s at which a probe that was deflected at the start of the current motion loses contact.
 
         The value is None if the probe is not deflected or if the axes do not move.
         """

@@ -92,10 +92,10 @@ class ThermalField:
     """Thermal deformation field of a machine with changed scales and a bent column.
 
     `stretch`, shape (3,), is the relative change of the scale of each axis; the zero of each scale stays in place. The
-    column is a cantilever that is heated from one side, and it bends along Y. At the position z of the Z axis its
-    displacement w is w = `bend_mm` ((z - z0)/Lz)², where z0 is the lower end of the Z travel and Lz is the length of
-    the Z travel. The slope of the column is a rotation about X of everything that the column carries. The tip of a tool
-    that extends along Y is therefore lowered.
+    column is a cantilever that is heated from one side, and it bends along Y. At the position z of the Z axis, the
+    displacement of the column is `bend_mm` ((z - z0)/Lz)². In this formula z0 is the lower end of the Z travel, and Lz
+    is the length of the Z travel. The slope of the column is a rotation about X of everything that the column carries.
+    The tip of a tool that extends along Y is therefore lowered.
     """
 
     stretch: Array
