@@ -194,7 +194,7 @@ def _check_anchor(anchor: Anchor, nodes: Nodes) -> None:
 
 
 def _anchoring_motion(model: ErrorModel, values: Array, nodes: Nodes, offset: Array, anchor: Anchor) -> Array:
-    """Return the small rigid motion (6,) that agrees with the deviation field in the six quantities of the anchor."""
+    """Return the small rigid motion (6,) that has the same six anchor quantities as the deviation field."""
     lines = _anchor_points(nodes, anchor)
     held = _constraints(exact_deviation(model, lines, offset, values)[:, :, None], lines, anchor)
     motions = _constraints(rigid_fields(lines, anchor.point_mm, 1.0), lines, anchor)
@@ -202,9 +202,8 @@ def _anchoring_motion(model: ErrorModel, values: Array, nodes: Nodes, offset: Ar
 
 
 def _anchor_points(nodes: Nodes, anchor: Anchor) -> Array:
-    """Return the anchor point, then m points each on the primary and the secondary line, as an array (1 + 2 m,
-    3) mm.
-    """
+    """Return the points on the two anchor lines as an array (1 + 2 m, 3) in mm: the anchor point, then m points on the
+    line along the primary axis, then m points on the line along the secondary axis."""
     points = np.tile(anchor.point_mm, (1 + 2 * _LINE_POINTS, 1))
     for number, letter in enumerate((anchor.primary, anchor.secondary)):
         axis = AXES.index(letter)
@@ -214,7 +213,8 @@ def _anchor_points(nodes: Nodes, anchor: Anchor) -> Array:
 
 
 def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
-    """Return the six quantities that the anchor constrains, (6, m), for m fields (n, 3, m) at the anchor points."""
+    """Return the six quantities that the anchor constrains as an array (6, m), for m fields (n, 3, m) at the n anchor
+    points."""
     first, second = AXES.index(anchor.primary), AXES.index(anchor.secondary)
     third = 3 - first - second
     primary, secondary = slice(1, 1 + _LINE_POINTS), slice(1 + _LINE_POINTS, None)

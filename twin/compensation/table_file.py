@@ -125,7 +125,8 @@ def parse_table(text: str, side_text: str, source: str, side_source: str) -> Com
 
 
 def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> Array:
-    """Return the corrections (nx, ny, nz, 3) mm, after checking that each line has the coordinates of its node."""
+    """Return the corrections (nx, ny, nz, 3) in mm. Raises FormatError if a line does not have the coordinates of its
+    node."""
     shape = (len(nodes[0]), len(nodes[1]), len(nodes[2]))
     values = np.empty((math.prod(shape), 3))
     count = 0

@@ -117,9 +117,10 @@ def _balls(planned: PlannedMeasurement) -> Indices:
 
 
 def _factors(problem: IdentificationProblem) -> Array:
-    """Return the factors (N, r, P) of the candidates.
+    """Return the factors (N, r, P) of the N candidates.
 
-    The equations of each position are rotated so that the equations used up by its pose become zero; these are omitted.
+    The equations of each position are rotated so far that the equations used up by its pose become zero. The zero
+    equations are omitted.
     """
     size = problem.blocks.size
     rows = CentreEquations.build(problem, unit_weights=False).projected(size)

@@ -68,7 +68,7 @@ class Criterion:
 
 @dataclass(frozen=True, eq=False)
 class _Fields:
-    """Fields in mm of those unknowns that contribute to the error field: parameters and misfit."""
+    """Fields in mm of the unknowns that contribute to the error field: the parameters and the misfit."""
 
     unknowns: Unknowns
     offset: Array

@@ -104,22 +104,22 @@ def _count_limit(count: int, candidates: int) -> FeasibleMask:
 
 
 def _last_selection(search: ExchangeSearch, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Selection:
-    """Return the selection after as many candidates as `room` allows have been added, or the given selection if none
-    can be added."""
+    """Return the selection after positions have been added until `room` allows no more. If no position can be added,
+    the given selection is returned."""
     return deque(chain([selection], search.grow(selection, room, per_minute=per_minute)), maxlen=1).pop()
 
 
 def _best_selection(search: ExchangeSearch, room: FeasibleMask) -> Selection:
-    """Return the better of two selections. One is grown greedily by gain per minute and the other by gain; both are
-    then improved by exchanging and adding positions."""
+    """Return the better of two selections. The first is grown greedily by gain per minute, and the second by gain. Both
+    are then improved by exchanging and adding positions."""
     start = Selection.of(search.candidates)
     grown = [_last_selection(search, start, room, per_minute=per_minute) for per_minute in (True, False)]
     return min((_exchange_and_fill(search, selection, room) for selection in grown), key=lambda one: one.value)
 
 
 def _exchange_and_fill(search: ExchangeSearch, selection: Selection, room: FeasibleMask) -> Selection:
-    """Alternate between exchanging positions and adding positions in the time that this frees, until no more can be
-    added."""
+    """Exchange positions and add positions in turn, until no position can be added. Exchanges can free machine time for
+    the added positions."""
     while True:
         exchanged = search.exchange(selection, room)
         filled = _last_selection(search, exchanged, room, per_minute=False)
@@ -129,8 +129,7 @@ def _exchange_and_fill(search: ExchangeSearch, selection: Selection, room: Feasi
 
 
 def _thin_out(search: ExchangeSearch, selection: Selection, wanted: float) -> Selection:
-    """Alternate between exchanging positions and removing positions that the target does not need, until none can be
-    removed."""
+    """Exchange positions and remove positions in turn, until every remaining position is needed to reach the target."""
     while True:
         minutes = search.costs.total(selection.chosen)
 

@@ -47,10 +47,11 @@ def most_informative_groups(
 
 
 def _gain(factors: Array, form: Array, covariance: Array) -> float:
-    """Return the gain of a group of g positions measured together, trace(Q C Wᵀ (1 + W C Wᵀ)⁻¹ W C).
+    """Return the gain of a group of g positions that are measured together. The gain is trace(Q C Wᵀ (1 + W C Wᵀ)⁻¹ W
+    C).
 
-    W stacks the `factors` (g, r, P) of the group, Q is the quadratic form of the criterion, and C is the covariance of
-    the unknowns before the group is measured.
+    The matrix W stacks the `factors` (g, r, P) of the group, Q is the quadratic form of the criterion, and C is the
+    covariance of the unknowns before the group is measured.
     """
     rows = factors.reshape(-1, factors.shape[2])
     carried = rows @ covariance

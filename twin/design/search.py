@@ -125,17 +125,17 @@ class ExchangeSearch:
         return tuple(int(kept[index]) for index in near.chosen)
 
     def _promising(self, selection: Selection) -> Indices:
-        """Return, in candidate order, the chosen positions and the other candidates with the largest gains.
+        """Return the chosen positions together with the other candidates of the largest gains, in candidate order.
 
-        Half of all candidates are returned in addition to the chosen ones, but at least `_ALL_CANDIDATES` if there are
-        as many.
+        The number of other candidates is half of all candidates, but at least `_ALL_CANDIDATES` if there are that many.
         """
         gains = np.where(selection.free, selection.information.gains(), np.inf)
         count = max(len(gains) // 2, min(len(gains), _ALL_CANDIDATES)) + len(selection.chosen)
         return np.sort(np.argsort(-gains, kind="stable")[:count])
 
     def _exchange_one(self, selection: Selection, index: int, room: FeasibleMask, kept: Indices) -> Selection:
-        """Exchange one position if this lowers the value; `kept` (n,) maps the selection's indices to candidates."""
+        """Return the selection after one position has been exchanged, or the given selection if no exchange lowers the
+        value. `kept` (n,) contains the candidate index for each index of the selection."""
         rest = selection.with_removed(index)
         needed = rest.value - selection.value * (1.0 - _MIN_DECREASE)
         allowed = room([int(kept[other]) for other in rest.chosen])[kept] & selection.free

@@ -163,8 +163,8 @@ def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _text(value: object) -> str:
-    """Return `value` as JSON text. Each entry of an object has its own line, and so has each entry of a list of lists
-    or objects."""
+    """Return `value` as JSON text. Each entry of an object stands on its own line. Each entry of a list also stands on
+    its own line if the list contains lists or objects."""
     if isinstance(value, dict):
         lines = ",\n".join(f"{json.dumps(key)}: {_text(entry)}" for key, entry in value.items())
         return f"{{\n{lines}\n}}"

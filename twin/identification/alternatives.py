@@ -92,6 +92,6 @@ def _shifted(scales: Scales, shift: Array) -> Scales:
 
 
 def _simplex(size: int) -> Array:
-    """Return size + 1 points (size + 1, size) with mean zero and unit covariance."""
+    """Return n + 1 points as an array (n + 1, n) with mean zero and unit covariance, where n is `size`."""
     centred = np.eye(size + 1) - 1.0 / (size + 1)
     return np.asarray(np.linalg.svd(centred)[0][:, :size] * np.sqrt(size + 1.0))

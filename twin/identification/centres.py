@@ -113,8 +113,8 @@ class CentreEquations:
 
 
 def _whitening(covariance: Array, unit_weights: bool) -> Array:
-    """Return W (n, 3, 3) with WᵀW = covariance⁻¹. With unit weights, W is the same multiple of the unit matrix for all
-    rows."""
+    """Return the whitening matrices W (n, 3, 3) with WᵀW = covariance⁻¹. With unit weights, W is the same multiple of
+    the unit matrix for all rows."""
     variance = np.einsum("nii->ni", covariance)
     if unit_weights:
         return np.broadcast_to(np.eye(3) / np.sqrt(np.median(variance.mean(axis=1))), covariance.shape)

@@ -99,7 +99,7 @@ class DistanceEquations:
         return gram, float(sum(np.trace(covariance) for covariance in self.noise))
 
     def _remaining(self, sides: Sides) -> Array:
-        """Return the whitened exact distance errors (M,), measured minus calibrated."""
+        """Return the whitened errors (M,) of the exact distances: measured minus calibrated distance."""
         left, local = sides
         errors = []
         for pair in self.pairs:
@@ -112,10 +112,11 @@ class DistanceEquations:
 def _position(
     problem: IdentificationProblem, points: Array, ends: tuple[int, int], design: Array, unit: float | None
 ) -> tuple[PositionPairs, Array, Array]:
-    """Return the pairs of one position, the whitened rows of their design, and the noise covariance of these rows.
+    """Return the ball pairs of one position, the whitened rows of their design, and the noise covariance of these rows.
 
-    `ends` contains the first row of the position and the first row after it. `design` (balls, 3, P) is the design of
-    the position's rows. `unit` is the standard deviation of every distance in mm, or None for full weights.
+    `ends` contains the index of the first row of the position, and the index of the first row after it. `design`
+    (balls, 3, P) is the design of the rows of the position. `unit` is the common standard deviation of all distances in
+    mm, or None for full weights.
     """
     start, end = ends
     first, second = (index + start for index in np.triu_indices(end - start, k=1))
@@ -142,7 +143,7 @@ def _whitening(covariance: Array) -> Array:
 
 
 def _unit_deviation(problem: IdentificationProblem) -> float:
-    """Return the standard deviation in mm of the difference of two typical coordinates, which is used for all
-    distances."""
+    """Return the standard deviation in mm that is used for all distances: that of the difference of two typical
+    coordinates."""
     variances = np.einsum("nii->n", problem.observations.covariance) / 3.0
     return float(np.sqrt(2.0 * np.median(variances)))

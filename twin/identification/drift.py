@@ -155,8 +155,8 @@ def _per_k(prior: DriftPrior, parameter: Parameter) -> float:
 
 
 def _lever_mm(model: ErrorModel, parameter: Parameter) -> float:
-    """Return the factor that converts a strain or an angle to the parameter. It is half the travel in mm for a
-    displacement and 1 for an angle."""
+    """Return the factor that converts a strain or an angle to the parameter. The factor is half the travel in mm for a
+    displacement, and 1 for an angle."""
     if parameter.unit == "rad":
         return 1.0
     low, high = model.ranges_mm[AXES.index(parameter.error[2])]

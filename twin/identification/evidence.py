@@ -178,7 +178,8 @@ def _log_scale_derivative(block: slice, taken: Array, weighted_z: Array, z: Arra
 
 
 def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
-    """Return the log determinant of the prior precision without the part of a carried-over prior, which is constant."""
+    """Return the log determinant of the prior precision. The constant part that belongs to a carried-over prior is left
+    out."""
     diagonal = np.log(precision.diagonal(scales))
     if precision.known is not None:
         diagonal[precision.known.members] = 0.0

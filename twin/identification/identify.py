@@ -81,7 +81,8 @@ def identify_accepted(
 
 
 def _check_set(observations: Observations) -> None:
-    """Raise SingularSet if the set has too few positions or too few different balls, which no prior can replace."""
+    """Raise SingularSet if the set has too few positions or too few different balls. A prior cannot replace these
+    measurements."""
     counts = np.unique(observations.position, return_counts=True)[1]
     useful = int((counts >= 2).sum())
     if useful < 2:
@@ -104,8 +105,8 @@ def _select_rows(whole: IdentificationProblem, options: Options) -> _RowSelectio
 
 
 def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSelection:
-    """Reject outliers and fit again until no ball contradicts the others. These fits always use ball centres and the
-    prior."""
+    """Return the rows that remain after outliers have been rejected. Rejection and fit are repeated until no ball
+    contradicts the others. These fits always use ball centres and the prior."""
     screening = replace(options, formulation="centres", weights="full", use_prior=True)
     accepted = np.ones(whole.observations.size, dtype=bool)
     problem = whole
@@ -163,10 +164,10 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
 
 
 def _state(whole: IdentificationProblem, options: Options) -> Array | None:
-    """Return the matrix (Q, P) that converts unknowns at the start to unknowns in the state that the estimate
-    describes, or None if drift is not estimated.
+    """Return the matrix (Q, P) that converts the unknowns at the start to the unknowns in the state that the estimate
+    describes. Return None if drift is not estimated.
 
-    The P unknowns at the start include the drift. The Q unknowns of the result do not include it.
+    The P unknowns at the start include the drift. The Q unknowns of the result do not include the drift.
     """
     drift, blocks, scale = whole.unknowns.drift, whole.blocks, whole.unknowns.scale
     if drift is None:

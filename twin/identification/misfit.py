@@ -116,11 +116,12 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Represented:
-    """Part of the candidates that the k known fields (of model parameters and rigid motions) can represent, averaged
-    over the workspace.
+    """Part of the candidates that k known fields can represent, averaged over the workspace. The known fields are those
+    of the model parameters and the rigid motions.
 
     `inverse` (k, k) is the pseudo-inverse of the Gram matrix of the known fields. `common` (3, k, c) contains the
-    products of known fields and candidates for each direction, and `squares` (c,) the mean square of each candidate.
+    products of the known fields and the c candidates for each direction. `squares` (c,) contains the mean square of
+    each candidate.
     """
 
     inverse: Array
@@ -183,8 +184,8 @@ def _condense(represented: _Represented, chosen: slice, deviations: Array, share
 
 
 def _kinds(model: ErrorModel) -> Sequence[Weights]:
-    """Return, for each kind, the Legendre degrees in x, y, z of its candidates and their relative prior standard
-    deviation."""
+    """Return the candidates of each kind of misfit: their Legendre degrees in x, y, z and their relative prior standard
+    deviations."""
     waves = [_waves(axis, highest) for axis, highest in enumerate(model.highest_order)]
     mixed = {degrees: weight for degrees, weight in _mixed().items() if not any(degrees in wave for wave in waves)}
     return mixed, *waves
@@ -211,8 +212,8 @@ def _waves(axis: int, highest: int) -> Weights:
 
 
 def _quadrature(model: ErrorModel, degrees: tuple[Degrees, ...]) -> tuple[Array, Array]:
-    """Return Gauss-Legendre points (n, 3) over the workspace, exact for products of any two fields, and weights (n,)
-    that sum to 1."""
+    """Return Gauss-Legendre points (n, 3) over the workspace and their weights (n,), which sum to 1. The quadrature is
+    exact for products of any two fields."""
     nodes, weights = [], []
     for axis, (low, high) in enumerate(model.ranges_mm):
         node, weight = np.polynomial.legendre.leggauss(max(degree[axis] for degree in degrees) + 1)
@@ -224,7 +225,8 @@ def _quadrature(model: ErrorModel, degrees: tuple[Degrees, ...]) -> tuple[Array,
 
 
 def _pseudo_inverse(gram: Array) -> Array:
-    """Return the pseudo-inverse of the Gram matrix of fields of very different sizes; zero fields are excluded."""
+    """Return the pseudo-inverse of the Gram matrix of fields that may differ greatly in size. Fields that are zero are
+    excluded."""
     size = np.sqrt(np.diagonal(gram))
     size = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(gram / np.multiply.outer(size, size))

@@ -143,8 +143,8 @@ def _directions(
 
 
 def _parts(direction: Array, pivot: int) -> list[int]:
-    """Return the pivot and the other parameters involved. They are in model order or, if there are many, in the order
-    of decreasing loading."""
+    """Return the index of the pivot parameter, followed by the other parameters involved. The others are in the order
+    of the model or, if there are many, in the order of decreasing loading."""
     size = np.abs(direction)
     others = [int(part) for part in np.flatnonzero(size > _MIN_LOADING * size.max()) if part != pivot]
     if len(others) > _MAX_PARTNERS:
@@ -153,8 +153,8 @@ def _parts(direction: Array, pivot: int) -> list[int]:
 
 
 def _sparse_basis(null: Array) -> list[tuple[int, Array]]:
-    """Return pairs of a pivot parameter and a direction, found by Gauss-Jordan elimination with full pivoting. Each
-    pivot occurs in one direction only."""
+    """Return a basis of the null space as pairs of a pivot parameter and a direction. The basis is found by
+    Gauss-Jordan elimination with full pivoting. Each pivot occurs in one direction only."""
     rows = null.T.copy()
     pivots: list[int] = []
     for row in range(len(rows)):

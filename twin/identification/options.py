@@ -79,7 +79,8 @@ class Options:
             self._check_carried()
 
     def _check_carried(self) -> None:
-        """Check that options agree with a carried-over estimate, which already includes every prior and its units."""
+        """Check that the options agree with the carried-over estimate, which already includes every prior and the units
+        of every prior."""
         if not self.use_prior or self.weights != "full":
             hint = "switch the prior on and use full weights, or omit the earlier estimate"
             raise DataError("carrying over an estimate requires the prior and full weights", hint=hint)

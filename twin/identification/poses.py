@@ -211,8 +211,8 @@ def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
 
 
 def _inverse_root(gram: Array) -> Array | None:
-    """Return matrices B (K, 6, 6) such that Bᵀ G B = 1 for the Gram matrices G in `gram`, computed by Cholesky. Return
-    None unless every position determines all six increments well."""
+    """Return matrices B (K, 6, 6) that satisfy Bᵀ G B = 1 for the Gram matrices G in `gram`, computed by Cholesky
+    decomposition. Return None if any position does not determine all six increments well."""
     try:
         back = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
     except np.linalg.LinAlgError:

@@ -90,7 +90,7 @@ def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over a grid of products of the columns F of the field and the rigid motions G.
+    """Sums, over a grid, of products of the columns F of the error field and the fields G of the rigid motions.
 
     `field` is FᵀF, `shared` is GᵀF, and `motion` is GᵀG.
     """
@@ -122,8 +122,8 @@ def _sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> _Sums:
 
 
 def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
-    """Return upper bounds of the powers of x, y and z in the columns. The columns are Legendre series or cross-effects,
-    each with a lever, or misfit modes."""
+    """Return upper bounds of the powers of x, y and z in the columns of the field. A column is a Legendre series with a
+    lever, a cross-effect with a lever, or a misfit mode."""
     modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
     x, y, z = (
         max(max(order, 2) + 1, *(degrees[axis] for degrees in modes), 0)
@@ -140,8 +140,8 @@ def _motions_about(grid: Array, offset: Array) -> Callable[[Array], Array]:
 
 
 def _second_moments(estimate: FieldKnowledge) -> Array:
-    """Return the expected outer product (p + q, p + q) of a vector. It contains the true minus the estimated
-    parameters, followed by the true misfit coefficients."""
+    """Return the expected outer product (p + q, p + q) of a vector with two parts: the true minus the estimated
+    parameters (p,), and the true misfit coefficients (q,)."""
     misfit = estimate.misfit
     if misfit is None:
         return estimate.covariance

@@ -111,7 +111,8 @@ def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior
 
 
 def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
-    """Yield pairs of slices with the same meaning: the first of the old z, the second of the new z."""
+    """Yield pairs of slices with the same meaning. The first slice of each pair applies to the old z, and the second to
+    the new z."""
     before, now = old.blocks, new.blocks
     yield before.parameters, now.parameters
     if old.artefact.certificate is new.artefact.certificate:

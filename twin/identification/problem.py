@@ -221,7 +221,7 @@ def _lay_out(layout: RowLayout, rows: Array) -> Array:
 
 
 def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: RowLayout, poses: Poses) -> Array:
-    """Return the design (K·width, 3, P)."""
+    """Return the design (K·width, 3, P) of all slots for the P unknowns."""
     source, blocks = layout.source, unknowns.blocks
     at, tool = seen.axis_positions[source], seen.tool[source]
     if blocks.size == blocks.parameters.stop and (tool == tool[0]).all():

@@ -111,22 +111,23 @@ def _equations(problem: IdentificationProblem, formulation: Formulation, unit_we
 
 
 def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[NormalEquations, Poses, Sides]:
-    """Return the normal equations with the exact residuals at z, the best-fitting poses, and both sides at z."""
+    """Return the normal equations with the exact residuals at z, the best-fitting poses, and both sides of the exact
+    equations at z."""
     sides = equations.problem.sides(z)
     right, square, poses = equations.right_side(z, sides, poses)
     return NormalEquations(equations.matrix, right, square, equations.rows), poses, sides
 
 
 def _start_scales(options: Options) -> Scales:
-    """Return the initial scales. They are those of a carried-over estimate, except that the scale of the noise is 1;
-    without such an estimate all are 1."""
+    """Return the initial scales. If an estimate is carried over, its scales are used, but the scale of the noise is 1.
+    Otherwise all scales are 1."""
     carried = options.carried_over
     return Scales() if carried is None else replace(carried.scales, noise=1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class _NormalSolver:
-    """Map from the right side of normal equations to z."""
+    """Map from the right side of the normal equations to their solution z."""
 
     posterior: Posterior
     variance: float
@@ -139,11 +140,11 @@ class _NormalSolver:
 def _iterate(
     equations: Equations, gain: _NormalSolver, normal: NormalEquations, poses: Poses
 ) -> tuple[Array, NormalEquations, Poses, Sides]:
-    """Iterate Gauss-Newton with exact residuals and one factorisation; the field is linear to nanometres, so two steps
-    suffice.
+    """Solve the equations by Gauss-Newton iterations with exact residuals and a single factorisation. Two steps
+    suffice, because the field is linear to nanometres.
 
-    The sides at the last z are those of the previous step, updated by the design: a step below `_CONVERGED` has a
-    second-order effect below 1e-9 mm.
+    The sides at the last z are computed from the sides of the previous step with the design matrix. This is accurate
+    because a step below `_CONVERGED` has a second-order effect below 1e-9 mm.
     """
     z = gain.of(normal)
     for _ in range(_MAX_ITERATIONS):
@@ -158,7 +159,7 @@ def _iterate(
 
 
 def _precision(problem: IdentificationProblem, matrix: Array, options: Options) -> PriorPrecision:
-    """Return the prior precision. If the prior is off, only directions that the measurements leave open are held at
+    """Return the prior precision. If the prior is off, only the directions that the measurements leave open are held at
     zero."""
     if options.use_prior:
         return PriorPrecision(problem.blocks, problem.known)

@@ -1,4 +1,4 @@
-"""Gravity deflection of a machine as a grid of tool point displacements at axis positions."""
+"""Gravity deflection of a machine: displacements of the tool point on a grid of axis positions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ _ROUNDING_MM = 1e-6  # a position computed to be on the border may miss it by it
 
 @dataclass(frozen=True)
 class DeflectionGrid:
-    """Grid of displacements `values` (nx, ny, nz, 3) in mm at the nodes `x`, `y`, `z` (mm, ascending)."""
+    """Displacements of the tool point on a grid of axis positions.
+
+    `x`, `y` and `z` contain the node positions of the axes in mm, in ascending order. `values` (nx, ny, nz, 3) contains
+    the displacements in mm at the nodes.
+    """
 
     x: Array
     y: Array
@@ -40,9 +44,9 @@ class DeflectionGrid:
         return self.x, self.y, self.z
 
     def at(self, axis_positions: ArrayLike) -> Array:
-        """Return the displacement (n, 3) in mm by trilinear interpolation.
+        """Return the displacements (n, 3) in mm at axis positions (n, 3) by trilinear interpolation.
 
-        Raises ModelError naming the first point outside the grid.
+        Raises ModelError, which names the first point outside the grid, if a point is outside.
         """
         points = as_points(axis_positions, "axis positions")
         self._check_inside(points)
@@ -110,14 +114,16 @@ CASE_STUDY_NODES = (
 
 
 def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStructure | None = None) -> DeflectionGrid:
-    """Return plausible deflections of a moving-column machine with an overhanging ram, from Euler-Bernoulli beams.
+    """Return plausible deflections of a moving-column machine with an overhanging ram, computed from Euler-Bernoulli
+    beams.
 
-    `x`, `y`, `z`: grid nodes in mm.
+    `x`, `y` and `z` are the grid nodes in mm. The deflection is zero in the middle of the grid, where the machine was
+    levelled.
 
-    Four effects are added: bending of the column by the ram's moment (the cross-effect: a displacement along Y and a
-    rotation about X that grow with height); bending of the ram under the weight of ram and head; rotation of the ram
-    joint and of the column foot joint under the moment; and local compliance of the bed and the column rails. The
-    deflection is zero in the middle of the grid, where the machine was levelled.
+    Four effects are added. First, the moment of the ram bends the column. This is the cross-effect: a displacement
+    along Y and a rotation about X that grow with height. Second, the ram bends under its own weight and the weight of
+    the head. Third, the joint of the ram and the joint at the foot of the column rotate under the moment. Fourth, the
+    bed and the column rails yield locally.
     """
     parts = structure or CantileverStructure()
     x3, y3, z3 = np.meshgrid(x, y, z, indexing="ij")
@@ -151,7 +157,8 @@ def _ram_moment(parts: CantileverStructure, reach: Array) -> Array:
 def _ram_droop(parts: CantileverStructure, reach: Array) -> Array:
     """Return the sag in mm of the end of the ram, w L⁴ / 8EI + P L³ / 3EI.
 
-    w is the weight of the ram per mm, P the weight of the head, L the overhang (`reach`) and E I the bending stiffness.
+    Here w is the weight of the ram per mm, P the weight of the head, L the overhang (`reach`) and EI the bending
+    stiffness.
     """
     own = parts.ram_load_n_per_mm * reach**4 / (8.0 * parts.ram_stiffness_n_mm2)
     head: Array = parts.head_weight_n * reach**3 / (3.0 * parts.ram_stiffness_n_mm2)
@@ -159,10 +166,8 @@ def _ram_droop(parts: CantileverStructure, reach: Array) -> Array:
 
 
 def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Array, Array]:
-    """Return the sag (mm), the pitch about Y (rad) and the roll about -X (rad) of the saddle.
-
-    The bed yields between its supports.
-    """
+    """Return the sag (mm), the pitch about Y (rad) and the roll about -X (rad) of the saddle, because the bed yields
+    between its supports."""
     half = 0.5 * parts.wheelbase_mm
     front, rear = (np.sin(np.pi * (x + arm) / parts.support_pitch_mm) ** 2 for arm in (half, -half))
     sag = 0.5 * parts.bed_sag_mm * (front + rear)
@@ -172,7 +177,8 @@ def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Ar
 
 
 def _column_rail_wave(parts: CantileverStructure, z: Array, moment: Array) -> Array:
-    """Return the waviness in Y (mm) of the column rails between their screws; it grows with the moment of the ram."""
+    """Return the waviness in Y (mm) of the column rails between their screws. The waviness grows with the moment of the
+    ram."""
     wave: Array = np.sin(2.0 * np.pi * z / parts.column_rail_pitch_mm) * (0.5 + moment / moment.max())
     return parts.column_rail_wave_mm * wave
 

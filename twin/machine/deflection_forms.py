@@ -1,10 +1,9 @@
-"""Random deflection fields of several kinds of structure.
+"""Random deflection fields of several kinds of structure, for tests of the misfit model.
 
-No Legendre series of one axis can represent these fields.
-
-The misfit model of an identification consists of products of Legendre polynomials. None of these fields is such a
-product: they are beams, sines of any pitch, exponentials and random waves. A coverage probability found with these
-fields is therefore a meaningful test of the misfit model.
+The misfit model of an identification consists of products of Legendre polynomials. The fields of this module are not
+products of Legendre polynomials. They consist of bending lines of beams, sines of any pitch, exponentials and random
+waves. No Legendre series of one axis can represent them either. A coverage probability found with these fields is
+therefore a meaningful test of the misfit model.
 """
 
 from __future__ import annotations
@@ -22,7 +21,8 @@ _SMOOTH_WAVES = 60
 
 
 def portal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """Draw a cross-beam along X that sags between its columns, twists under its load and shortens as it bends."""
+    """Draw the random deflection field of a portal machine. Its cross-beam along X sags between the columns, twists
+    under its load and shortens as it bends."""
     (x, y, z), shape = _normalised()
     bow = np.cos(0.5 * np.pi * x)
     sag, twist, pull = rng.uniform((1.0, -3.0, -2.0), (6.0, 3.0, 2.0)) * _UM
@@ -34,9 +34,9 @@ def portal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Deflection
 
 
 def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """Draw rails that are wavy between their screws.
+    """Draw the random deflection field of rails that are wavy between their screws.
 
-    For each axis and direction the wave is one sine with its own pitch and lever arm.
+    For each axis and direction, the wave is one sine with its own pitch and lever arm.
     """
     positions, shape = _normalised()
     field = np.zeros((*shape, 3))
@@ -50,7 +50,8 @@ def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGr
 
 
 def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """Draw a thermally bowed bed and a column that is warmer at its foot, with their effect on the parts they carry."""
+    """Draw the random deflection field of a thermally bowed bed and of a column that is warmer at its foot. The field
+    includes their effect on the parts they carry."""
     (x, y, z), shape = _normalised()
     bed, foot, nod, lean, sway, roll = rng.uniform(-3.0, 3.0, 6) * _UM
     field = np.zeros((*shape, 3))

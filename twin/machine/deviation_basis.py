@@ -22,13 +22,12 @@ ColumnIndices = np.ndarray[Any, np.dtype[np.int64]]
 def deviation_basis(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, scale: Array | None = None
 ) -> Array:
-    """Return the derivative (n, 3, p) of the deviation with respect to the parameters, taken at zero parameters.
+    """Return the derivative (n, 3, p) of the deviation at axis positions (n, 3) with respect to the p parameters, taken
+    at zero parameters.
 
-    The array is C-contiguous.
-
-    `scale` (p,): unit of each parameter in mm or rad. If None, the units are 1 mm and 1 rad. Each parameter displaces
-    the tool point by one of twelve effects (three translations, and three rotations of each of the three axes) times a
-    function of the axis positions.
+    Each parameter displaces the tool point by an effect multiplied by a function of the axis positions. There are
+    twelve effects: three translations, and three rotations of each of the three axes. `scale` (p,) is the unit of each
+    parameter in mm or rad; if `scale` is None, the units are 1 mm and 1 rad. The returned array is C-contiguous.
     """
     points = as_points(axis_positions, "axis positions")
     arms = _nominal_arms(model, points, as_vector(tool_offset, 3, "tool offset"))
@@ -49,22 +48,22 @@ def deviation_basis(
 def linear_deviation(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
 ) -> Array:
-    """Return the deviation (n, 3) in mm to first order in the parameters (p,)."""
+    """Return the deviation (n, 3) in mm at axis positions (n, 3), computed to first order in the parameters (p,)."""
     vector = as_vector(parameters, model.size, "parameters")
     deviation: Array = deviation_basis(model, axis_positions, tool_offset) @ vector
     return deviation
 
 
 def cross_arguments(model: ErrorModel, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return v and w, the positions of Y and Z as fractions of their ranges, on which the cross-effect depends."""
+    """Return the two arguments v and w of the cross-effect. They are the axis positions of Y and Z as fractions of the
+    axis ranges, from 0 at the lower end to 1 at the upper end."""
     (y_low, y_high), (z_low, z_high) = model.ranges_mm[_Y], model.ranges_mm[_Z]
     return (y - y_low) / (y_high - y_low), (z - z_low) / (z_high - z_low)
 
 
 def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple[Array, Array, Array]:
-    """Return, for X, Y and Z, the nominal vector (n, 3) from the centre of the rotations of that axis to the tool
-    point.
-    """
+    """Return, for each of the axes X, Y and Z, the nominal vector (n, 3) from the centre of the axis's rotations to the
+    tool point."""
     arms = {}
     arm = np.repeat(tool_offset[None, :], len(points), axis=0)
     for letter in model.chain.axes:

@@ -1,29 +1,30 @@
 """Parameters of a machine model and their relation to the 18 error motions at an axis position.
 
-The names are those of ISO 230-1: the letter E, the direction of the error (X, Y, Z for a displacement, A, B, C for a
-rotation) and the moving axis. Each of the 18 error motions is a Legendre series in the axis position normalised to [-1,
-1]. Terms that are only a rigid motion or only a squareness are left out by construction: all constants (order 0) and
-the slope of a straightness (order 1).
+The names of the error motions are those of ISO 230-1. A name consists of the letter E, the direction of the error
+(X, Y, Z for a displacement, A, B, C for a rotation) and the moving axis. Each of the 18 error motions is a Legendre
+series in the axis position normalised to [-1, 1]. Terms that are only a rigid motion or only a squareness are left out
+by construction: all constants (order 0) and the slope of a straightness (order 1).
 
-The sign of squareness is defined here and nowhere else. In A0Z, for example, Z is the axis whose direction of travel is
+The sign of each squareness is defined only here. In A0Z, for example, Z is the axis whose direction of travel is
 rotated from its nominal direction, and A means that the rotation is about X (B about Y, C about Z). The rotation is
-right-handed, so the deviation d at the axis position y or z is, to first order,
+right-handed. To first order, the deviation d at the axis position y or z is therefore
 
-A0Z  z-travel, about X:  d = (0, -A0Z z, 0)
+    A0Z  z-travel, about X:  d = (0, -A0Z z, 0)
     B0Z  z-travel, about Y:  d = (B0Z z, 0, 0)
     C0Y  y-travel, about Z:  d = (-C0Y y, 0, 0)
 
 A squareness rotates only the direction of travel, not the parts that the carriage carries.
 
-The cross-effect of column and ram (the ram's weight bends the column) is added to EYZ and EAZ. With v = (y - y0)/Ly and
-w = (z - z0)/Lz, where y0, z0 are the lower ends and Ly, Lz the lengths of the ranges of Y and Z, it is
+The cross-effect of column and ram (the ram's weight bends the column) is added to EYZ and EAZ. Let v = (y - y0)/Ly and
+w = (z - z0)/Lz, where y0 and z0 are the lower ends and Ly and Lz the lengths of the ranges of Y and Z. The terms of the
+cross-effect are
 
-E_YZ(y, z) = (b0 + b1 w + b2 w²) v     b in mm
+    E_YZ(y, z) = (b0 + b1 w + b2 w²) v     b in mm
     E_AZ(y, z) = (c0 + c1 w) v             c in rad
 
-b0 is off by default because b0 v is a scale error of Y (EYY[1]); c0 is off because c0 v gives a vertical displacement
-that EZY[2] and A0Z already describe. Both statements are true up to a rigid motion, and only for a machine whose ram
-carries the tool.
+The coefficient b0 is off by default because b0 v is a scale error of Y, which EYY[1] already describes. The coefficient
+c0 is off by default because c0 v gives a vertical displacement, which EZY[2] and A0Z already describe. Both statements
+are true up to a rigid motion, and only for a machine whose ram carries the tool.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 class Parameter:
     """Coefficient of the error model.
 
-    `error` is the ISO name of the error, or CROSS; `order` is the Legendre order, 0 for terms that are not Legendre
-    terms.
+    `error` is the ISO name of the error, or CROSS for a term of the cross-effect. `order` is the Legendre order; it is
+    0 for a term that is not a Legendre term.
     """
 
     name: str
@@ -67,11 +68,8 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Error model of a machine.
-
-    It consists of the chain, the axis ranges, the Legendre order of each error motion and the active cross-effect
-    terms.
-    """
+    """Error model of a machine. The model consists of the kinematic chain, the axis ranges, the Legendre order of each
+    error motion and the active cross-effect terms."""
 
     chain: Chain
     ranges_mm: Ranges
@@ -96,7 +94,8 @@ class ErrorModel:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters in the order of every parameter vector (p,) and of the columns of every deviation basis."""
+        """Parameters of the model. Every parameter vector (p,) and the columns of every deviation basis have this
+        order."""
         series = [_term(error, k) for error in ERROR_MOTIONS for k in series_orders(error, self.orders[error])]
         squareness = [Parameter(name, name, 0, "rad", "squareness") for name in SQUARENESS]
         return (*series, *squareness, *(_cross_term(term) for term in self.cross_effect))
@@ -125,7 +124,8 @@ class ErrorModel:
 
     @cached_property
     def block(self) -> Mapping[str, slice]:
-        """Slice of a parameter vector that contains the coefficients of each error motion, by ISO name."""
+        """Slice of a parameter vector for each error motion, by ISO name. The slice contains the coefficients of the
+        error motion."""
         blocks, start = {}, 0
         for error in ERROR_MOTIONS:
             count = len(series_orders(error, self.orders[error]))
@@ -135,12 +135,12 @@ class ErrorModel:
 
     @cached_property
     def highest_order(self) -> tuple[int, int, int]:
-        """Highest Legendre order of the error motions of each axis X, Y, Z; at least 1."""
+        """Highest Legendre order of the error motions of each of the axes X, Y and Z. It is at least 1."""
         highest = [max(1, *(self.orders[f"E{direction}{axis}"] for direction in DIRECTIONS)) for axis in AXES]
         return highest[0], highest[1], highest[2]
 
     def coefficients(self, axis: int, values: Array) -> Array:
-        """Return the Legendre coefficients (6, highest order + 1) of the error motions of one axis."""
+        """Return the Legendre coefficients (6, highest order + 1) of the six error motions of one axis."""
         table = np.zeros((6, max(self.highest_order) + 1))
         for row, direction in enumerate(DIRECTIONS):
             error = f"E{direction}{AXES[axis]}"
@@ -161,12 +161,13 @@ class ErrorModel:
 
 
 def series_orders(error: str, highest: int) -> range:
-    """Return the Legendre orders of the series of an error motion: 2 … N for a straightness, 1 … N otherwise."""
+    """Return the Legendre orders of the series of an error motion up to the highest order N. The lowest order is 2 for
+    a straightness and 1 for all other error motions."""
     return range(2 if error_motion_kind(error) == "straightness" else 1, highest + 1)
 
 
 def error_motion_kind(error: str) -> Literal["positioning", "straightness", "rotation"]:
-    """Return the kind of the error motion with this ISO name."""
+    """Return the kind of an error motion, such as straightness or rotation, from its ISO name."""
     if error[1] in "ABC":
         return "rotation"
     return "positioning" if error[1] == error[2] else "straightness"

@@ -1,13 +1,14 @@
-"""Deviation of the tool point of a machine with errors, by the exact product of transforms and to first order.
+"""Deviation of the tool point of a machine with errors, computed by the exact product of transforms or to first order.
 
-The deviation is that of the tool centre point, relative to the workpiece, from its nominal position (axis positions
-plus tool offset), in mm along the machine axes.
+The deviation is the vector from the nominal to the actual position of the tool centre point, relative to the workpiece,
+in mm along the machine axes. The nominal position is the sum of the axis positions and the tool offset.
 
-From the workpiece to the tool the exact model is a product of homogeneous transforms. An axis q on the tool side
-contributes `Trans(q u) Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA)`, where u is its direction of travel rotated by the
-squareness. An axis on the workpiece side carries the workpiece. Its errors are also those of the tool relative to the
-workpiece, but they apply in a frame that travels with the carriage. It therefore contributes `Trans(EX, EY, EZ) Rz(EC)
-Ry(EB) Rx(EA) Trans(q u)`: the lever arm of its rotations contains its own travel.
+The exact model is a product of homogeneous transforms, in the order from the workpiece to the tool. Let q be the axis
+position of an axis, and u its direction of travel, rotated by the squareness. EX, EY, EZ and EA, EB, EC are the error
+motions of the axis. An axis on the tool side contributes `Trans(q u) Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA)`. An axis
+on the workpiece side carries the workpiece. Its error motions are also those of the tool relative to the workpiece, but
+they apply in a frame that travels with the carriage. An axis on the workpiece side therefore contributes `Trans(EX, EY,
+EZ) Rz(EC) Ry(EB) Rx(EA) Trans(q u)`: the lever arm of its rotations contains its own travel.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ Triple = tuple[float, float, float]
 class _UnpackedParameters:
     """Parameter vector unpacked for the evaluation.
 
-    `series` (3, 6, order + 1): power series coefficients per axis and error motion; `travel`: actual minus nominal
-    direction of travel of each axis; `cross`: coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect.
+    `series` (3, 6, order + 1) contains the power series coefficients of each axis and error motion. `travel` is the
+    actual minus the nominal direction of travel of each axis. `cross` contains the coefficients b0, b1, b2 (mm) and c0,
+    c1 (rad) of the cross-effect.
     """
 
     series: Array
@@ -70,10 +72,11 @@ class _Workspace:
 def exact_deviation(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
 ) -> Array:
-    """Return the deviation (n, 3) in mm for axis positions (n, 3) and parameters (p,), by the exact product of
+    """Return the deviation (n, 3) in mm for axis positions (n, 3) and parameters (p,), computed by the exact product of
     transforms.
 
-    The deviation and the nominal arm are computed separately, so that no digits are lost even if the travel is 4 m.
+    The deviation and the nominal lever arm are computed as separate numbers. The deviation is therefore exact to all
+    digits even if the travel is 4 m.
     """
     points = as_points(axis_positions, "axis positions")
     offset = as_vector(tool_offset, 3, "tool offset")
@@ -155,9 +158,9 @@ def _fill_error_motions(axis: int, model: ErrorModel, numbers: _UnpackedParamete
 
 
 def _fill_sines(rows: _Workspace) -> None:
-    """Compute the sine and the cosine minus 1 of all angles to double precision.
+    """Compute, to double precision, the sine and the cosine minus 1 of all angles.
 
-    Small angles use the power series, which is several times as fast.
+    Small angles are evaluated by their power series, which is several times as fast.
     """
     angles = rows.motions[3:]
     square = np.multiply(angles, angles, out=rows.cosine_minus_one)
@@ -182,9 +185,11 @@ def _travel(axis: int, numbers: _UnpackedParameters, rows: _Workspace) -> None:
 
 
 def _rotate(rows: _Workspace) -> None:
-    """Rotate the sum of arm and deviation by Rz(EC) Ry(EB) Rx(EA), and add the change to the deviation.
+    """Rotate the sum of lever arm and deviation by Rz(EC) Ry(EB) Rx(EA), and add the change of the sum to the
+    deviation.
 
-    The cosines are stored minus one, so the change is computed directly, without the difference of two long arms.
+    The cosines are stored minus 1. The change is therefore computed directly and not as the difference of two long
+    arms.
     """
     x, y, z = np.add(rows.arm, rows.deviation, out=rows.point)
     change_y, change_z, last_z, change_x, last_x, last_y = rows.changes

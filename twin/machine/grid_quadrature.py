@@ -1,10 +1,11 @@
 """Sums of polynomial fields over a grid of axis positions, computed from far fewer points.
 
-The columns of a deviation basis are polynomials in the axis positions, of degree d in the position of one axis. The sum
-of a polynomial of degree 2 d + 1 over the grid points of that axis is computed exactly from d + 1 nodes: the Gauss
-nodes of the discrete measure that has weight 1 at every grid point (Golub and Welsch 1969). For example, 60×20×20
-points reduce to 7×7×7 nodes. A field that is not a polynomial is projected onto the nodes with their Lagrange
-polynomials; the sum of its products with columns of degree d is then the same as on the grid.
+The columns of a deviation basis are polynomials in the axis positions. Let d be their degree in the position of one
+axis. The sum of a polynomial of degree 2 d + 1 over the grid points of this axis is computed exactly from d + 1 nodes.
+The nodes are the Gauss nodes of the discrete measure that has weight 1 at every grid point (Golub and Welsch 1969). For
+example, 60×20×20 points reduce to 7×7×7 nodes. A field that is not a polynomial is projected onto the nodes with the
+Lagrange polynomials of the nodes. The sum of the products of the projected field with columns of degree d is then the
+same as on the grid.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from twin.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class GridQuadrature:
-    """Quadrature rule that replaces a sum over `count` points by a weighted sum over fewer nodes.
+    """Quadrature rule that replaces a sum over `count` points by a weighted sum over m nodes.
 
     For two vector fields a and b, the sum of a(X)ᵀ b(X) over all points X is replaced by the sum of w a(N)ᵀ b(N) over
-    all nodes N with weights w. Both sums are equal if a and b are polynomials up to the given degrees. `nodes` (m, 3)
-    mm, `weights` (m,). `lagrange`: for each axis, the Lagrange polynomials of the nodes at the points, (points, nodes);
-    None if the nodes are the points.
+    all nodes N with their weights w. Both sums are equal if a and b are polynomials up to the given degrees. `nodes`
+    (m, 3) contains the nodes in mm, and `weights` (m,) contains their weights. `lagrange` contains, for each axis, the
+    values of the Lagrange polynomials of the nodes at the points, with shape (points, nodes). It is None if the nodes
+    are the points themselves.
     """
 
     count: int
@@ -33,9 +35,9 @@ class GridQuadrature:
 
     @classmethod
     def for_points(cls, points: Array, degrees: tuple[int, int, int]) -> GridQuadrature:
-        """Return the rule for points (n, 3) mm and polynomials of these degrees in x, y, z.
+        """Return the rule for points (n, 3) in mm and for polynomials up to the given degrees in x, y and z.
 
-        If the points do not form a grid, they are the nodes.
+        If the points do not form a grid, the nodes are the points themselves, each with weight 1.
         """
         lines = _lines(points)
         if lines is None:
@@ -46,9 +48,10 @@ class GridQuadrature:
         return cls(len(points), nodes, weights, tuple(rule[2] for rule in rules))
 
     def gather(self, field: Array) -> Array:
-        """Project a field f (n, 3) at the points onto the nodes and return g (m, 3).
+        """Return the projection g (m, 3) onto the nodes of a field f (n, 3) that is given at the points.
 
-        For columns a within the degrees of the rule, Σ a(X)ᵀ f(X) over the points is then Σ a(nodes)ᵀ g over the nodes.
+        If a field a is a polynomial up to the degrees of the rule, the sum of a(X)ᵀ f(X) over all points X is equal to
+        the sum of a(N)ᵀ g(N) over all nodes N.
         """
         if self.lagrange is None:
             return field
@@ -76,10 +79,10 @@ def _lines(points: Array) -> tuple[Array, Array, Array] | None:
 
 
 def _gauss(line: Array, degree: int) -> tuple[Array, Array, Array]:
-    """Return the Gauss rule of one axis: nodes (d + 1,), weights (d + 1,), and Lagrange polynomials (n, d + 1) at the n
-    points.
+    """Return the Gauss rule of one axis for n points and polynomials up to `degree`, which is called d. The rule
+    consists of nodes (d + 1,), weights (d + 1,), and the values (n, d + 1) of the Lagrange polynomials at the points.
 
-    d is `degree`. If there are at most d + 1 points, the points are the nodes.
+    If there are at most d + 1 points, the nodes are the points themselves.
     """
     if len(line) <= degree + 1:
         return line, np.ones(len(line)), np.eye(len(line))

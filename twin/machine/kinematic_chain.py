@@ -12,10 +12,10 @@ _HINT = "Write the chain from tool to workpiece with each axis once, such as too
 
 @dataclass(frozen=True)
 class Chain:
-    """Kinematic chain.
+    """Kinematic chain of a machine.
 
-    `tool_side`: axes between tool and bed, starting at the tool; `workpiece_side`: axes between bed and workpiece,
-    starting at the bed.
+    `tool_side` contains the axes between the tool and the bed, starting at the tool. `workpiece_side` contains the axes
+    between the bed and the workpiece, starting at the bed.
     """
 
     tool_side: tuple[str, ...]
@@ -34,7 +34,7 @@ class Chain:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """All three axes from the tool to the workpiece."""
+        """All three axes in the order from the tool to the workpiece."""
         return self.tool_side + self.workpiece_side
 
     def __str__(self) -> str:
@@ -42,9 +42,8 @@ class Chain:
 
 
 def parse_chain(text: str) -> Chain:
-    """Parse a chain such as `tool-Y-Z-X-bed-workpiece` in upper or lower case; raises ModelError if the text is not
-    valid.
-    """
+    """Parse a chain such as `tool-Y-Z-X-bed-workpiece` in upper or lower case. Raises ModelError if the text is not
+    valid."""
     links = [link.strip().lower() for link in text.split("-")]
     for word, link, where in (("tool", links[0], "begin"), ("workpiece", links[-1], "end")):
         if link != word:

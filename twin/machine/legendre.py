@@ -38,11 +38,11 @@ def legendre_values(argument: Array, order: int) -> Array:
 
 
 def to_power_series(coefficients: Array) -> Array:
-    """Convert Legendre series (m, order + 1) to series in powers of the argument.
+    """Convert m Legendre series (m, order + 1) to series in powers of the argument.
 
-    Evaluating a power series takes one multiplication per power. On [-1, 1] the loss of precision is proportional to
-    the largest power coefficient (8 at order 5, 1e5 at order 15). For errors of tens of micrometres the loss is below
-    1e-12 mm.
+    The evaluation of a power series takes one multiplication per power. On [-1, 1] the loss of precision is
+    proportional to the largest power coefficient (8 at order 5, 1e5 at order 15). For errors of tens of micrometres the
+    loss is below 1e-12 mm.
     """
     series: Array = coefficients @ _to_powers(coefficients.shape[-1])
     return series

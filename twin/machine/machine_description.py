@@ -1,4 +1,4 @@
-"""Description of a machine, as read from a machine file, for the model, the planner and the simulator."""
+"""Description of a machine for the model, the planner and the simulator. It is read from a machine file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Triple = tuple[float, float, float]
 class MachineDescription:
     """Complete description of one machine.
 
-    `model` contains the kinematic chain and the axis ranges; `limits` (mm) are the travel limits, which contain the
-    ranges. `tools` are tool offsets (3,) in mm from the ram reference to the stylus centre. `amplitudes` are the
-    half-widths, as written in the file, of the coefficients in the family of machines. With them the family can also be
-    built for another Legendre order.
+    `model` contains the kinematic chain and the axis ranges. `limits` contains the travel limits in mm, which include
+    the axis ranges. `tools` maps the name of each tool to its offset (3,) in mm from the reference point of the ram to
+    the stylus centre. `amplitudes` contains the half-widths, as written in the machine file, of the coefficients in the
+    family of machines. From these half-widths the family can also be built for another Legendre order.
     """
 
     name: str
@@ -64,7 +64,7 @@ class MachineDescription:
     def with_model(self, model: ErrorModel) -> MachineDescription:
         """Return the same machine described by another model.
 
-        Raises ModelError if the chain or the axis ranges of that model differ.
+        Raises ModelError if the kinematic chain or the axis ranges of the other model differ.
         """
         if (model.chain, model.ranges_mm) != (self.model.chain, self.model.ranges_mm):
             raise ModelError(

@@ -19,9 +19,9 @@ DEFAULT_DECAY = 0.6
 
 @dataclass(frozen=True)
 class Family:
-    """Distribution of machines in which parameter i of `model` is uniform in ±a_i.
+    """Distribution of machines in which parameter i of `model` is uniform between -a_i and +a_i.
 
-    a_i is element i of `half_widths` (p,), in mm or rad.
+    The half-width a_i is element i of `half_widths` (p,), in mm or rad.
     """
 
     model: ErrorModel
@@ -36,21 +36,22 @@ class Family:
 
     @property
     def prior_standard_deviation(self) -> Array:
-        """Standard deviation (p,) of the uniform distribution, a_i / sqrt(3)."""
+        """Standard deviation (p,) of each parameter: half-width divided by the square root of 3."""
         return self.half_widths / math.sqrt(3.0)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """Draw `count` parameter vectors (count, p)."""
+        """Draw `count` random machines from the family and return their parameter vectors (count, p)."""
         return rng.uniform(-1.0, 1.0, (count, self.model.size)) * self.half_widths
 
 
 def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | Sequence[float]]) -> Family:
     """Return the family of machines with the given half-widths for each kind of error.
 
-    `positioning_um`, `straightness_um`, `rotation_urad`: one value per Legendre order, starting at the lowest order of
-    that kind (order 2 for a straightness, otherwise 1), or a single value for the lowest order. Beyond the last value
-    given, the half-widths decrease by the factor `decay` (default 0.6) per order. `squareness_urad`,
-    `cross_displacement_um`, `cross_rotation_urad`: one value each. The half-widths of a kind that is left out are zero.
+    `amplitudes` maps kinds of error to half-widths. The kinds `positioning_um`, `straightness_um` and `rotation_urad`
+    take one value for each Legendre order, starting at the lowest order of the kind (order 2 for a straightness,
+    otherwise 1). They also take a single value for the lowest order. Beyond the last given order, the half-widths
+    decrease by the factor `decay` (default 0.6) per order. The kinds `squareness_urad`, `cross_displacement_um` and
+    `cross_rotation_urad` take one value each. The half-widths of a missing kind are zero.
     """
     known = (*SERIES_KINDS, *SINGLE_KINDS, "decay")
     for name in amplitudes:
