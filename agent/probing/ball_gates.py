@@ -79,9 +79,10 @@ def doubtful_touches(fit: SphereFit, probing: ProbingParameters) -> tuple[int, .
     """Return the indices of the touches to repeat: the worst touch, and each touch that the pattern cannot distinguish
     from it.
 
-    To find the worst touch, each residual is divided by the square root of its touch's redundancy (Baarda's test). If
-    five points are fitted with a free radius, a wrong touch on the equator changes the residuals of all four equator
-    touches equally. All four are then repeated.
+    The redundancy of a touch is the fraction of its error that appears in its residual. To find the worst touch, each
+    residual is divided by the square root of the redundancy (Baarda's test). If five points are fitted with a free
+    radius, a wrong touch on the equator changes the residuals of all four equator touches equally. All four are then
+    repeated.
     """
     # Standardised residual w_i = |v_i| / √r_i; touches without redundancy have none.
     shown = np.sqrt(probing.redundancies)

@@ -98,7 +98,8 @@ class MeasuredPosition:
 
     @property
     def all_balls(self) -> tuple[MeasuredBall, ...]:
-        """Measured balls, with the repeated measurement of the first ball last."""
+        """All measured balls of the position. If the first ball was measured again, its repeated measurement is the
+        last element."""
         return self.balls if self.again is None else (*self.balls, self.again)
 
     @property

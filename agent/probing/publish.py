@@ -76,7 +76,7 @@ def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIA
     """Activate `bank` and check that it is active. Raises ReadBackMismatch if the controller reports another active
     bank.
 
-    Raises NotActiveYet if a person must act before the bank becomes active; the plan can be resumed at that step.
+    Raises NotActiveYet if a person must act before the bank becomes active. The plan can be resumed after this action.
     """
     yield ActivateBank(f"{prefix}/activate", bank)
     if activation is Activation.RESET:

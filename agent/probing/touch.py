@@ -116,6 +116,6 @@ def _trip(key: str, target: Vector, direction: Vector, probing: ProbingParameter
 
 
 def point(vector: Vector) -> Point:
-    """Return `vector` (3,) as a tuple, the form in which steps hold a point."""
+    """Return `vector` (3,) as a tuple, because steps contain points as tuples."""
     x, y, z = vector.tolist()
     return x, y, z

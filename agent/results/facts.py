@@ -118,8 +118,8 @@ class ProbeRing:
     has the latitude 90°.
 
     `angle_deg` (k,) and `residual_um` (k,) contain the angle about the stylus and the residual of each of the k
-    touches. `map_angle_deg` (m,) contains m angles, and `map_um` (m,) contains the pretravel at these angles. Both are
-    empty if there is no map.
+    touches. `map_angle_deg` (m,) contains m angles, and `map_um` (m,) contains the pretravel at these angles. If there
+    is no map, the arrays of the map are empty.
     """
 
     latitude_deg: float

@@ -50,8 +50,8 @@ class RunProgress:
 
 
 class GuardedRun(ABC):
-    """Base class of runs. At its end, the run restores the compensation that was active at its start and reads it back,
-    unless the run has accepted a new table."""
+    """Base class of runs. If a run does not accept a new table, it restores the compensation that was active at its
+    start and checks that this compensation is active."""
 
     def __init__(self, job: Job, context: RunContext) -> None:
         self._job = job

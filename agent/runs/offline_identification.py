@@ -37,7 +37,7 @@ class IdentificationRequest:
     `tool` is the tool for which the table is made; if it is None, the tool with which most balls were measured is used.
     `carried_over` is the file of an earlier estimate that serves as prior. `process_noise_um` is the possible change of
     the machine's error field since that estimate. It is an rms over the workspace in µm, after removal of the
-    best-fitting rigid motion. `gates` contains the limits of the gates, which are the gates of a run.
+    best-fitting rigid motion. `gates` contains the limits of the gates that a run on a machine would have to pass.
     """
 
     balls: Path

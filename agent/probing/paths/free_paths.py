@@ -216,8 +216,8 @@ class FreePathFinder:
     def min_turning_seconds(
         self, before: ArtefactPose, starts: Sequence[TipLocation], after: ArtefactPose, ends: Sequence[TipLocation]
     ) -> float:
-        """Return a lower bound in s for the time of the fastest turning path from any of `starts` to any of `ends`,
-        without the time of the turn.
+        """Return a lower bound in s for the time of the fastest path from any of `starts` to any of `ends`. On this
+        path, the artefact is turned from the pose `before` to the pose `after`; the time of the turn is not included.
 
         The bound assumes that every path in front of the turning artefact is free. The path returned by `turning_path`
         is rarely much slower.

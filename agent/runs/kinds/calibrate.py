@@ -1,4 +1,5 @@
-"""Kind of run `calibrate`. The run measures the whole position set, writes a new table and proves it."""
+"""Kind of run `calibrate`. The run measures the whole position set, writes a new table and proves it with held-out
+positions."""
 
 from __future__ import annotations
 

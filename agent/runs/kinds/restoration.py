@@ -30,7 +30,8 @@ _NOTHING = MeasuredPositions((), (), 0, None, {})
 
 @dataclass(frozen=True)
 class Restoration:
-    """Kind of run that reactivates the latest table stored by `run_id` with `role`."""
+    """Kind of run that reactivates a table stored in the journal. It is the latest table that the run `run_id` stored
+    in the role `role`: the backup before the run, a staged table, or a restored table."""
 
     run_id: str
     role: TableRole = "backup"
@@ -85,7 +86,8 @@ class RestorationRun(GuardedRun):
 
 
 def stored_table(directory: Path, run_id: str, role: str) -> TableImage | None:
-    """Return the last table stored by `run_id` with `role`; None if the record states that no compensation was active.
+    """Return the last table that the run `run_id` stored in the role `role`. The result is None if the record states
+    that no compensation was active.
 
     Raises InputError if the run stored no such table.
     """
