@@ -1,4 +1,4 @@
-"""Conversion factors from the units of calculation (mm, rad, s) to those of reports, and the reference temperature."""
+"""Conversion factors from the units of calculation (mm, rad, s) to those of reports; the reference temperature."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class UnitSettings(DriverOptions):
 
 
 class AxisSettings(DriverOptions):
-    """Settings of one axis: the drive, and the gear between its motor and the mount."""
+    """Settings of one axis: its drive, and the gear between the motor and the mount."""
 
     node_id: int = Field(ge=1, le=127)
     encoder_counts_per_revolution: int = Field(gt=0, description="increments per turn of the motor")

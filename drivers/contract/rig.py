@@ -38,8 +38,8 @@ class Interrupt:
 class ContractRig(ABC):
     """Machine with one obstacle that the stylus tip can approach.
 
-    Only the roles under test need to be present. `clock` is the clock of the driver and must call `interrupt.check`
-    while it sleeps. Positions are axis positions in mm.
+    A subclass needs to provide only the devices whose roles are tested. `clock` is the clock of the driver and must
+    call `interrupt.check` while it sleeps. Positions are axis positions in mm.
     """
 
     clock: Clock

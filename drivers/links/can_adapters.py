@@ -147,7 +147,7 @@ class SlcanBus(slcanBus):
         return self._flags if self._answered.wait(within_s) else None
 
     def status_text(self) -> str:
-        """Query the adapter's status and return it as text."""
+        """Query the status of the adapter and return it as text."""
         flags = self.status_flags(FLAGS_WITHIN_S)
         if flags is None:
             return "the adapter does not answer a status query"

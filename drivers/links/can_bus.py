@@ -4,9 +4,9 @@ A CAN channel can be opened only once per process, and it carries every node of 
 the same interface, channel and options therefore share one `canopen.Network`. The bus is shut down when the last of
 these devices closes its link.
 
-Frames are received by a thread of this module instead of the notifier of python-can. An exception ends the notifier or,
-if it has an exception handler, makes it repeat the exception in a busy loop. The thread of this module ends at the
-first failure or if the controller goes bus-off; `CanLink.check` then raises LinkLost.
+Frames are received by a thread of this module instead of the notifier of python-can. The notifier ends at the first
+exception; a notifier with an exception handler repeats the exception in a busy loop instead. The thread of this module
+ends at the first failure or if the controller goes bus-off; `CanLink.check` then raises LinkLost.
 
 Some interfaces echo the frames that this process has sent. These frames are dropped. They are recognised by their
 identifier, since only one node uses an identifier for sending in CANopen.

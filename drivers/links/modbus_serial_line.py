@@ -43,7 +43,10 @@ class SerialLine(DriverOptions):
 
     @property
     def character_s(self) -> float:
-        """Duration of one character in s: start bit, eight data bits, parity bit if any, stop bits."""
+        """Duration of one character in s.
+
+        A character consists of a start bit, eight data bits, the parity bit (if there is one) and the stop bits.
+        """
         return (9 + (self.parity != "none") + self.stop_bits) / self.baud
 
     @property

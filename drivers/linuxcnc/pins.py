@@ -14,9 +14,9 @@ class Pins(Protocol):
     """HAL pins, signals and parameters of the running LinuxCNC, accessed by name.
 
     The methods `get` and `set` are idempotent. They raise `CommandRejected`, with the pin in `where`, if HAL has no
-    such name, if the value does not fit the type, or if the pin cannot be set (because it is an output, or is linked to
-    a signal that another component writes). They raise `LinkLost` if LinuxCNC or the bridge has ended, and
-    `LinkTimeout` if no answer comes.
+    such name or if the value does not fit the type of the pin. `set` also raises `CommandRejected` for a pin that
+    cannot be set, because it is an output or is linked to a signal that another component writes. Both methods raise
+    `LinkLost` if LinuxCNC or the bridge has ended, and `LinkTimeout` if no answer comes.
     """
 
     def get(self, name: str) -> PinValue:

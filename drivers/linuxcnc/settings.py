@@ -19,8 +19,8 @@ Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 class PermissionPins(DriverOptions):
     """HAL pins of type bit that are true while the machine may be moved.
 
-    A permission without a configured pin follows from the state of LinuxCNC. It counts as granted if LinuxCNC does not
-    report such a state.
+    A permission without a configured pin follows from the state of LinuxCNC. If LinuxCNC does not report this state,
+    the permission counts as granted.
     """
 
     automatic: PinName | None = Field(default=None, description="if unset: the machine is on")

@@ -58,9 +58,9 @@ def evaluation_grid(ranges_mm: Ranges, shape: tuple[int, int, int] = (60, 20, 20
 def covering_grid(ranges_mm: Ranges, nodes: tuple[ArrayLike, ArrayLike, ArrayLike]) -> Array:
     """Return the axis positions, shape (n, 3), of the grid with the given `nodes` in mm along X, Y and Z.
 
-    The x position changes slowest and the z position fastest. Raises ModelError, naming the axis, if the nodes do not
-    ascend from one end of the range to the other, because an rms over only a part of the workspace is not a volumetric
-    error.
+    The x position changes slowest and the z position fastest. An rms over only a part of the workspace is not a
+    volumetric error. Therefore ModelError, naming the axis, is raised if the nodes do not ascend from one end of the
+    range to the other.
     """
     lines = [np.asarray(line, dtype=np.float64) for line in nodes]
     for axis, line, (low, high) in zip(AXES, lines, ranges_mm, strict=True):

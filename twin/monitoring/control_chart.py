@@ -2,7 +2,7 @@
 
 The individuals chart (Shewhart, with limits from the moving range) follows ISO 7870-2. The EWMA chart follows ISO
 7870-6. Its weight of 0.2 and its limit width of 2.962 standard deviations are those of Lucas & Saccucci, Technometrics
-32 (1990); they give one false alarm in 500 points.
+32 (1990); they give one false alarm in 500 points on average.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def limit_crossing(drift: Drift, limit: float, horizon: float, *, two_sided: boo
     """Return the number of nights until the fitted `drift` reaches `limit`, as expected and at the earliest.
 
     `limit` has the unit of the values. Only the next `horizon` nights are considered. If `two_sided`, the limits are
-    `limit` and -`limit`; otherwise only the upper limit counts.
+    `limit` and -`limit`; otherwise `limit` is the only limit, an upper one.
     """
     sides = (1.0, -1.0) if two_sided else (1.0,)
     expected = min(_line(drift, limit, side, horizon) for side in sides)

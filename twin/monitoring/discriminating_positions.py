@@ -1,11 +1,11 @@
 """Choice of positions whose measurement best shows if an error has jumped, or which of several errors has jumped.
 
 A position is described by its information factor W: WᵀW is the information (the inverse covariance) that its ball
-centres give about the unknowns z of the identification. If z changes by a, the whitened measurement of the position
-changes by W a. Touch noise and the covariance C of z give this measurement the covariance I + W C Wᵀ, where I is the
-identity matrix. The detectability of the change is the noncentrality of the χ² test, aᵀWᵀ(I + W C Wᵀ)⁻¹W a. If a is the
-difference of two suspected jumps, the detectability is twice the Kullback-Leibler divergence between the two hypotheses
-(Box & Hill, Technometrics 9, 1967).
+centres give about the unknowns z of the identification. If z changes by a, the measurement of the position, scaled to
+unit noise, changes by W a. Touch noise and the covariance C of z give this measurement the covariance I + W C Wᵀ, where
+I is the identity matrix. The detectability of the change is the noncentrality of the χ² test, aᵀWᵀ(I + W C Wᵀ)⁻¹W a. If
+a is the difference of two suspected jumps, the detectability is twice the Kullback-Leibler divergence between the two
+hypotheses (Box & Hill, Technometrics 9, 1967).
 """
 
 from __future__ import annotations

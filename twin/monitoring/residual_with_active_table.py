@@ -25,7 +25,7 @@ class ResidualWithTable:
 
     `unknowns` defines the P unknowns z of the machine. `form` contains the quadratic forms, shape (P, P), that give the
     mean square error from z. `left_out_mm2` is the mean square, in mm², of the part of the misfit that the misfit modes
-    do not represent.
+    (the basis functions of the misfit) do not represent.
     """
 
     unknowns: Unknowns
@@ -95,7 +95,7 @@ def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
 def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
     """Return the variance in mm², per direction, of the part of the misfit that the misfit modes do not represent.
 
-    This part has wavelengths that are too short for the modes.
+    The modes are the basis functions of the misfit. Shorter wavelengths than those of the modes are not represented.
     """
     modes = unknowns.modes
     return 0.0 if modes is None else unknowns.misfit_mm**2 * float(modes.left_out @ np.square(scales.kinds))

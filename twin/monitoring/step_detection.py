@@ -1,9 +1,10 @@
 """Test if a machine is still as expected; if it is not, identify the error that has jumped.
 
 The prior knowledge of the P unknowns z is a Gaussian distribution with mean m and covariance C. The measured ball
-centres give the equations y = A z + noise. The design matrix A and the right side y are whitened, and the poses are
-projected out of both. The noise has the standard deviation σ. The innovation y - A m, the difference between
-measurement and expectation, then has the covariance S = σ² I + A C Aᵀ, where I is the identity matrix.
+centres give the equations y = A z + noise with the design matrix A and the right side y. The equations are whitened,
+which means that their noise is uncorrelated and has the same standard deviation σ everywhere. The unknown poses of the
+artefact have been eliminated. The innovation y - A m, the difference between measurement and expectation, then has the
+covariance S = σ² I + A C Aᵀ, where I is the identity matrix.
 
 A score test examines the hypothesis that the coefficients of one error have also changed by the vector a. The matrix J
 selects these coefficients in z. The change a has mean zero and the covariance Λ that the coefficients have in the
@@ -79,10 +80,11 @@ class SuspectedJump:
 class Innovation:
     """Comparison of measured ball centres with prior knowledge of the P unknowns z.
 
-    The equations of the ball centres are y = A z + noise. The design matrix A and the right side y are whitened, and
-    the poses are projected out of both. Before the measurement, z has the `mean` m, shape (P,), and the `covariance` C,
-    shape (P, P). The innovation y - A m has the covariance S = σ² I + A C Aᵀ, where σ is the standard deviation of the
-    noise and I is the identity matrix.
+    The equations of the ball centres are y = A z + noise with the design matrix A and the right side y. They are
+    whitened, which means that their noise is uncorrelated and has the same standard deviation σ everywhere. The unknown
+    poses of the artefact have been eliminated. Before the measurement, z has the `mean` m, shape (P,), and the
+    `covariance` C, shape (P, P). The innovation y - A m has the covariance S = σ² I + A C Aᵀ, where I is the identity
+    matrix.
 
     `score`, shape (P,), is AᵀS⁻¹(y - A m), and `information`, shape (P, P), is AᵀS⁻¹A. `chi2` is (y - A m)ᵀS⁻¹(y - A
     m), and `rows` is the number of equations that contribute to `chi2`.

@@ -26,9 +26,9 @@ from twin.identification.unknowns import UnknownBlocks
 class LinearEstimator:
     """Response of the p estimated parameters, in mm or rad, to each influence.
 
-    `certificate`, shape (p, m), is the response to one standard deviation of each of the m certificate errors.
-    `influences`, shape (p, x), is the response to each of x additional error fields. `noise`, shape (p, p), is the
-    covariance that the stated touch noise causes in the parameters.
+    `certificate`, shape (p, m), is the response to one standard deviation of each of the m independent errors of the
+    certificate. `influences`, shape (p, x), is the response to each of x additional error fields. `noise`, shape (p,
+    p), is the covariance that the stated touch noise causes in the parameters.
     """
 
     certificate: Array

@@ -1,7 +1,7 @@
 """Distribution of a quadratic form of Gaussian variables, such as the mean square of an uncertain field.
 
-If the vector x of Gaussian variables has the mean m and the covariance L Lᵀ, the quadratic form Q = xᵀAx + 2bᵀx + c is
-a sum of independent non-central squares,
+Let x be a vector of Gaussian variables with the mean m and the covariance L Lᵀ. The quadratic form Q = xᵀAx + 2bᵀx + c
+is then a sum of independent non-central squares,
 
     Q = c₀ + Σ λ_j (g_j + δ_j)²,    g_j standard normal,
 

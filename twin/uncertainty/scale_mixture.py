@@ -22,7 +22,7 @@ class MixtureComponent:
 
     `mean`, shape (m,), and `covariance`, shape (m, m), refer to a vector that contains the model parameters (mm or
     rad), followed by the misfit coefficients. `unresolved_mm2` is the variance per direction, in mm², of the part of
-    the misfit whose wavelength is too short for the misfit modes.
+    the misfit whose wavelength is too short for the misfit modes (the basis functions of the misfit).
     """
 
     mean: Array

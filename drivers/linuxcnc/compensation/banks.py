@@ -57,7 +57,7 @@ class Banks:
     def require_stageable(self, bank: int, table: TableImage, taken: tuple[int | None, ...]) -> None:
         """Raise StoreError if the table cannot be staged in `bank`.
 
-        The banks in `taken` must not be written: the active bank and the bank selected for activation.
+        `taken` contains the banks that must not be written: the active bank and the bank selected for activation.
         """
         self.require_known(bank)
         if bank in taken:

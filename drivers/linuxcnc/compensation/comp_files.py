@@ -54,8 +54,8 @@ class CompFileStore:
     def read_table(self, bank: int) -> TableImage | None:
         """Return the whole table as it was staged; None for bank 0 or an empty bank.
 
-        For the active bank, raises ChecksumMismatch if LinuxCNC was started with another table, and StoreError if there
-        is no table.
+        For the active bank, the method raises ChecksumMismatch if LinuxCNC was started with another table, and
+        StoreError if there is no table.
         """
         if bank == 0:
             return None

@@ -18,7 +18,7 @@ class LinuxCncStore(CompensationStore, Protocol):
     """Compensation store of LinuxCNC that can also diagnose itself."""
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Return the findings of a diagnosis that reads only."""
+        """Diagnose the store by reading only, and return the findings."""
         ...
 
 
