@@ -1,7 +1,7 @@
 """Settings file of the agent (TOML). The range of each value is limited, unknown keys are refused, and paths are
 relative to the settings file.
 
-The name of a key ends with its unit. Lengths without a unit in the key are in mm. The JSON schema of this module is
+The key of a quantity that has a unit ends with the unit, for example ``search_mm``. The JSON schema of this module is
 committed under ``config/schema``.
 """
 
