@@ -1,5 +1,5 @@
-"""Origin of a run, as the journal stores it. It contains the data with which an interrupted run is built again and
-changed input files are detected."""
+"""Origin of a run, as the journal stores it. It contains the data needed to build an interrupted run again and to
+detect changed input files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Check measurement with which a verification and a night begin.
+"""Check measurement that is made in every verification and at the beginning of every night.
 
 The measurement requires that the last accepted table is active. The measured ball centres are compared with their
 prediction.

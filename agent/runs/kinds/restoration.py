@@ -31,7 +31,8 @@ _NOTHING = MeasuredPositions((), (), 0, None, {})
 @dataclass(frozen=True)
 class Restoration:
     """Kind of run that reactivates a table stored in the journal. It is the latest table that the run `run_id` stored
-    in the role `role`: the backup before the run, a staged table, or a restored table."""
+    in the given role. `role` is "backup" (table before the run), "staged" (table written by the run) or "restored"
+    (table after a restoration)."""
 
     run_id: str
     role: TableRole = "backup"
