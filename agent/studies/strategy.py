@@ -69,8 +69,8 @@ def run(case: StudyCase) -> StudyResult:
 
 def pareto_front(found: Sequence[Strategy], variant: int) -> tuple[str, ...]:
     """Return the names of the combinations on the Pareto front of machine time and VCE, in ascending order of machine
-    time. A combination is on the front if its VCE is smaller than the VCE of every faster combination. The VCE is
-    computed after the best-fitting rigid motion is removed.
+    time. A combination is on the front if no other combination has both at most the same machine time and at most the
+    same VCE. The VCE is computed after the best-fitting rigid motion is removed.
     """
     known = [(one.minutes, aligned_um(one.verdicts[variant]), one.name) for one in found]
     best, names = float("inf"), []

@@ -37,8 +37,8 @@ class TrajectoryResult:
 
     `machine_um` contains the true deviations of the simulated machine. `models_um` and `sigma_um` are mappings whose
     keys are numbers of balls. `models_um` gives the deviations predicted by the model that was identified with that
-    number of balls. `sigma_um` gives the expected rms difference between the machine and that model. A number of balls
-    is left out if it does not identify the machine.
+    number of balls. `sigma_um` gives the expected rms difference between the machine and that model for each point and
+    direction. A number of balls is left out if it does not identify the machine.
     """
 
     z_mm: Array

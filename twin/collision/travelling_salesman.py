@@ -5,8 +5,8 @@ exchanges.
 
 The cost of a leg between two points may depend on its direction and may take long to compute. Costs are therefore
 requested one by one from a function of the caller. The caller also provides a lower bound of the cost that is quick to
-compute. If the lower bounds of the new legs already exceed the cost of the old legs, the exchange is rejected and the
-exact costs of its new legs are not computed.
+compute. An exchange is rejected if the lower bounds of its new legs already exceed the cost of the old legs. The exact
+costs of the new legs are then not computed.
 """
 
 from __future__ import annotations

@@ -99,8 +99,8 @@ def resample_table(table: CompensationTable, points: Shape) -> CompensationTable
 
 
 def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, float] | None) -> Array:
-    """Return the machine position (3,) of the reference point in mm. If none is requested, it is the anchor of the
-    table.
+    """Return the machine position (3,) of the reference point in mm. If `wanted_mm` is None, the reference point is the
+    anchor of the table.
 
     Raises DataError if the reference point is outside the grid.
     """

@@ -52,8 +52,9 @@ class CompensationLoss:
 
 
 def compensation_loss(source: ExportSource, correction: Correction) -> CompensationLoss:
-    """Compute the volumetric error on a grid of 60 × 20 × 20 points without a table, with the full table, and with the
-    function `correction`, which represents the reduced table.
+    """Compute the volumetric error without a table, with the full table, and with the reduced table.
+
+    The function `correction` represents the reduced table. The error is computed on a grid of 60 × 20 × 20 points.
     """
     table, identified = source.table, source.estimate
     grid = evaluation_grid(_ranges(table))
@@ -108,8 +109,8 @@ def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> No
 
 
 def rigid_difference(source: ExportSource) -> tuple[Array, Array]:
-    """Return the deviation that remains if the table corrects the estimated machine, in two parts: a rigid motion (6,)
-    and a residual (n, 3) in mm at the n nodes of the table.
+    """Return the deviation that remains if the table corrects the estimated machine. It is returned in two parts, a
+    rigid motion (6,) and a residual (n, 3) in mm at the n nodes of the table.
 
     The rigid motion is given by the coefficients of the six fields of `rigid_fields` about the anchor. Raises DataError
     if there is no estimate.
