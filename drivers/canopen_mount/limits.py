@@ -1,4 +1,4 @@
-"""Limits that stop a drive: the limit switches (0x60FD) and the software limits of the drive (0x607D)."""
+"""Limits that stop a drive: limit switches (0x60FD), software limits of the drive (0x607D), and following error."""
 
 from __future__ import annotations
 

@@ -49,8 +49,8 @@ class LinuxCnc:
     def open(self) -> None:
         """Start the bridge process, and home the joints if this is possible without a motion.
 
-        The joints are homed only if they are not yet homed, the settings allow homing, and every joint has an absolute
-        encoder.
+        The joints are homed only if the machine is on, they are not yet homed, the settings allow homing, and every
+        joint has an absolute encoder.
         """
         if self._parts is not None:
             return
@@ -65,8 +65,8 @@ class LinuxCnc:
     def close(self) -> None:
         """End the bridge process.
 
-        If motions were made, the modal codes in effect before the first motion are restored first, and the controller
-        is switched to manual mode.
+        If the machine is on and motions were made, the modal codes in effect before the first motion are restored
+        before that, and the controller is switched to manual mode.
         """
         parts, self._parts = self._parts, None
         try:

@@ -116,7 +116,10 @@ class LinuxCncMotion:
         self._require_at_rest(self._session.read_snapshot())
 
     def restore_modes(self) -> None:
-        """Restore the modal codes that were in effect before the first motion, and switch to manual mode."""
+        """Restore the modal codes in effect before the first motion, and switch to manual mode.
+
+        The method has no effect if no motion was made or if the machine is off.
+        """
         if self._modal_before is None or self._session.read_snapshot().task_state != ON:
             return
         self._await_rest()

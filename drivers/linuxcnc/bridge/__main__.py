@@ -1,7 +1,7 @@
 """Bridge to LinuxCNC for a program that runs under another Python interpreter.
 
 The bridge is run by the Python interpreter of the Linux distribution (`/usr/bin/python3 drivers/linuxcnc/bridge`),
-because the modules `linuxcnc` and `hal` are built for that interpreter. It imports nothing from volcal.
+because the modules `linuxcnc` and `hal` are built for that interpreter. The bridge imports nothing from volcal.
 
 Each line on standard input is a request, and each line on standard output is an answer; both are JSON objects. Every
 request is answered within a few cycles of LinuxCNC's task; no request waits for the end of a motion. The bridge stops a
