@@ -2,8 +2,8 @@
 
 The journal is the only source of the reference state. One kind of decision in it accepts an estimate and names the
 table that is active from then on. Another kind states that a full calibration is needed; such a decision is valid until
-a later night is accepted. A copy of the accepted estimate is written beside the journal, for people and for `volcal
-identify --carried-over`. Runs do not read this copy.
+a later night is accepted. A copy of the accepted estimate is written beside the journal. It is made for people and for
+`volcal identify --carried-over`, and runs do not read it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Check measurement that is made in every verification and at the beginning of every night.
+"""Check measurement that is made in a verification and at the beginning of a night.
 
 The measurement requires that the last accepted table is active. The measured ball centres are compared with their
 prediction.

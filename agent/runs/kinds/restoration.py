@@ -31,8 +31,8 @@ _NOTHING = MeasuredPositions((), (), 0, None, {})
 @dataclass(frozen=True)
 class Restoration:
     """Kind of run that reactivates a table stored in the journal. It is the latest table that the run `run_id` stored
-    in the given role. `role` is "backup" (table before the run), "staged" (table written by the run) or "restored"
-    (table after a restoration)."""
+    in the given role. `role` is "backup" (table active before the run), "staged" (table written by the run) or
+    "restored" (table that the run reactivated)."""
 
     run_id: str
     role: TableRole = "backup"
