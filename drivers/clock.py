@@ -93,8 +93,9 @@ class LockstepClock:
     """Clock with virtual time that is shared with a simulator process; a sleep on this clock advances the simulation.
 
     This clock sends the line ``advance T\\n``, where T is its new time in s since its start. The simulator answers
-    ``ok\\n`` when its simulation has reached that time. This class raises no error if the simulator is lost, because
-    the clock is not a device. It then continues with the wall clock, and the link to the machine reports the loss.
+    ``ok\\n`` when its simulation has reached that time. If the simulator is lost, this class raises no error, because
+    the clock is not a device. The clock then continues with the wall clock, and the link to the machine reports the
+    loss.
     """
 
     def __init__(self, host: str, port: int, *, answer_within_s: float = 10.0) -> None:

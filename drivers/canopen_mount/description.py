@@ -1,6 +1,7 @@
 """Reader of a drive's electronic data sheet, the EDS file of CiA 306.
 
-The file is optional. The reader takes the identity of the drive from it and checks that it lists the required objects.
+The file is optional. The reader takes the identity of the drive from the file and checks that all required objects are
+listed.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ Line = tuple[bool, str]
 def diagnose_drive(drive: Drive) -> list[DiagnosticFinding]:
     """Return findings on latency, identity, versions, state, supply, position, units, limits and monitoring.
 
-    If the drive does not answer or refuses a query, this error is the last finding.
+    If the drive does not answer or refuses a query, the list ends with the error of this query.
     """
     subject = f"{drive.node.axis} drive (node {drive.node.node_id})"
     findings: list[DiagnosticFinding] = []

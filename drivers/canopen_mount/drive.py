@@ -124,7 +124,7 @@ class Drive:
     def prepare(self) -> None:
         """Set the heartbeat time of the node and switch the node to the state *operational*. The drive does not move.
 
-        The state is switched by network management (NMT). This is necessary when the mount opens, and again after a
+        The state is switched by network management (NMT). A call is necessary when the mount opens, and again after a
         restart of the node.
         """
         self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)

@@ -59,7 +59,7 @@ class CanopenMount:
     def close(self) -> None:
         """Switch off the power of both motors and release the bus.
 
-        If a drive cannot be reached, this is logged and no error is raised.
+        If a drive cannot be reached, the failure is logged and no error is raised.
         """
         for drive in self._drives:
             try:

@@ -63,10 +63,10 @@ class LinuxCnc:
         self._parts = _Parts(self._session)
 
     def close(self) -> None:
-        """End the bridge process.
+        """Restore the modal codes if motions were made, and end the bridge process.
 
-        If the machine is on and motions were made, the modal codes in effect before the first motion are restored
-        before that, and the controller is switched to manual mode.
+        The modal codes are those in effect before the first motion; after their restoration, the controller is switched
+        to manual mode. Both steps are omitted if the machine is off.
         """
         parts, self._parts = self._parts, None
         try:

@@ -1,11 +1,11 @@
 """Search for steps (sudden changes of level) in a series of nights.
 
 Steps are found one by one. A candidate is scored by the reduction of the residual sum of squares that it achieves, in
-units of the noise variance. The sum is that of the whole regression (level, slope, and the steps found so far). The
-noise is estimated from the median of successive differences (median moving range), because neither the slope nor single
-steps increase this median much. A candidate is accepted if the reduction exceeds a penalty of about `PENALTY_PER_LOG`
-ln n for n nights. The penalty accounts for the two fitted values of a step (size and time) and for the search over
-times, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
+units of the noise variance. The residuals are those of the whole regression (level, slope, and the steps found so far).
+The noise is estimated from the median of successive differences (median moving range), because neither the slope nor
+single steps increase this median much. A candidate is accepted if the reduction exceeds a penalty of about
+`PENALTY_PER_LOG` ln n for n nights. The penalty accounts for the two fitted values of a step (size and time) and for
+the search over times, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Assumptions about the true machine, the true artefact and the true conditions of a measurement.
 
 The assumptions include errors that the identified model does not have. The Monte Carlo simulation draws machines
-according to them, and the closed form computes second moments from them. The results of the two methods can therefore
-be compared.
+according to the assumptions, and the closed form computes second moments from the same assumptions. The results of the
+two methods can therefore be compared.
 """
 
 from __future__ import annotations
