@@ -33,7 +33,7 @@ class AxisLimits:
 class Permission(Enum):
     """Conditions that must be met before the machine may move (operating conditions of ISO 16090-1).
 
-    The value of each member is the text for messages.
+    The value of each member is the text that names the condition in messages.
     """
 
     AUTOMATIC = "controller in automatic mode"
@@ -288,7 +288,7 @@ class DiagnosticFinding:
 
 
 class Device(Protocol):
-    """Interface of every device that a plugin creates, in addition to its roles."""
+    """Interface that every device of a plugin has in addition to its roles."""
 
     def open(self) -> None:
         """Connect, and verify the identity of the connected equipment. Moves nothing."""

@@ -53,7 +53,7 @@ def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -
 def limit_along_direction(components: Sequence[float], per_axis: Sequence[float]) -> float:
     """Return the largest speed or acceleration along a direction that keeps every axis within its own limit.
 
-    `components` are the absolute components |d_i| of the unit direction vector d. The result is the minimum of limit_i
-    / |d_i| over the axes i.
+    `components` are the absolute values of the components of the unit direction vector. The result is the smallest
+    ratio of an axis limit to the component for the same axis.
     """
     return min(limit / part for part, limit in zip(components, per_axis, strict=True) if part > 0.0)

@@ -1,6 +1,6 @@
 """One device that implements all device roles with a simulated world in this process. It serves preflights and tests.
 
-The end of each motion is known when the motion begins. The device sleeps exactly until this end on the given clock, and
+The end of each motion is known when the motion begins. The device sleeps on the given clock exactly until this end, and
 the sleep advances the world.
 """
 

@@ -1,7 +1,7 @@
 """Scenario of a simulation, given as a TOML file or as the same keys in the settings. Unknown keys are refused.
 
-The name of a key with a unit ends with the unit. If a section (`[truth]`, `[mount]`, …) is missing, its defaults apply.
-`ideal = true` removes every error, as for a preflight.
+If a value has a unit, the name of its key ends with this unit. If a section (`[truth]`, `[mount]`, …) is missing, its
+defaults apply. `ideal = true` removes every error, as for a preflight.
 """
 
 from __future__ import annotations
@@ -107,10 +107,10 @@ class StoreSettings(StrictModel):
 class AgeingSettings(StrictModel):
     """Change of the machine from night to night.
 
-    `night` is the number of the night to simulate. In night 0, the machine has the errors drawn for it. The scale
+    `night` is the number of the night to simulate. On night 0, the machine has the errors drawn for it. The scale
     errors of X, Y and Z change as sines with the amplitudes `seasonal_um_per_m`, the phases `phases_deg` and the period
     `season_nights`. All errors also change in a random walk. `walk_um` is the rms over the working volume of the
-    deviation that one night of this walk adds. In night `collision_night`, errors jump by the values of `collision`, in
+    deviation that one night of this walk adds. On night `collision_night`, errors jump by the values of `collision`, in
     µm or µrad. Each key of `collision` is the ISO name of an error and may add the Legendre order of the coefficient
     that jumps. Without an order, the coefficient of the lowest order jumps.
     """
@@ -128,10 +128,12 @@ class AgeingSettings(StrictModel):
 class ScenarioDocument(StrictModel):
     """Keys of a scenario.
 
-    `start_mm` gives the axis positions at the start; by default these are the lower ends of travel. If `own_mounts` is
-    True, every station has its own mount; otherwise one mount is moved together with the artefact. `artefacts` gives
-    one artefact for each station with its own mount. If `artefacts` is empty, one artefact is moved from mount to
-    mount. `mounts_deg` gives azimuth and elevation of each mount at the start, by default zero.
+    `start_mm` gives the axis positions at the start; by default these are the lower ends of travel. `mounts_deg` gives
+    azimuth and elevation of each mount at the start, by default zero.
+
+    If `own_mounts` is False, one mount is moved together with the artefact. If `own_mounts` is True, every station has
+    its own mount. In this case `artefacts` may give one artefact for each station; otherwise one artefact is moved from
+    mount to mount.
 
     If `noise_by_step` is True, noise depends on the step tag that an agent sends with a motion, and a repeated step has
     the same noise. Otherwise, noise depends on the number of the motion.

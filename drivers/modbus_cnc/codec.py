@@ -99,7 +99,7 @@ class RegisterLayout:
     def reordered(self, data: bytes) -> bytes:
         """Return the bytes of the whole block, converted from big-endian order to wire order.
 
-        The same swap of bytes also converts wire order to big-endian order.
+        The same swap of bytes converts wire order back to big-endian order.
         """
         return data if self._order is None else bytes([data[index] for index in self._order])
 

@@ -25,8 +25,8 @@ HEARTBEAT_PAUSE_S = 0.3
 def diagnose(session: ModbusSession) -> list[DiagnosticFinding]:
     """Return the findings in troubleshooting order.
 
-    A device error ends the checks and is added as a finding. If the link was opened here and the error suggests wrong
-    line settings, one finding about the baud rate follows.
+    A device error ends the checks and is added as a finding. If this function opened the link and the error suggests
+    wrong line settings, a finding about the baud rate follows.
     """
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected

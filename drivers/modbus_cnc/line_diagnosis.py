@@ -42,9 +42,9 @@ def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[Diagnost
 def search_baud_rate(
     settings: ModbusCncSettings, clock: Clock, device: str, error: DeviceError
 ) -> Iterator[DiagnosticFinding]:
-    """Yield one finding about the baud rate and parity at which a silent controller answers.
+    """Yield a finding about the baud rate and parity at which a silent controller answers.
 
-    One register is read with each usual combination of baud rate and parity. There is a finding only if the link is a
+    One register is read with each usual combination of baud rate and parity. The search is made only if the link is a
     serial line and `error` is a time-out or a damaged frame.
     """
     if settings.serial is None or not isinstance(error, LinkTimeout | DamagedFrame):

@@ -22,7 +22,7 @@ _LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 
 
 class ModbusProbing:
-    """Touches with the controller's touch-trigger probe.
+    """Probing with the controller's touch-trigger probe.
 
     A latched position is accepted only if it carries the sequence number of the touch and lies on the path of the
     touch.

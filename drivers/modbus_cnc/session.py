@@ -34,8 +34,9 @@ URGENT_WITHIN_S = 1.0
 
 
 class ModbusSession:
-    """Session with one controller. All traffic passes through the session, so only it sets sequence numbers and
-    heartbeat.
+    """Session with one controller.
+
+    All traffic passes through the session, so only the session sets the sequence numbers and the heartbeat.
     """
 
     def __init__(self, link: ModbusLink, clock: Clock, settings: ModbusCncSettings) -> None:

@@ -1,4 +1,7 @@
-"""Compensation store with two banks: tables are staged through the data window and activated in two steps."""
+"""Compensation store with two banks in a Modbus controller.
+
+A table is transferred in blocks through a group of registers (the data window) and is activated in two steps.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +78,7 @@ class ModbusStore:
     def stage(self, bank: int, table: TableImage) -> None:
         """Transfer a table to an inactive bank, commit the table and read it back.
 
-        Raises StoreError if the table is refused, ChecksumMismatch if its CRC-32 differs in the controller, and
+        Raises StoreError if the table is refused, ChecksumMismatch if the controller finds a different CRC-32, and
         ReadBackMismatch if the table read back differs.
         """
         self._require_stageable(bank, table)

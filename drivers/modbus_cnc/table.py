@@ -1,4 +1,4 @@
-"""Conversion of a compensation table to bytes and back, with the CRC-32 and the blocks for the data window."""
+"""Conversion of a compensation table to bytes and back, with a CRC-32 and a division into blocks for the transfer."""
 
 from __future__ import annotations
 

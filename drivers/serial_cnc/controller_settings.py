@@ -1,4 +1,4 @@
-"""The `$` settings of the controller, with checks for values that would make probing wrong.
+"""Settings of the controller (``$`` numbers), and checks for values that would make probing wrong or impossible.
 
 Sources: gnea/grbl, doc/markdown/settings.md; grblHAL/core settings.h (`reportmask_t`) for bits that GRBL does not have.
 """
@@ -104,8 +104,8 @@ class ControllerSettings:
     def fatal(self) -> str:
         """Return the reason why probing is impossible, or an empty string if it is possible.
 
-        A reason is a setting that is missing or invalid, or that makes positions be reported in inches or as work
-        positions.
+        Probing is impossible if a setting is missing or invalid, or if the controller reports positions in inches or as
+        work positions.
         """
         if self.missing:
             return f"the controller does not report ${', $'.join(map(str, self.missing))}"

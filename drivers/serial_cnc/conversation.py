@@ -220,8 +220,9 @@ class Conversation:
         self.line.write(character)
 
     def reset(self) -> None:
-        """Send a soft reset and wait for the welcome line. Lines without an answer are discarded, because none will
-        come.
+        """Send a soft reset and wait for the welcome line.
+
+        Lines that are still unanswered are discarded, because no answer will come.
         """
         restarts = self.restarts
         self.alarm = None

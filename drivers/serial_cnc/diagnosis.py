@@ -25,7 +25,8 @@ def diagnose(
 ) -> list[DiagnosticFinding]:
     """Return the findings in troubleshooting order.
 
-    If a device error ends the checks of the controller, the last finding is still about the tables.
+    A device error ends the checks of the controller and is added as a finding. The last finding is always about the
+    tables.
     """
     findings: list[DiagnosticFinding] = []
     opened_here = not conversation.line.connected

@@ -1,4 +1,4 @@
-"""Identity of a controller: build, settings, offsets, modes. Reads only."""
+"""Identity of a controller: its build, settings, offsets and modes. The module reads them and changes nothing."""
 
 from __future__ import annotations
 

@@ -54,7 +54,8 @@ class MotionOrder:
 class SerialMotion:
     """Executor of motion orders.
 
-    If any exception but CommandRejected ends the wait for a motion, a stop is sent before the exception propagates.
+    If an exception other than CommandRejected ends the wait for a motion, a stop is sent before the exception
+    propagates.
     """
 
     def __init__(

@@ -12,7 +12,7 @@ def create(settings: SerialCncSettings, context: DeviceContext) -> SerialCnc:
 
 
 def claims(settings: SerialCncSettings) -> dict[str, str]:
-    """Return the claimed resource: the serial port, which can have only one owner."""
+    """Return the serial port as a resource that no other device may use."""
     return {f"serial port {settings.port}": "port"}
 
 

@@ -49,7 +49,7 @@ class TrackedStatus:
 
     @property
     def slowest_share(self) -> float:
-        """Smaller one of the feed override and the rapid override, as a speed factor between 0.01 and 1."""
+        """Smaller of the feed override and the rapid override, expressed as a speed factor between 0.01 and 1."""
         return max(min(100, *self.overrides), 1) / 100.0
 
     @property
@@ -120,10 +120,10 @@ class StatusTracker:
         self._note_restart(expected=True)
 
     def work_offset(self) -> Vector:
-        """Return the work offset in mm, shape (3,), for which machine = work + offset.
+        """Return the work offset in mm, shape (3,): machine position = work position + offset.
 
-        Queries the status until a report contains the offset. Raises ProtocolError if `REPORTS_UNTIL_OFFSET` reports do
-        not.
+        Queries the status until a report contains the offset. Raises ProtocolError if `REPORTS_UNTIL_OFFSET` reports
+        have come without the offset.
         """
         for _ in range(REPORTS_UNTIL_OFFSET):
             if self._offset is not None:

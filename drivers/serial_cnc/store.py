@@ -51,8 +51,9 @@ class BankStore:
         self.correction = Correction(None)
 
     def open(self) -> None:
-        """Load the table of the active bank. Raises StoreError if the file is missing or holds another table than was
-        activated.
+        """Load the table of the active bank.
+
+        Raises StoreError if the file is missing, or if its table is not the one that was activated.
         """
         bank, crc = self._files.active()
         self._active, self.correction = bank, Correction(self._verified_table(bank, crc) if bank else None)

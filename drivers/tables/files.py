@@ -43,7 +43,7 @@ def read_if_exists(path: Path) -> str | None:
 
 
 def sync_directory(folder: Path) -> None:
-    """Sync the directory `folder` to the disk. Files that were renamed in it before then survive a power cut."""
+    """Sync the directory `folder` to the disk. Earlier renames of files in this directory then survive a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)

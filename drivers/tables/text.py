@@ -61,7 +61,7 @@ def format_table(table: TableImage) -> str:
 
 
 def parse_table(text: str, **where: str | int) -> TableImage:
-    """Parse the text of a table file. Every error carries `where`, which states the origin of the text.
+    """Parse the text of a table file. The origin of the text, given as `where`, is added to every error.
 
     Raises StoreError if the text is not a table, and ChecksumMismatch if the table was changed.
     """

@@ -1,4 +1,4 @@
-"""File through which the plant's process and the servo thread of LinuxCNC share the simulated state.
+"""File through which the process of the simulated plant and the servo thread of LinuxCNC share the simulated state.
 
 The layout is that of `components/volcal_plant.h`. Every number in the file has 8 bytes and is little-endian.
 """

@@ -59,7 +59,7 @@ class LinuxCncProcess:
             self._process.communicate()
 
     def inside(self, *command: str) -> list[str]:
-        """Return `command` prefixed so that it runs in the namespaces of this LinuxCNC."""
+        """Return a command line that runs `command` in the namespaces of this LinuxCNC."""
         return [*nsenter_command(self.ready["pid"]), *command]
 
     @property

@@ -1,6 +1,6 @@
 """Control channel over TCP. It offers the actions of a person at the machine, and facts known only to the simulator.
 
-A request is one JSON object on a line, and so is the answer. Invalid input is answered with ``{"error": ...}``.
+Each request and each answer is one JSON object on one line. Invalid input is answered with ``{"error": ...}``.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class ControllerView(Protocol):
 
 
 class ControllableWorld(TimeDriven, Protocol):
-    """Interface of a world that the control channel needs."""
+    """Interface that the control channel needs from a world."""
 
     @property
     def controller(self) -> ControllerView: ...

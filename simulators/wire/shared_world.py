@@ -1,4 +1,4 @@
-"""One world with its lock, and the wire components that advance with its time."""
+"""One world with its lock, and the protocol servers and CAN nodes that advance with its time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 
 
 class TimeDriven(Protocol):
-    """Interface of an object with a machine time that its owner advances."""
+    """Interface of an object whose machine time is advanced by its owner."""
 
     @property
     def now(self) -> float: ...

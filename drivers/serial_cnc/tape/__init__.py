@@ -1,1 +1,4 @@
-"""Transfer of parameters and tables in tape format over RS-232. Data written is read back and compared."""
+"""Transfer of parameters and tables over RS-232 in the tape format of FANUC controllers.
+
+After writing, the data are read back and compared.
+"""

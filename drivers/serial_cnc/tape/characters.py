@@ -30,7 +30,7 @@ _CONTROLS = {control.value: control for control in DeviceControl}
 
 @dataclass(frozen=True)
 class ParityFault:
-    """Received byte with an odd number of one bits, which is a parity error."""
+    """Received byte with a parity error: the number of its set bits is odd."""
 
     byte: int
 

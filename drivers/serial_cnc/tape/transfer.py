@@ -1,5 +1,6 @@
 """Tape transfer in both directions over a punch/read line.
 
+The direction of a transfer is named from the side of the controller, and DC1 to DC4 are device control characters.
 *Punch*: the controller sends DC2, then the tape, then DC4. *Read*: the controller sends DC1 when the operator presses
 READ, and then reads the tape. It sends DC3 to stop the sender when its memory is full, and DC1 to restart the sender.
 It sends DC3 at the end. The operator starts both transfers at the controller; this module cannot start them.

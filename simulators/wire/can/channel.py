@@ -1,4 +1,6 @@
-"""Bus of the simulated CAN nodes, opened from a specification of one word, as given on a command line.
+"""CAN bus of the simulated nodes, which is opened from a specification, as given on a command line.
+
+The specification is one word in one of these forms:
 
 ========================================  ==============================================================
 ``socketcand:127.0.0.1:0``                TCP; the server is in this process (port 0: any)

@@ -1,9 +1,9 @@
-"""CiA 402 drive for one axis of the simulated mount, written from the profile's text.
+"""CiA 402 drive for one axis of the simulated mount, written from the text of this profile.
 
-It implements the power drive state machine, profile position mode, homing mode, quick stop, fault reaction and limits.
-The position unit is the encoder count unless the factor group defines another; speeds are units per second. The drive
-has no motion of its own: the physics of the mount advances with the world's clock, and the drive reads it on every
-request and after every advance.
+The drive implements the power drive state machine, profile position mode, homing mode, quick stop, fault reaction and
+limits. The position unit is the encoder count unless the factor group defines another unit. Speeds are in position
+units per second. The drive has no motion of its own: the physics of the mount advances with the world's clock. The
+drive reads the state of the mount on every request and after every advance.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ POSITION_WINDOW_DEG = 0.01
 
 
 class MountAxes(Protocol):
-    """Physics of the mount, as needed by a drive. Angles are in degrees, speeds in degrees per second."""
+    """Interface of the mount's physics that a drive needs. Angles are in degrees, and speeds are in degrees/s."""
 
     def begin_turn(self, axis: str, angle_deg: float, speed_deg_per_s: float | None) -> None: ...
 
@@ -82,7 +82,7 @@ POWERED = frozenset({PowerDriveState.SWITCHED_ON, PowerDriveState.ENABLED, Power
 
 
 class ServoDrive:
-    """Drive application behind a `CanopenNode`."""
+    """Device application of one simulated drive, which a `CanopenNode` connects to the bus."""
 
     def __init__(self, config: DriveConfig, axes: MountAxes) -> None:
         self._config = config
@@ -368,7 +368,7 @@ class ServoDrive:
 
 
 def drive_node(config: DriveConfig, axes: MountAxes) -> tuple[CanopenNode, ServoDrive]:
-    """Return the CANopen node of a new drive, and the drive."""
+    """Create a drive, and return its CANopen node and the drive itself."""
     drive = ServoDrive(config, axes)
     node = CanopenNode(
         config.node_id,

@@ -1,6 +1,8 @@
-"""CANopen node according to CiA 301: NMT slave, heartbeat producer, EMCY producer, SDO server.
+"""CANopen node according to CiA 301.
 
-Frames are (identifier, data) pairs. The node has no bus and no thread; `advance` sets its time.
+The node is a slave in network management (NMT), a producer of heartbeats and emergency messages (EMCY), and a server
+for service data objects (SDO). Frames are (identifier, data) pairs. The node has no bus and no thread; `advance` sets
+its time.
 """
 
 from __future__ import annotations

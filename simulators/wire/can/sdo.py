@@ -1,7 +1,8 @@
-"""SDO server according to CiA 301 section 7.2.4.
+"""Server for service data objects (SDO) according to CiA 301 section 7.2.4.
 
-It supports expedited transfers in both directions and segmented upload. No writable object of a drive is longer than
-four bytes, so a segmented download is refused because of its length; block transfer is refused as an unknown command.
+The server supports expedited transfers in both directions and segmented upload. A segmented download is refused because
+of its length, since no writable object of a drive is longer than four bytes. A block transfer is refused as an unknown
+command.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ ObjectDictionary = Mapping[tuple[int, int], ObjectEntry]
 
 
 class SdoServer:
-    """SDO server for one client on one channel."""
+    """Server for service data objects (SDO), for one client on one channel."""
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary

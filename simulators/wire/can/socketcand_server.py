@@ -38,7 +38,7 @@ class _Client:
 
 
 class SocketcandServerBus(can.BusABC):
-    """CAN bus `channel`, served at the TCP address `host`:`port`.
+    """CAN bus with the name `channel`, served at the TCP address `host`:`port`.
 
     If the argument `port` is 0, a free port is chosen. The attribute `port` holds the number of the port in use.
     """

@@ -28,7 +28,7 @@ class PlannedMove:
 class GrblAxes:
     """Axes that execute the moves of the planner.
 
-    `current_move` remains set after the end of a move until the controller has noticed the end and clears it.
+    `current_move` holds a move from its start until the controller has noticed its end.
     """
 
     def __init__(self, physics: GrblPhysics, settings: GrblSettings, now: Callable[[], float]) -> None:
@@ -82,7 +82,7 @@ class GrblAxes:
     def latch_after(self, latches: int) -> Triple | None:
         """Return the position latched at the latest trip, in machine coordinates.
 
-        Returns None if the sequence number of this trip is not above `latches`.
+        Returns None if there was no trip, or if the number of the latest trip is not above `latches`.
         """
         latch = self._physics.latch
         return self._coordinates.from_axes(latch.position) if latch is not None and latch.sequence > latches else None

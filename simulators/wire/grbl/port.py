@@ -1,4 +1,4 @@
-"""Simulated GRBL controller on its pseudo-terminal."""
+"""Simulated GRBL controller on a pseudo-terminal, as part of a world."""
 
 from __future__ import annotations
 

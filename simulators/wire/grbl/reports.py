@@ -48,7 +48,7 @@ class StatusSnapshot:
 class StatusReporter:
     """Formatter of status reports, which selects the fields of each report.
 
-    The work offset and the overrides are contained only in every few reports, and after each change.
+    The work offset and the overrides are contained only in some reports, at regular intervals and after each change.
     """
 
     def __init__(self, settings: GrblSettings) -> None:
@@ -56,8 +56,9 @@ class StatusReporter:
         self.restart()
 
     def restart(self) -> None:
-        """Restart the counting of reports after a reset. The next report contains the offset, and the second the
-        overrides.
+        """Restart the counting of reports after a reset.
+
+        The next report contains the work offset, and the report after it contains the overrides.
         """
         self._until_offset, self._until_overrides = 0, 1
         self._shown_offset: Triple | None = None

@@ -27,7 +27,10 @@ class SettingRefusedError(Exception):
 
 
 class GrblSettings:
-    """Settings for axes with the given limits. Homing and soft limits are enabled. By default, a mm has 1000 steps."""
+    """Settings for axes with the given limits.
+
+    Homing and soft limits are enabled. The default resolution is 1000 steps per mm.
+    """
 
     def __init__(self, limits: AxisLimits, steps_per_mm: float = 1000.0) -> None:
         self._values: dict[int, float] = {

@@ -33,7 +33,10 @@ class WorldWithController(TimeDriven, Protocol):
 def attach_registers(
     shared: SharedWorld[WorldWithController], numbers: RegisterNumberFormat | None = None
 ) -> ControllerRegisters:
-    """Return the registers of the world's controller. They are called after each advance of the world's time."""
+    """Return the registers of the world's controller, connected to the world's time.
+
+    After each advance of this time, the registers check whether a motion has ended or must be stopped.
+    """
     registers = ControllerRegisters(shared.world.controller, numbers or Float64Numbers(), lambda: shared.now)
     shared.subscribe(lambda _now_s: registers.motion.observe(), wakes_at=registers.motion.wakes_at)
     return registers

@@ -28,7 +28,7 @@ _FAULT_WORDS: Final = (
 
 
 def fault_code(fault: str) -> FaultCode:
-    """Return the code for a fault text of the simulated machine; 99 (other) if none matches."""
+    """Return the code for a fault text of the simulated machine, or 99 (other) if no code matches."""
     words = fault.lower()
     for marker, code in _FAULT_WORDS:
         if marker in words:

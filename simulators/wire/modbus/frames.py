@@ -51,10 +51,10 @@ class ModbusFramingError(Exception):
 
 
 def split_frames(buffer: bytearray) -> Iterator[tuple[int, int, bytes]]:
-    """Remove every complete frame from the front of `buffer`, and yield the transaction id, unit id and request of each
+    """Remove every complete frame from the front of `buffer`. Yields the transaction id, unit id and request of each
     frame.
 
-    Raises ModbusFramingError if a header is not one of Modbus TCP.
+    Raises ModbusFramingError if the start of a frame is not a Modbus TCP header.
     """
     while len(buffer) >= HEADER.size:
         transaction, protocol, length, unit = HEADER.unpack_from(buffer)

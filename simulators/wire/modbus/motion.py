@@ -47,7 +47,7 @@ STATE_OF: Final = {
 
 @dataclass(frozen=True)
 class MotionRequest:
-    """Motion command with the fields that it uses."""
+    """Motion command with the values that it takes from the command registers."""
 
     code: ModbusCommandCode
     target_mm: tuple[float, ...]
@@ -70,8 +70,8 @@ class MotionRequest:
 class MotionRegisters:
     """Registers 1004 … 1037 and the state behind them.
 
-    After a stop or a fault, the axes first brake. Until they are at rest, the register of the state shows moving, and
-    the register of the outcome shows 1 (under way).
+    After a stop or a fault, the axes first brake. Until they are at rest, the state register shows moving, and the
+    outcome register shows 1 (under way).
     """
 
     def __init__(self, machine: MovingMachine, now: Callable[[], float]) -> None:

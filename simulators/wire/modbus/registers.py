@@ -243,9 +243,9 @@ def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFo
 
 
 def temperature_counts(temperatures: Mapping[str, float]) -> list[int]:
-    """Return eight temperatures in thousandths of a degree Celsius.
+    """Return eight temperatures in thousandths of a degree Celsius, filled up with `NO_TEMPERATURE`.
 
-    The first three are those of artefact, ambient and machine. The others follow in the order of their names.
+    The temperatures of artefact, ambient and machine come first. The others follow in the order of their names.
     """
     usual = [name for name in USUAL_TEMPERATURES if name in temperatures]
     others = sorted(set(temperatures) - set(USUAL_TEMPERATURES))

@@ -1,9 +1,9 @@
 """Simulated controller as a Modbus RTU unit on a pseudo-terminal.
 
 A pseudo-terminal has no transmission time and no baud rate, so this module simulates both. In lockstep, the agent
-controls time. It advances the machine's clock by the transmission time itself, and an answer is sent at once. With any
-other clock, the request, the silence before the answer and the answer take as long as on a cable. A client that has set
-another baud rate gets no answer.
+controls time. The agent itself advances the machine's clock by the transmission time, and an answer is sent at once.
+With any other clock, the request, the silence before the answer and the answer take as long as on a cable. A client
+that has set another baud rate gets no answer.
 """
 
 from __future__ import annotations

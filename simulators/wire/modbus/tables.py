@@ -198,7 +198,7 @@ class BankRegisters:
     def take_block(self, number: int, data: bytes) -> None:
         """Append a block of data to the transfer.
 
-        `data` is the contents of registers 2200 … 2319, and `number` is the contents of register 2320.
+        `data` holds the contents of registers 2200 … 2319, and `number` is the value of register 2320.
         """
         transfer = self._transfer
         if transfer is None:
