@@ -1,4 +1,4 @@
-"""Settings of a `modbus-cnc` device; the defaults are those of the register map."""
+"""Settings of a `modbus-cnc` device. The defaults are those of the register map."""
 
 from __future__ import annotations
 

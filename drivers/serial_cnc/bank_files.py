@@ -38,7 +38,7 @@ class BankFiles:
         write_atomically(self.directory / f"bank{bank}.table", format_table(table))
 
     def active(self) -> tuple[int, int]:
-        """Return the active bank and the CRC-32 of its table's counts; (0, 0) if no bank was ever activated."""
+        """Return the active bank and the CRC-32 of the counts of its table, or (0, 0) if no bank was ever activated."""
         text = read_if_exists(self._active_path)
         if text is None:
             return 0, 0

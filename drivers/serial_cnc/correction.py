@@ -49,13 +49,13 @@ class Correction:
         return result
 
     def apply(self, position_mm: Vector) -> Vector:
-        """Return the commanded position for a displayed one: commanded = displayed + correction(displayed)."""
+        """Return the commanded position for a displayed position: commanded = displayed + correction(displayed)."""
         return position_mm + self.at(position_mm)
 
     def remove(self, sent_mm: Vector) -> Vector:
-        """Return the displayed position for a commanded one, as the inverse of `apply`.
+        """Return the displayed position for a commanded position, as the inverse of `apply`.
 
-        The position is found by the fixed-point iteration displayed = commanded - correction(displayed).
+        The result is found by the fixed-point iteration displayed = commanded - correction(displayed).
         """
         if self._table is None:
             return sent_mm

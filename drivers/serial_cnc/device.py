@@ -113,7 +113,7 @@ class SerialCnc:
         self._open.control.reset()
 
     def stop(self) -> None:
-        """Stop the motion; if the port was lost, reopen it first. Does nothing if the device is closed."""
+        """Stop the motion, reopening the port first if it was lost. Does nothing if the device is closed."""
         if self._parts is None:
             return
         if not self._conversation.line.connected:

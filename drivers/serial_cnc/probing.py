@@ -36,7 +36,8 @@ class ProbeCycleResult:
 class SerialProbing:
     """Touches and guarded moves by means of probe cycles.
 
-    A latched position is accepted only if it is the only one reported in the cycle and lies on the path of the cycle.
+    A latched position is accepted only if the cycle reported no other position and the latched one lies on the cycle's
+    path.
     """
 
     def __init__(

@@ -9,9 +9,9 @@ from drivers.errors import StoreError
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write `text` to a temporary file, sync it, and rename it to `path`.
+    """Write `text` to a temporary file, sync this file, and rename it to `path`.
 
-    Raises StoreError if writing or syncing fails; `path` then still holds its complete old or complete new contents.
+    Raises StoreError if writing or syncing fails. In this case `path` holds its complete old or complete new contents.
     """
     part = path.with_name(path.name + ".part")
     try:

@@ -61,7 +61,7 @@ class SharedWorld(Generic[W_co]):
             self._companions.append(_Companion(on_advance, wakes_at))
 
     def advance_to(self, instant_s: float) -> None:
-        """Advance the world and its companions to `instant_s`; do nothing if that instant has passed."""
+        """Advance the world and its companions to `instant_s`. Does nothing if this instant has passed."""
         with self.lock:
             while self._world.now < instant_s:
                 self._step_to(min(instant_s, self._next_wake(instant_s)))

@@ -6,7 +6,7 @@ served only during a call of `recv`.
 
 Protocol: doc/protocol.md of linux-can/socketcand (``< hi >``, open, rawmode, send, sendrtr, echo). That document shows
 the data bytes of a ``< frame ... >`` separated by blanks. The socketcand daemon writes the bytes without blanks, and
-python-can's client expects no blanks, so this server writes none either.
+python-can's client expects no blanks. This server therefore writes no blanks either.
 """
 
 from __future__ import annotations

@@ -117,8 +117,9 @@ class GrblAxes:
             self._physics.halt()
 
     def next_event_s(self) -> float | None:
-        """Return the time in s at which the motion ends or, if earlier, the probe comes free. Returns None if neither
-        is known.
+        """Return the time in s of the next event, or None if no event is known.
+
+        The event is the end of the motion or, if this is earlier, the instant at which the probe comes free.
         """
         free_s = self._physics.probe_free_s if self._leaving and self.released_at_mm is None else None
         known = [instant for instant in (self._physics.motion_ends_s, free_s) if instant is not None]

@@ -89,7 +89,7 @@ class WorkOffsets:
     systems: dict[int, Triple] = field(default_factory=lambda: dict.fromkeys(range(54, 60), ORIGIN))
 
     def work_offset(self, modes: GrblModalState) -> Triple:
-        """Return the work coordinate offset (``WCO``) in mm, for which machine = work + WCO."""
+        """Return the work coordinate offset (``WCO``) in mm: machine position = work position + offset."""
         x, y, z = self.systems[modes.coordinates]
         gx, gy, gz = modes.g92_mm
         return x + gx, y + gy, z + gz + modes.tool_length_mm

@@ -21,7 +21,7 @@ TEMPERATURE_SLOTS: Final = 8
 
 @dataclass(frozen=True)
 class RegisterBlock:
-    """Consecutive holding registers; a request must stay inside one block."""
+    """Block of consecutive holding registers. A request must stay inside one block."""
 
     address: int
     registers: int
