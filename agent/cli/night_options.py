@@ -18,7 +18,7 @@ from agent.settings.load import load_settings, naming
 
 
 def night_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options shared by `volcal verify` and `volcal nightly`."""
+    """Add the options shared by `volcal verify` and `volcal nightly` to a command."""
     for option in (
         click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end."),
         click.option(

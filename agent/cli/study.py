@@ -146,7 +146,10 @@ def _cluster(address: str) -> DaskWorkers:
 
 @contextmanager
 def progress_bars() -> Iterator[StudyProgress]:
-    """Yield a progress function that draws one bar per task on stderr."""
+    """Yield a function that reports the progress of a task.
+
+    The function draws one progress bar per task on stderr.
+    """
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=20),

@@ -199,7 +199,7 @@ class JournalReader:
         return self._rows(EventRow, query, run=run, kinds=_listed(kinds), after=after, limit=limit)
 
     def last_event_number(self, run: int, kind: str) -> int:
-        """Return the row number of the run's last event of the given kind; 0 if there is none."""
+        """Return the row number of the last event of the kind `kind` in the run; 0 if there is none."""
         query = "SELECT coalesce(max(rowid), 0) FROM events WHERE run = :run AND kind = :kind"
         return int(self._value(query, run=run, kind=kind))
 

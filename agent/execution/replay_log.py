@@ -86,7 +86,10 @@ def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
 
 
 def comparable_estimate(estimate: str) -> str:
-    """Return the JSON text of an estimate without the time at which it was written."""
+    """Return the JSON text of an estimate without the time at which the estimate was written.
+
+    Two estimates with the same content then have the same text.
+    """
     document: dict[str, Any] = json.loads(estimate)
     provenance: Mapping[str, Any] = document.get("provenance", {})
     timeless = {name: value for name, value in provenance.items() if name != "time"}

@@ -74,7 +74,7 @@ class RunStateTracker:
             self.enter(self._held_in)
 
     def note(self, text: str, **data: object) -> None:
-        """Journal and announce a note; the state does not change."""
+        """Write a note to the journal and announce it. The state does not change."""
         try:
             self._journal.event("note", {"text": text, **data})
         finally:
@@ -88,5 +88,5 @@ class RunStateTracker:
         self._listener(Announcement("note", text, {}))
 
     def progress(self, text: str, **data: object) -> None:
-        """Announce progress without journaling it."""
+        """Announce the progress of the run without writing it to the journal."""
         self._listener(Announcement("progress", text, data))

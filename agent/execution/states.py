@@ -1,4 +1,7 @@
-"""States of a run, their permitted changes, and their PackML (ISA-TR88.00.02) names for panels and gateways."""
+"""States of a run, and the permitted changes from one state to another.
+
+For panels and gateways, each state also has a PackML name (ISA-TR88.00.02).
+"""
 
 from __future__ import annotations
 

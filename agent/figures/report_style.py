@@ -1,7 +1,7 @@
 """Style of report figures, with one set of colours. Text and axes follow the light or dark theme of the page.
 
-Figures are drawn with placeholder colours. In the finished SVG, the placeholder colours are replaced by CSS variables
-of the page, so the same drawing can be shown on a light screen, on a dark screen and on paper.
+Figures are drawn with placeholder colours, which are replaced by CSS variables of the page in the finished SVG. The
+same drawing can therefore be shown on a light screen, on a dark screen and on paper.
 
 The series colours are those of Okabe and Ito, which can be distinguished with the common forms of colour blindness. The
 lightness of the map colours (viridis) increases evenly.

@@ -45,7 +45,10 @@ def trends_png(trends: Sequence[Trend]) -> bytes:
 
 
 def trends_svg(trends: Sequence[Trend]) -> str:
-    """Return the figure of `trends_png` as SVG for a report. Its colours follow the theme of the report page."""
+    """Return the figure of `trends_png` as SVG for a report.
+
+    The colours of the figure follow the theme of the report page.
+    """
     rows = -(-len(trends) // _COLUMNS)
     drawing = report_style.Drawing("trends", 10.4, 2.1 * rows + 0.3, report_style.Margins(bottom=0.45))
     with drawing as figure:

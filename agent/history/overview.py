@@ -15,7 +15,10 @@ _MOST_SHOWN = 6
 
 
 def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
-    """Return the trends of all series of one machine's runs. `runs` must be sorted, the oldest run first."""
+    """Return the trends of all series of one machine's runs.
+
+    The runs must be sorted, with the oldest run first.
+    """
     return tuple(trend_of(series, settings.warn_nights) for series in all_series(runs, settings))
 
 

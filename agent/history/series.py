@@ -147,8 +147,10 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
 
 
 def title_of(parameter: str) -> str:
-    """Return the title of a parameter, e.g. `EXX slope`, `EYX bow`, `EXX order 4`; other names are returned
-    unchanged."""
+    """Return the title of a parameter, such as `EXX slope`, `EYX bow` or `EXX order 4`.
+
+    A name that is not the name of a Legendre coefficient is returned unchanged.
+    """
     found = _COEFFICIENT.fullmatch(parameter)
     if found is None:
         return parameter

@@ -30,7 +30,7 @@ def sync_ends(directory: Path, store: HistoryStore) -> tuple[str, ...]:
     to the database is lost.
 
     This function is for commands that only show the history. If the end of a run is already stored, only the head of
-    the run's record is read, which saves about 50 ms per run with an estimate of 1.5 MB. In contrast, `sync` compares
+    the run's record is read. This saves about 50 ms per run with an estimate of 1.5 MB. In contrast, `sync` compares
     all runs completely; it is called after every run.
     """
     stored: dict[str, dict[str, RunEnd]] = {}

@@ -141,7 +141,7 @@ def retreat_of(
 
 
 def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> FreePathRules:
-    """Return the rules of free paths.
+    """Return the rules for finding collision-free paths (free paths).
 
     The rules use the same dynamics and the same command latency as the computation of machine time.
     """

@@ -1,7 +1,10 @@
 """Mounts and artefacts at the stations.
 
-There are three arrangements. One mount is carried with its artefact from station to station, or each station has its
-own mount and one artefact is carried, or each station has its own mount and its own artefact.
+There are three arrangements:
+
+- One mount with its artefact is carried from station to station.
+- Each station has its own mount, and one artefact is carried.
+- Each station has its own mount and its own artefact.
 """
 
 from __future__ import annotations

@@ -38,8 +38,8 @@ _Key = tuple[float, float, float, float, float, bytes]
 class FeasibilityCheck:
     """Feasibility check of the positions of a job.
 
-    Results are cached. The result for an orientation at one station is used at other stations too if they have the same
-    Y, the same Z, the same distance to the park location and the same balls within reach.
+    Results are cached. For the same orientation, a result at one station is used at another station too, if Y, Z, the
+    distance to the park location and the balls within reach are the same.
     """
 
     job: Job
