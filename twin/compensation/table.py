@@ -28,11 +28,12 @@ _HALF_BALL_PITCH_MM = 75.0
 class Anchor:
     """Anchor of a compensation table: six constraints on its corrections.
 
-    A free artefact cannot measure a rigid motion of the whole workspace. The six constraints determine this rigid
-    motion. At the axis position `point_mm` (3,), the three components of the correction are zero (three constraints).
-    On the line through this point along the `primary` axis, the straight line fitted to the corrections has zero slope
-    in both perpendicular directions (two constraints). On the line through the point along the `secondary` axis, the
-    straight line fitted to the corrections has zero slope in the direction perpendicular to both axes (one constraint).
+    The measurement of an artefact in unknown poses cannot reveal a rigid motion of the whole workspace. The six
+    constraints determine this rigid motion. At the axis position `point_mm` (3,), the three components of the
+    correction are zero (three constraints). On the line through this point along the `primary` axis, the straight line
+    fitted to the corrections has zero slope in both perpendicular directions (two constraints). On the line through the
+    point along the `secondary` axis, the straight line fitted to the corrections has zero slope in the direction
+    perpendicular to both axes (one constraint).
     """
 
     point_mm: Array
@@ -129,8 +130,8 @@ class MeasuredRegion:
 
 
 def regular_nodes(ranges_mm: Ranges, step_mm: tuple[float, float, float]) -> Nodes:
-    """Return the node positions of each axis in mm. They are spaced evenly over the axis range, include both of its
-    ends, and are at most `step_mm` apart."""
+    """Return the node positions of each axis in mm. The nodes are spaced evenly over the axis range, include both ends
+    of the range, and are at most `step_mm` apart."""
     nodes = []
     for axis, (low, high), step in zip(AXES, ranges_mm, step_mm, strict=True):
         if not step > 0.0:
@@ -224,7 +225,7 @@ def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
 
 
 def _slope(along: Array, fields: Array) -> Array:
-    """Return the least-squares slope (3, m) of m fields (n, 3, m) as functions of `along` (n,)."""
+    """Return the least-squares slopes (3, m) of m fields (n, 3, m) that are given at the positions `along` (n,)."""
     centred = along - along.mean()
     return np.asarray(np.tensordot(centred, fields, axes=1) / (centred @ centred))
 
@@ -234,9 +235,10 @@ def _rigid(points: Array, anchor: Anchor, motion: Array) -> Array:
 
 
 def _cell(nodes: Array, positions: Array) -> tuple[np.ndarray[Any, np.dtype[np.intp]], Array]:
-    """Return for each position the index of its cell and its location in the cell as a fraction of the cell.
+    """Return, for each position, the index of its grid cell and its location in the cell as a fraction of the cell
+    size.
 
-    Positions beyond the border are clamped to it.
+    Positions beyond the border of the grid are clamped to the border.
     """
     inside = np.clip(positions, nodes[0], nodes[-1])
     cell = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, len(nodes) - 2)

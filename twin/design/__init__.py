@@ -1,1 +1,2 @@
-"""Optimal design: choice of positions that minimise the error after compensation within the available machine time."""
+"""Optimal design: choice of positions for the smallest expected error after compensation within the available machine
+time."""

@@ -31,9 +31,9 @@ class CandidatePositions:
     """N candidate positions, sorted by station, azimuth, elevation and tool.
 
     `balls` (N,) is the number of measurable balls of each candidate. The vector z contains the P unknowns that all
-    positions share. `factors` (N, r, P) contains one matrix W (r, P) for each candidate, filled up with zero rows. The
-    product WᵀW is the information about z that the candidate gives after its pose has been projected out. `precision`
-    (P, P) is the prior precision of z, and `form` is the design criterion.
+    positions share. `factors` (N, r, P) contains one matrix W (r, P) for each candidate. The product WᵀW is the
+    information about z that the candidate gives after its pose has been projected out. `precision` (P, P) is the prior
+    precision of z, and `form` is the design criterion.
     """
 
     positions: tuple[Position, ...]
@@ -119,8 +119,8 @@ def _balls(planned: PlannedMeasurement) -> Indices:
 def _factors(problem: IdentificationProblem) -> Array:
     """Return the factors (N, r, P) of the N candidates.
 
-    The equations of each position are rotated so far that the equations used up by its pose become zero. The zero
-    equations are omitted.
+    The equations of each position are transformed by a rotation that makes the equations used up by its pose zero. The
+    zero equations are omitted.
     """
     size = problem.blocks.size
     rows = CentreEquations.build(problem, unit_weights=False).projected(size)

@@ -85,8 +85,8 @@ class _Fields:
 
     @property
     def degrees(self) -> tuple[int, int, int]:
-        """Upper bounds of the polynomial degrees in x, y and z. They cover Legendre series with levers, cross-effect
-        terms and misfit modes."""
+        """Upper bounds of the polynomial degrees of the fields in x, y and z. The fields are Legendre series with lever
+        arms, cross-effect terms and misfit modes."""
         unknowns = self.unknowns
         highest = np.maximum(np.array(unknowns.model.highest_order) + 1, _CROSS_DEGREE)
         if unknowns.modes is not None:

@@ -21,8 +21,8 @@ from twin.errors import DataError
 def most_informative_groups(
     candidates: CandidatePositions, chosen: Sequence[int], groups: Sequence[Sequence[int]], count: int
 ) -> list[list[int]]:
-    """Return the `count` groups among `groups` whose measurement would improve the estimate most. They are selected one
-    after another.
+    """Return the `count` groups among `groups` whose measurement would improve the estimate most. The groups are
+    selected one after another.
 
     A group contains the indices of candidates that are measured together, such as one orientation at all stations. A
     group is skipped if it contains a candidate of the position set `chosen`. Raise DataError if fewer than `count`

@@ -6,14 +6,14 @@ unit matrix as covariance. Let C (p, p) be the posterior covariance of z, margin
 misfit. For a machine with the parameters z, the mean of the estimate over all noise is (1 - C) z. The remaining part C
 z is missing from the estimate, either because the measurements do not depend on this part or because noise hides it.
 The part of z in the null space of the measurements remains missing, no matter how often the measurements are repeated.
-Let the columns of a matrix N be an orthonormal basis of this null space. The two missing parts cause two error fields.
-Over the prior, the parts have these covariances:
+Let the columns of a matrix N be an orthonormal basis of this null space. The first missing part causes the unseen
+field, and the second causes the blind field. Over machines drawn from the prior, the two parts have these covariances:
 
     unseen field   covariance C C,     tends to the blind field as the noise tends to zero
     blind field    covariance N Nᵀ
 
-The mean square of each field over the workspace is a quadratic form of the parameters. It is computed for the tools
-used in the measurement and for other tools.
+The mean square of each field over the workspace is a quadratic form of the parameters. The mean square is computed for
+the tools used in the measurement and for other tools.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
 
 
 def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
-    """Return the covariance (p, p), in mm and rad, of the part of the parameters that the estimate does not follow. The
+    """Return the covariance (p, p), in mm and rad, of the part of the parameters that is missing from the estimate. The
     covariance is taken over random machines of the family.
 
     `covariance` (p, p) is the posterior covariance of the parameters. If C is this covariance in units of `prior_scale`

@@ -69,11 +69,13 @@ class InformationState:
         return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
 
     def after_adding(self, factor: Array) -> InformationState:
-        """Return the state after one more position has been measured. Its information factor is `factor` (r, P)."""
+        """Return the state after one more position has been measured. The information factor of this position is
+        `factor` (r, P)."""
         return self._changed(factor, -1.0)
 
     def after_removing(self, factor: Array) -> InformationState:
-        """Return the state after a measured position has been removed. Its information factor is `factor` (r, P)."""
+        """Return the state after a measured position has been removed. The information factor of this position is
+        `factor` (r, P)."""
         return self._changed(factor, 1.0)
 
     def _changed(self, factor: Array, sign: float) -> InformationState:

@@ -69,8 +69,8 @@ class SetUp:
         return replace(self, positions=(*self.positions, *positions))
 
     def with_tool(self, name: str, tool_offset: Array) -> SetUp:
-        """Return the set-up with a further tool called `name`, with which the positions of the first tool are measured
-        again. The measuring layout of the new tool is planned for its offset `tool_offset` (3,) in mm."""
+        """Return a set-up that has a further tool called `name` and measures the positions of the first tool again with
+        this tool. The measuring layout of the further tool is planned for its offset `tool_offset` (3,) in mm."""
         layouts = {**self.procedure.layouts, name: layout_for(self.procedure.layout(), tool_offset, self.tool_axis)}
         procedure = replace(self.procedure, layouts=layouts)
         return replace(self, procedure=procedure).with_positions(replace(p, tool=name) for p in self.first_positions())
@@ -80,8 +80,8 @@ def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> M
     """Return the measuring layout for another tool with the offset `tool_offset` (3,) in mm. The length of the probe
     changes by the difference of the two tool offsets along the tool axis.
 
-    The collision check assumes a straight probe. The length of this probe is at least the length of the stem and the
-    body of the probe in `layout` together.
+    The collision check assumes a straight probe. The length of this probe is at least the stem length plus the body
+    diameter of the probe in `layout`.
     """
     longer = float((np.abs(tool_offset) - np.abs(layout.tool_offset_mm))[tool_axis])
     reach_mm = max(layout.probe.reach_mm + longer, shortest_reach_mm(layout.probe))

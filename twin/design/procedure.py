@@ -62,8 +62,8 @@ class Procedure:
         return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
 
     def layout(self, tool: str | None = None) -> MeasuringLayout:
-        """Return the layout of `tool`, or that of the first tool if `tool` is None. Raise DataError for an unknown
-        tool."""
+        """Return the measuring layout of `tool`, or the layout of the first tool if `tool` is None. Raise DataError if
+        the tool is unknown."""
         if tool is None:
             return next(iter(self.layouts.values()))
         if tool not in self.layouts:

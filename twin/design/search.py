@@ -30,7 +30,7 @@ _ALL_CANDIDATES = 200  # up to this number all candidates take part in an exchan
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Chosen candidates, and the information state after measuring them."""
+    """Chosen candidates, and the information state after they have been measured."""
 
     chosen: tuple[int, ...]
     information: InformationState
@@ -125,9 +125,11 @@ class ExchangeSearch:
         return tuple(int(kept[index]) for index in near.chosen)
 
     def _promising(self, selection: Selection) -> Indices:
-        """Return the chosen positions together with the other candidates of the largest gains, in candidate order.
+        """Return the chosen positions together with the free candidates that have the largest gains, in candidate
+        order.
 
-        The number of other candidates is half of all candidates, but at least `_ALL_CANDIDATES` if there are that many.
+        The number of free candidates is half the number of all candidates. It is raised to `_ALL_CANDIDATES` if there
+        are that many.
         """
         gains = np.where(selection.free, selection.information.gains(), np.inf)
         count = max(len(gains) // 2, min(len(gains), _ALL_CANDIDATES)) + len(selection.chosen)
@@ -143,8 +145,8 @@ class ExchangeSearch:
         return selection if best is None else rest.with_added(best)
 
     def _best(self, worth: Array, allowed: Mask, above: float, kept: Indices | None = None) -> int | None:
-        """Return the allowed and measurable candidate with the largest worth, or None if no such candidate exceeds
-        `above`."""
+        """Return the allowed and measurable candidate with the largest value of `worth`. Return None if no allowed and
+        measurable candidate has a worth above `above`."""
         left = np.where(allowed, worth, -np.inf)
         while left[best := int(np.argmax(left))] > above:
             if self.is_measurable(best if kept is None else int(kept[best])):

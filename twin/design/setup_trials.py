@@ -164,8 +164,8 @@ def _trial_tool(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> TrialT
 
 
 def _new_positions(set_up: SetUp, name: str) -> tuple[Position, ...]:
-    """Return the positions of the set `name` at the stations of the set-up, without those that are already measured
-    with the first tool."""
+    """Return the positions of the set called `name` at the stations of the set-up. Positions already measured with the
+    first tool are omitted."""
     there = {(p.station, p.azimuth_deg, p.elevation_deg) for p in set_up.first_positions()}
     stations = sorted({station for station, _, _ in there})
     wanted = [(station, *orientation) for station in stations for orientation in POSITION_SETS[name]]

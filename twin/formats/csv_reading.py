@@ -23,7 +23,7 @@ class CsvRow:
         return FormatError(message, hint=hint, file=self.source, row=self.number, column=column)
 
     def parse_float(self, column: str, empty: float | None = None) -> float:
-        """Return the finite number in a cell, or `empty` if the cell is empty and `empty` is given."""
+        """Return the finite number in a cell. If the cell is empty and a default `empty` is given, return `empty`."""
         text = self.cells[column]
         if not text and empty is not None:
             return empty

@@ -52,7 +52,8 @@ def format_deflection(grid: DeflectionGrid) -> str:
 
 
 def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
-    """Return the values (n, 6), with columns in the order of `COLUMNS`, and the row number in the file of each line."""
+    """Return the values (n, 6) of n lines, with columns in the order of `COLUMNS`, and the row number of each line in
+    the file."""
     lines = csv.reader(text.removeprefix("\ufeff").splitlines())
     header = [name.strip() for name in next(lines, [])]
     _check_header(header, source)

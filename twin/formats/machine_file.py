@@ -27,8 +27,8 @@ CrossTerm = Literal["b0", "b1", "b2", "c0", "c1"]
 
 
 class AxisSection(StrictModel):
-    """One linear axis. `range_mm` is the range in which the error model is valid. `travel_mm` contains the soft limits;
-    if it is not given, they are equal to `range_mm`."""
+    """Section of a machine file for one linear axis. `range_mm` is the range in which the error model is valid.
+    `travel_mm` contains the soft limits. If `travel_mm` is not given, the soft limits are equal to `range_mm`."""
 
     range_mm: tuple[float, float]
     travel_mm: tuple[float, float] | None = None
@@ -77,7 +77,8 @@ class ModelSection(StrictModel):
 
 
 class DeflectionSection(StrictModel):
-    """Deflection of the machine. `grid` is the path of a CSV file, relative to the machine file."""
+    """Section of a machine file for the deflection of the machine. `grid` is the path of a CSV file, relative to the
+    machine file."""
 
     grid: Annotated[str, Field(min_length=1)]
 

@@ -1,7 +1,7 @@
 """Position set file (CSV or TOML) with `station`, `azimuth_deg` and `elevation_deg` of each position, in measuring
 order.
 
-A column `tool` is needed if several tools are used; an empty cell means the tool of the run.
+A column `tool` is needed if several tools are used. An empty cell in this column means the tool of the run.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ class CarriedOverSection(StrictModel):
 
 
 def carried_over_document(unknowns: Unknowns, mean: Array, covariance: Array) -> dict[str, Any]:
-    """Return the section as the JSON object that is written to the file."""
+    """Return the section of an estimate file that makes the estimate usable as a prior, as a JSON object."""
     errors = unknowns.artefact
     return {
         "scale": unknowns.scale.tolist(),
@@ -140,7 +140,7 @@ def _sizes(sizes: tuple[int, ...], count: int, source: str) -> tuple[int, ...]:
 
 def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[Array, Array]:
     """Return the mean (P,) and the covariance (P, P) of the P unknowns from a section. `size` is the expected number P.
-    Raise FormatError if the stored sizes differ from it."""
+    Raise FormatError if the stored sizes differ from P."""
     mean = _array(section.mean, (size,), source, "mean")
     if [len(row) for row in section.covariance] != list(range(1, size + 1)):
         message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"

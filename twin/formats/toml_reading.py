@@ -43,8 +43,8 @@ def forbid_unknown_keys(kind: type) -> BeforeValidator:
 
 
 def read_toml(text: str, source: str, kind: type[Section]) -> Section:
-    """Return the value of type `kind` given as TOML text. Raise FormatError, naming the file `source`, if the text is
-    invalid."""
+    """Return the value of type `kind` given as TOML text. Raise FormatError, which names the file `source`, if the text
+    is invalid."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -1,11 +1,11 @@
-"""Drift of the machine's error field during the measurement. Errors of low order and the tip drift in proportion to a
-few thermal regressors, which are temperature changes in K.
+"""Drift of the machine's error field during the measurement. The drift is modelled by changes of low-order errors and
+of the tip position. These changes are proportional to a few thermal regressors, which are temperature changes in K.
 
 The drift of a warming machine is smooth in space: scales expand, guides and columns bend, squareness changes, and the
 tip moves. The drift is also smooth in time. Expansion follows one thermometer. Bending follows the difference of two
-temperatures and may have its own time lag; further regressors describe such bending. Together these drifts form a small
-block of unknowns. Each unknown is the amplitude of one drift field, which is multiplied by one regressor: `field = Σ
-regressor · form`. The prior of the unknowns is stated per kelvin.
+temperatures and may have its own time lag; further regressors describe such bending. The drift field is the sum `field
+= Σ regressor · form`. Each form is a low-order error field per kelvin with an unknown amplitude. The unknown amplitudes
+are a small block of unknowns with a prior stated per kelvin.
 
 The regressors are zero at the start. The prior of the machine (a family or an earlier estimate) refers to the state at
 the start. The estimate usually refers to a later state, most often the last one. Its parameters are the parameters at
@@ -35,9 +35,9 @@ _OTHER_ORDER = 1  # lowest order of a scale and of a rotation
 class DriftPrior:
     """Prior standard deviations of the drift per kelvin.
 
-    `strain_per_k` applies to scale errors (1/K) and is multiplied by the full temperature rise. `bending_per_k` applies
-    to angles (rad/K) and to the bows of straightness errors (in units of half the travel, 1/K). It is multiplied by the
-    difference of two temperatures. `tip_mm_per_k` applies to the tip (mm/K).
+    `strain_per_k` (1/K) applies to scale errors and is multiplied by the full temperature rise. `bending_per_k` applies
+    to angles (in rad/K) and to the bows of straightness errors (as a fraction of half the travel, in 1/K). It is
+    multiplied by the difference of two temperatures. `tip_mm_per_k` (mm/K) applies to the position of the tip.
     """
 
     strain_per_k: float = 12e-6

@@ -1,4 +1,4 @@
-"""Result of an identification."""
+"""Result of an identification: the estimated parameters with their covariance and all other estimated quantities."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Misfit:
 
     `coefficients` (q,) contains the coefficients of the q modes, and `covariance` (q, q) is their covariance.
     `cross_covariance` (p, q) is the covariance of the p parameters with the coefficients. The misfit field in mm is the
-    sum over the modes of mode times coefficient, multiplied by `amplitude_mm`. `unresolved_mm2` is the variance per
+    sum of all modes, each multiplied by its coefficient and by `amplitude_mm`. `unresolved_mm2` is the variance per
     direction, in mm², of the part of the misfit whose wavelength is too short for the modes.
     """
 

@@ -8,8 +8,8 @@ out. After integration over z, twice the negative log marginal likelihood is
 
 (MacKay 1992; Rasmussen and Williams 2006, 5.4). Here `rows` is the number of equations, N = AᵀA and r = Aᵀy are the
 matrix and the right side of the normal equations, σ is the touch noise, and D is the prior precision of z. The gradient
-needs only the diagonal of H⁻¹. The logarithm of each scale has a weak normal prior and two bounds. They prevent an
-extreme scale if there are few measurements.
+needs only the diagonal of H⁻¹. The logarithm of each scale has a weak normal prior and two bounds. This prior and the
+bounds prevent extreme scales if there are few measurements.
 """
 
 from __future__ import annotations
@@ -167,11 +167,11 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
 
 def _log_scale_derivative(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
     """Return half of the derivative of `negative_log_likelihood` with respect to the logarithm of the scale of one
-    block.
+    block of unknowns.
 
-    The result is the number of unknowns of the block minus two sums over these unknowns. The first sum is that of
-    `taken`, which is the posterior variance of each unknown multiplied by its prior precision. The second sum is that
-    of the products of `weighted_z` and `z`, where `weighted_z` is the prior precision multiplied by `z`.
+    The result is the number of unknowns in the block, minus the sum of `taken` over the block, minus the sum of the
+    products of `weighted_z` and `z` over the block. `taken` is the posterior variance of each unknown multiplied by its
+    prior precision. `weighted_z` is the prior precision multiplied by the vector of unknowns `z`.
     """
     size = block.stop - block.start
     return float(size - taken[block].sum() - weighted_z[block] @ z[block])

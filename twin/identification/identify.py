@@ -217,8 +217,8 @@ def _unresolved(misfit_mm: float, modes: MisfitModes, solution: Solution) -> flo
 
 
 def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution: Solution) -> Array:
-    """Return the residuals (n, 3) in mm in the order of the given observations. The solution determines the pose of
-    each position."""
+    """Return the residuals (n, 3) in mm, in the order of the given observations. They refer to the poses of the
+    solution."""
     accepted, poses = selection.accepted, solution.poses
     left, local = solution.sides if accepted.all() else whole.sides(solution.z)
     if isinstance(solution.equations, DistanceEquations):

@@ -1,9 +1,10 @@
 """Misfit: smooth fields that the model cannot represent, with a Gaussian prior.
 
-A machine has more errors than the 18 Legendre series and three squarenesses of the model can describe. Gravity and heat
-bend the machine in ways that depend on several axes at once. Mixed terms represent this bending: products of Legendre
-polynomials of low total degree. The rails of each axis undulate between their screws. Waves represent this undulation:
-Legendre polynomials of higher orders than those of the model, alone or multiplied by the position of another axis.
+A machine has more errors than the 18 Legendre series and three squareness values of the model can describe. Gravity and
+heat bend the machine in ways that depend on several axes at once. This bending is represented by mixed terms: products
+of Legendre polynomials of low total degree. The rails of each axis undulate between their screws. This undulation is
+represented by waves: Legendre polynomials of higher orders than those of the model, alone or multiplied by the position
+of another axis.
 
 The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale,
 because a machine that bends strongly need not have wavy rails, and one bad rail does not make the other rails bad.
@@ -56,9 +57,9 @@ class MisfitModes:
     motions can represent is subtracted. `removed` (p, q) and `rigid` (6, q) contain the amplitudes of the subtracted
     parts.
 
-    `sizes` is the number of modes of each kind; the modes of a kind form a consecutive block. `left_out` (kinds,) is
-    the variance per direction that the modes of each kind leave out, as a mean over the workspace. Modes and remainder
-    together have a prior rms of 1.
+    `sizes` contains the number of modes of each kind; the modes of a kind form a consecutive block. `left_out` (kinds,)
+    is the variance per direction that the modes of each kind leave out, as a mean over the workspace. Modes and
+    remainder together have a prior rms of 1.
     """
 
     model: ErrorModel

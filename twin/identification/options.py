@@ -31,7 +31,8 @@ class Options:
     the certificate.
 
     `weights` is "full" if the observations are weighted by their covariances. It is "unit" if all coordinates or all
-    distances have the same weight; the nuisance unknowns are then omitted.
+    distances have the same weight; the nuisance unknowns (those of certificate, thermal strain and misfit) are then
+    omitted.
 
     `estimate_scales` is True if the scales of touch noise, prior and misfit are estimated by maximum marginal
     likelihood. If it is False, all scales are 1.
@@ -39,10 +40,10 @@ class Options:
     `outliers` is "reject" if outliers are found by their studentised residuals and removed before the final fit. It is
     "none" if all rows are accepted.
 
-    `false_alarm` is the probability that any ball is rejected from a set without outliers.
+    `false_alarm` is the probability that at least one ball is rejected from a set without outliers.
 
-    `misfit_mm` is the prior rms over the workspace of the errors that the model cannot represent; 0 switches the misfit
-    off. A carried-over estimate keeps its own value.
+    `misfit_mm` is the prior rms over the workspace of the errors that the model cannot represent. A value of 0 switches
+    the misfit off. A carried-over estimate keeps its own value.
 
     `temperature_standard_uncertainty_k` is the standard uncertainty of the artefact's thermometer. The error of the
     thermometer is common to all rows.

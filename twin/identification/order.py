@@ -1,10 +1,10 @@
 """Choice of the Legendre order by evidence.
 
-The evidence of an order is its marginal likelihood multiplied by the priors of the scales. The poses are projected out;
-parameters, certificate, strain and misfit are integrated out; the scales have their likeliest values. All orders are
-compared on the same ball centres, so factors common to all orders are omitted. The determinants in the evidence balance
-the size of a model against the part of the data that the model explains. Outliers are rejected once, with the highest
-order, before any comparison. All orders therefore use the same ball centres.
+The evidence of an order is its marginal likelihood multiplied by the priors of the scales. The poses are projected out,
+and the parameters, certificate, strain and misfit are integrated out. The scales have their likeliest values. All
+orders are compared on the same ball centres, so factors common to all orders are omitted. The determinants in the
+evidence balance the size of a model against the part of the data that the model explains. Outliers are rejected once,
+with the highest order, before any comparison. All orders therefore use the same ball centres.
 
 The misfit can explain errors of high order almost as well as a model of high order can, but a compensation table
 contains only the parameters and not the misfit. Therefore the highest order is chosen among all orders without very

@@ -29,8 +29,9 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
     """Return the indices of the rows to reject in this round. Rows are sorted by position.
 
-    In each position, only the row with the largest t² is tested. It is rejected if its t² exceeds two limits: the limit
-    that follows from the probability `false_alarm`, and 5 % of the largest t² of all rows.
+    In each position, only the row with the largest squared studentised residual t² is tested. It is rejected if its t²
+    exceeds both of two limits: the limit that follows from the probability `false_alarm`, and 5 % of the largest t² of
+    all rows.
     """
     square = studentised_squares(solution)
     limit = 3.0 * float(fdtri(3.0, solution.degrees_of_freedom, 1.0 - false_alarm / len(square)))

@@ -42,7 +42,7 @@ class RowLayout:
 
     @cached_property
     def full(self) -> bool:
-        """True if there are no empty slots."""
+        """Flag that is True if there are no empty slots."""
         return bool(self.counts.min() == self.counts.max())
 
     @cached_property
@@ -59,7 +59,7 @@ class RowLayout:
 
     @cached_property
     def index(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Position (n,) of each sorted row, numbered from 0 to K-1."""
+        """Index (n,) of the position of each sorted row, from 0 to K-1."""
         return np.repeat(np.arange(self.positions), self.counts)
 
     def pad(self, rows: Array) -> Array:
@@ -187,7 +187,8 @@ class PoseProjector:
         return cls(white @ back, back, int(seen.sum()))
 
     def parts(self, white: Array) -> Array:
-        """Return the projections QᵀA (K, 6, m) of whitened equations A (K, 3·width, m) onto the basis Q."""
+        """Return the projections QᵀA (K, 6, m) of whitened equations A (K, 3·width, m) onto the basis Q of the effect
+        of pose increments."""
         return self.q.transpose(0, 2, 1) @ white
 
     def increments(self, white: Array) -> Array:
@@ -195,7 +196,8 @@ class PoseProjector:
         return (self.back @ self.parts(white[:, :, None]))[:, :, 0]
 
     def remove(self, white: Array) -> Array:
-        """Return whitened equations A (K, 3·width, m) without the effect of pose increments, that is, (I - Q Qᵀ) A."""
+        """Return the whitened equations (I - Q Qᵀ) A without the effect of pose increments. Here A (K, 3·width, m)
+        contains the whitened equations with this effect, Q is its orthonormal basis, and I is the unit matrix."""
         return white - self.q @ self.parts(white)
 
 
@@ -228,8 +230,8 @@ def _recompose(left: Array, right: Array, handedness: Array) -> Array:
 
 
 def _upright_frame(axis: Array) -> Array:
-    """Return a rotation (3, 3) with `axis` as first column and a horizontal second column (the Y axis if `axis` is
-    vertical)."""
+    """Return a rotation (3, 3) with `axis` as the first column and a horizontal second column. The second column is the
+    Y axis if `axis` is vertical."""
     azimuth = np.arctan2(axis[1], axis[0]) if np.hypot(axis[0], axis[1]) > 1e-9 else 0.0
     lateral = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     return np.column_stack((axis, lateral, np.cross(axis, lateral)))

@@ -35,8 +35,8 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
     """Return the predicted volumetric compensated error over axis positions (n, 3), both raw and after the best-fitting
     rigid motion has been removed.
 
-    Each value is a root mean square of the true minus the modelled deviation; the mean square is the posterior
-    expectation. It includes the covariance of the parameters, and the expected value and the covariance of the misfit.
+    Each value is the root of an expected mean square of the true minus the modelled deviation. The posterior
+    expectation includes the covariance of the parameters, and the expected value and the covariance of the misfit.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -133,8 +133,8 @@ def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
 
 
 def _motions_about(grid: Array, offset: Array) -> Callable[[Array], Array]:
-    """Return a function that gives, for axis positions, the fields of the rigid motions about the middle of the grid's
-    tool points."""
+    """Return a function that takes axis positions and returns the fields of the rigid motions at these positions. The
+    rotations are about the middle of the grid's tool points."""
     middle, size_mm = grid.mean(axis=0) + offset, max(float(np.ptp(grid, axis=0).max()), 1.0)
     return lambda points: rigid_fields(points + offset, middle, size_mm)
 

@@ -75,7 +75,8 @@ def _artefact_errors(artefact: Artefact, options: Options) -> ArtefactErrors:
 
 
 def _certificate_factor(covariance: Array) -> Array:
-    """Return a factor (3N, m) of the covariance, without directions in which the certificate has no uncertainty."""
+    """Return a matrix L (3N, m) with L Lᵀ equal to the covariance of the certificate. Directions in which the
+    certificate has no uncertainty are left out."""
     diagonal = np.diagonal(covariance)
     if np.count_nonzero(covariance) == np.count_nonzero(diagonal):
         factor = np.diag(np.sqrt(diagonal))

@@ -1,7 +1,7 @@
 """Linearised equations of a set of ball centres, in unit-prior coordinates (each unknown in units of its prior standard
 deviation).
 
-Each row i is the measurement of one ball in a position k with the tool offset t. It has the equation
+Each row i is the measurement of one ball in a position k with the tool offset t. The equation of the row is
 
     X_i + t + d(X_i; E) + misfit(X_i) + drift(X_i, i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
 
@@ -46,8 +46,8 @@ class Nuisance:
     strain_rows: Array
 
     def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
-        """Return the displacement (n, 3) in mm of the artefact's points, in the artefact's own frame. It follows from
-        the certificate unknowns `z_certificate` and the thermal unknowns `z_strain`."""
+        """Return the displacement (n, 3) in mm of the artefact's points, in the artefact's own frame. The displacement
+        follows from the certificate unknowns `z_certificate` and the thermal unknowns `z_strain`."""
         change = np.zeros((len(ball), 3))
         if z_certificate.size:
             change += (self.errors.certificate @ z_certificate).reshape(-1, 3)[ball]
@@ -61,9 +61,9 @@ class IdentificationProblem:
     """Quantities that stay fixed while the poses and the unknowns z are refined. The n rows are sorted by position.
 
     `local` (n, 3) in mm contains the nominal artefact points at the temperature and elevation of each row. `design` (K,
-    width, 3, P) is the derivative, with respect to the P unknowns z, of the left side minus the right side of the
-    equations. The derivative is taken at the poses in `poses`. It is laid out as K positions with `width` slots each;
-    an empty slot repeats the first row of its position.
+    width, 3, P) is the derivative of the left side minus the right side of the equations with respect to the P unknowns
+    z. The derivative is taken at the poses in `poses`. The array is laid out as K positions with `width` slots each; an
+    empty slot repeats the first row of its position.
     """
 
     unknowns: Unknowns
@@ -78,9 +78,9 @@ class IdentificationProblem:
     design: Array
 
     def sides(self, z: Array) -> Sides:
-        """Return the left and the right side of the exact equations at z, each (n, 3) in mm. The left side contains
-        tool points in the workpiece frame. The right side contains artefact points in the artefact's frame, because the
-        poses are applied later."""
+        """Return the left and the right side of the exact equations at the unknowns z, each (n, 3) in mm. The left side
+        contains the actual tool points in the workpiece frame. The right side contains the artefact points in the
+        artefact's frame, because the poses are applied later."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
         if blocks.size > blocks.misfit.start:
@@ -178,7 +178,7 @@ def _only(z: Array, *blocks: slice) -> Array:
 
 
 def tool_points(observations: Observations) -> Array:
-    """Return the nominal tool points (n, 3) in mm, which are the axis positions plus the tool offsets."""
+    """Return the nominal tool points (n, 3) in mm: the axis positions plus the tool offsets."""
     return np.asarray(observations.axis_positions + observations.tool_offsets[observations.tool])
 
 
@@ -199,7 +199,7 @@ def _is_sorted(order: np.ndarray[Any, Any]) -> bool:
 
 
 def _artefact_points(artefact: Artefact, seen: Observations) -> Array:
-    """Return points (n, 3) in mm in the artefact frame at the temperature and elevation of each row."""
+    """Return the artefact points (n, 3) in mm in the artefact's frame, at the temperature and elevation of each row."""
     strain = artefact.cte_per_k * (seen.temperature_c - artefact.reference_temperature_c)
     points = artefact.balls[seen.ball] * strain[:, None]
     elevations, group = np.unique(seen.elevation_rad, return_inverse=True)
@@ -208,7 +208,8 @@ def _artefact_points(artefact: Artefact, seen: Observations) -> Array:
 
 
 def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:
-    """Return each tool in use with its rows. If there is a single tool, its rows are a slice, which avoids a copy."""
+    """Return each tool in use with the rows measured with it. If there is a single tool, its rows are given as a slice,
+    which avoids a copy."""
     if (tools == tools[0]).all():
         return [(int(tools[0]), slice(None))]
     return [(int(tool), np.flatnonzero(tools == tool)) for tool in np.unique(tools)]

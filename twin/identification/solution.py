@@ -219,9 +219,9 @@ def _sandwich(equations: Equations, posterior: Posterior, problem: Identificatio
     """Return the covariance (P, P) of the true minus the estimated unknowns, and the expected sum of squared residuals.
 
     The estimate of the parameters is H⁻¹Aᵀy, where H is the posterior precision, A is the design matrix of the
-    parameters, and y is the right side of the equations. Both results are computed under the full model: the true
-    parameters and nuisance unknowns follow their priors, and the noise has its stated covariance. The estimate omits
-    the nuisance unknowns, but the full model includes them.
+    parameters, and y is the right side of the equations. The estimate omits the nuisance unknowns, but both results
+    include their effect. The results assume that the true parameters and nuisance unknowns follow their priors and that
+    the noise has its stated covariance.
     """
     blocks = problem.blocks
     block, rest = blocks.parameters, slice(blocks.parameters.stop, blocks.size)

@@ -1,4 +1,4 @@
-"""Shared unknowns of an identification, each in units of its prior standard deviation."""
+"""Unknowns that all positions of an identification share, each in units of its prior standard deviation."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class ArtefactErrors:
     """Uncertain quantities of one artefact with N balls, and its identity.
 
     `balls` (N, 3) in mm and `cte_per_k` are the certified values. `certificate` (3N, m) is a matrix L in mm; the
-    covariance of the certificate is L Lᵀ. Its number of columns m is 0 for a perfect certificate. A standard
+    covariance of the certificate is L Lᵀ. The number of columns m is 0 for a perfect certificate. A standard
     uncertainty of 0 means that the CTE or the thermometer is exact.
     """
 
@@ -77,8 +77,8 @@ class ArtefactErrors:
         return tuple(name for name, doubt in doubts if doubt > 0.0)
 
     def strain_rows(self, warmer_k: Array) -> Array:
-        """Return the strain (n, s) of the artefact in n rows per unit of each of the s thermal unknowns. In each row,
-        the artefact is warmer than the reference temperature by the element of `warmer_k` (n,) in K."""
+        """Return the strain (n, s) of the artefact in n rows per unit of each of the s thermal unknowns. `warmer_k`
+        (n,) is the temperature of the artefact in each row minus the reference temperature, in K."""
         columns = {
             "cte": self.cte_standard_uncertainty_per_k * warmer_k,
             "thermometer": np.full(len(warmer_k), self.cte_per_k * self.thermometer_standard_uncertainty_k),
@@ -87,7 +87,7 @@ class ArtefactErrors:
         return np.stack(chosen, axis=1) if chosen else np.zeros((len(warmer_k), 0))
 
     def matches(self, artefact: Artefact) -> bool:
-        """Return True if `artefact` has the balls, the CTE and the certificate that are described here."""
+        """Return True if `artefact` has the same balls, CTE and certificate as the artefact described here."""
         if self.balls.shape != artefact.balls.shape or not np.array_equal(self.balls, artefact.balls):
             return False
         doubt = (self.cte_per_k, self.cte_standard_uncertainty_per_k)
@@ -100,13 +100,13 @@ class ArtefactErrors:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Meaning of each element of the vector z (P,) of unknowns, which consists of five blocks.
+    """Meaning of each element of the vector z (P,) of unknowns. The vector consists of five consecutive blocks.
 
     The first block gives the parameters of `model`: each parameter in mm or rad is its element of z multiplied by its
     element of `scale` (p,). The second and third blocks give the certificate errors and the thermal strain of
     `artefact`. The fourth block contains the coefficients of the misfit modes `modes`; the misfit field in mm is the
-    sum of mode times coefficient, multiplied by `misfit_mm`. The fifth block gives the drift of the machine during the
-    measurement, as defined by `drift`. A stored estimate has no drift.
+    sum of all modes, each multiplied by its coefficient and by `misfit_mm`. The fifth block gives the drift of the
+    machine during the measurement, as defined by `drift`. It is empty if `drift` is None, as in a stored estimate.
     """
 
     model: ErrorModel

@@ -44,9 +44,9 @@ class DeflectionGrid:
         return self.x, self.y, self.z
 
     def at(self, axis_positions: ArrayLike) -> Array:
-        """Return the displacements (n, 3) in mm at axis positions (n, 3) by trilinear interpolation.
+        """Return the displacements (n, 3) in mm at axis positions (n, 3) in mm, by trilinear interpolation.
 
-        Raises ModelError, which names the first point outside the grid, if a point is outside.
+        Raises ModelError if a point is outside the grid; the message names the first such point.
         """
         points = as_points(axis_positions, "axis positions")
         self._check_inside(points)
@@ -83,11 +83,12 @@ class DeflectionGrid:
 
 @dataclass(frozen=True)
 class CantileverStructure:
-    """Moving-column machine modelled as beams. Loads are in N, lengths in mm and the bending stiffness E I in N mm².
+    """Moving-column machine modelled as beams. Loads are in N, lengths in mm and the bending stiffness EI in N mm².
 
-    At the lower end of Y the ram overhangs the column by `overhang_mm`; travel in Y adds to the overhang. At the lower
-    end of Z the ram axis is `column_foot_mm` above the foot of the column. The column's saddle runs on two trucks
-    `wheelbase_mm` apart, on a bed whose supports are `support_pitch_mm` apart.
+    `overhang_mm` is the overhang of the ram beyond the column at the lower end of the Y axis; travel in Y adds to the
+    overhang. `column_foot_mm` is the height of the ram axis above the foot of the column at the lower end of the Z
+    axis. The saddle of the column runs on two trucks, which are `wheelbase_mm` apart. The trucks run on a bed whose
+    supports are `support_pitch_mm` apart.
     """
 
     ram_load_n_per_mm: float = 3.0
@@ -166,8 +167,8 @@ def _ram_droop(parts: CantileverStructure, reach: Array) -> Array:
 
 
 def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Array, Array]:
-    """Return the sag (mm), the pitch about Y (rad) and the roll about -X (rad) of the saddle, because the bed yields
-    between its supports."""
+    """Return the sag (mm), the pitch about Y (rad) and the roll about -X (rad) of the saddle. They arise because the
+    bed yields between its supports."""
     half = 0.5 * parts.wheelbase_mm
     front, rear = (np.sin(np.pi * (x + arm) / parts.support_pitch_mm) ** 2 for arm in (half, -half))
     sag = 0.5 * parts.bed_sag_mm * (front + rear)
@@ -184,7 +185,8 @@ def _column_rail_wave(parts: CantileverStructure, z: Array, moment: Array) -> Ar
 
 
 def _cell(nodes: Array, positions: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return for each position the index of its cell and its location in the cell as a fraction (0 … 1) of the cell."""
+    """Return, for each position, the index of its grid cell and its location in the cell as a fraction (0 to 1) of the
+    cell size."""
     inside = np.minimum(np.maximum(positions, nodes[0]), nodes[-1])
     cell = np.minimum(np.searchsorted(nodes, inside, side="right") - 1, nodes.size - 2)
     low = nodes[cell]

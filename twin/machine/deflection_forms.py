@@ -51,7 +51,7 @@ def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGr
 
 def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     """Draw the random deflection field of a thermally bowed bed and of a column that is warmer at its foot. The field
-    includes their effect on the parts they carry."""
+    includes the effect of bed and column on the parts that they carry."""
     (x, y, z), shape = _normalised()
     bed, foot, nod, lean, sway, roll = rng.uniform(-3.0, 3.0, 6) * _UM
     field = np.zeros((*shape, 3))
@@ -62,7 +62,8 @@ def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Deflectio
 
 
 def smooth_random_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """Draw an unstructured random field of plane waves with one correlation length (0.2 to 0.8 of the axis ranges)."""
+    """Draw a random deflection field without structure. The field consists of plane waves with one correlation length,
+    which is 0.2 to 0.8 of the axis ranges."""
     positions, shape = _normalised()
     flat = np.stack(positions, axis=-1).reshape(-1, 3)
     length = np.exp(rng.uniform(*np.log((0.4, 1.6))))

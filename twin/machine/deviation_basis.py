@@ -92,10 +92,8 @@ def _effects(arms: tuple[Array, Array, Array]) -> Array:
 
 
 def _functions(model: ErrorModel, points: Array) -> Array:
-    """Return the functions (n, f) of the axis positions.
-
-    These are the Legendre polynomials of X, of Y and of Z, then -z, z, -y for the squareness, then the cross-effect.
-    """
+    """Return the functions (n, f) of the axis positions: the Legendre polynomials of X, of Y and of Z, then -z, z and
+    -y for the squareness, then the functions of the cross-effect."""
     columns = [
         legendre_values(normalise_positions(points[:, axis], model.ranges_mm[axis]), model.highest_order[axis])
         for axis in range(3)
@@ -111,7 +109,8 @@ def _functions(model: ErrorModel, points: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _columns(model: ErrorModel) -> tuple[ColumnIndices, ColumnIndices]:
-    """Return, for each parameter, the index (p,) of its effect in `_effects` and of its function in `_functions`."""
+    """Return two index arrays (p,) for the p parameters: the effect of each parameter in `_effects`, and its function
+    in `_functions`."""
     starts = np.cumsum([0, *(order + 1 for order in model.highest_order)]).tolist()
     effect, row = np.empty(model.size, dtype=np.int64), np.empty(model.size, dtype=np.int64)
     for error, block in model.block.items():

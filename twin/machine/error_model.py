@@ -94,8 +94,8 @@ class ErrorModel:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the model. Every parameter vector (p,) and the columns of every deviation basis have this
-        order."""
+        """Parameters of the model. Their order is also the order of every parameter vector (p,) and of the columns of
+        every deviation basis."""
         series = [_term(error, k) for error in ERROR_MOTIONS for k in series_orders(error, self.orders[error])]
         squareness = [Parameter(name, name, 0, "rad", "squareness") for name in SQUARENESS]
         return (*series, *squareness, *(_cross_term(term) for term in self.cross_effect))
@@ -124,8 +124,8 @@ class ErrorModel:
 
     @cached_property
     def block(self) -> Mapping[str, slice]:
-        """Slice of a parameter vector for each error motion, by ISO name. The slice contains the coefficients of the
-        error motion."""
+        """Slice of a parameter vector that contains the coefficients of an error motion, for each error motion by its
+        ISO name."""
         blocks, start = {}, 0
         for error in ERROR_MOTIONS:
             count = len(series_orders(error, self.orders[error]))
@@ -149,12 +149,13 @@ class ErrorModel:
         return table
 
     def squareness(self, values: Array) -> tuple[float, float, float]:
-        """Return the squareness parameters A0Z, B0Z, C0Y in rad from a parameter vector (p,)."""
+        """Return the squareness parameters A0Z, B0Z and C0Y in rad from a parameter vector (p,)."""
         start = self.block[ERROR_MOTIONS[-1]].stop
         return float(values[start]), float(values[start + 1]), float(values[start + 2])
 
     def cross_terms(self, values: Array) -> Mapping[str, float]:
-        """Return b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect; terms that are not active are zero."""
+        """Return the coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect. Terms that are not active are
+        zero."""
         terms = dict.fromkeys(CROSS_TERMS, 0.0)
         terms.update(zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True))
         return terms

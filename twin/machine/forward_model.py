@@ -51,10 +51,8 @@ class _UnpackedParameters:
 
 
 class _Workspace:
-    """Preallocated arrays for `count` points, refilled for every chunk of points and every axis.
-
-    Allocating new memory each time would cost more than the arithmetic.
-    """
+    """Preallocated arrays for `count` points. They are refilled for every chunk of points and every axis, because
+    allocating new memory each time would cost more than the arithmetic."""
 
     def __init__(self, count: int, terms: int) -> None:
         self.positions = np.empty((3, count))
@@ -75,8 +73,8 @@ def exact_deviation(
     """Return the deviation (n, 3) in mm for axis positions (n, 3) and parameters (p,), computed by the exact product of
     transforms.
 
-    The deviation and the nominal lever arm are computed as separate numbers. The deviation is therefore exact to all
-    digits even if the travel is 4 m.
+    The deviation and the nominal lever arm are computed as separate numbers. The deviation therefore loses no digits,
+    even if the travel is 4 m.
     """
     points = as_points(axis_positions, "axis positions")
     offset = as_vector(tool_offset, 3, "tool offset")
@@ -123,7 +121,7 @@ def _series_positions(model: ErrorModel) -> np.ndarray[Any, np.dtype[np.int64]]:
 
 
 def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _UnpackedParameters, rows: _Workspace) -> None:
-    """Transform the tool point from frame to frame towards the workpiece; the result is stored in `rows.deviation`."""
+    """Transform the tool point from frame to frame towards the workpiece. The result is stored in `rows.deviation`."""
     rows.arm[:] = tool_offset[:, None]
     rows.deviation[:] = 0.0
     for letter in model.chain.axes:
@@ -208,9 +206,10 @@ def _rotate(rows: _Workspace) -> None:
 def _turn(
     components: tuple[Array, Array], angle: tuple[Array, Array], changes: tuple[Array, Array], product: Array
 ) -> None:
-    """Compute the changes of two vector components under a rotation from the first component towards the second.
+    """Compute the changes of two vector components if the vector is rotated from the first component towards the
+    second.
 
-    `angle` contains the sine and the cosine minus 1.
+    `angle` contains the sine of the angle, and its cosine minus 1.
     """
     (first, second), (sine, cosine_minus_one) = components, angle
     np.multiply(cosine_minus_one, first, out=changes[0])

@@ -75,7 +75,7 @@ class MachineDescription:
     def tool(self, name: str) -> Array:
         """Return the offset (3,) in mm of the tool called `name`.
 
-        Raises ModelError, listing the known tools, if there is no such tool.
+        Raises ModelError, which lists the known tools, if there is no such tool.
         """
         if name not in self.tools:
             raise ModelError(f"the machine has no tool '{name}'", hint=f"Known tools: {', '.join(self.tools)}")

@@ -49,9 +49,9 @@ def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | S
 
     `amplitudes` maps kinds of error to half-widths. The kinds `positioning_um`, `straightness_um` and `rotation_urad`
     take one value for each Legendre order, starting at the lowest order of the kind (order 2 for a straightness,
-    otherwise 1). They also take a single value for the lowest order. Beyond the last given order, the half-widths
-    decrease by the factor `decay` (default 0.6) per order. The kinds `squareness_urad`, `cross_displacement_um` and
-    `cross_rotation_urad` take one value each. The half-widths of a missing kind are zero.
+    otherwise 1). They also accept a single value, which belongs to the lowest order. Beyond the last given order, the
+    half-widths decrease by the factor `decay` (default 0.6) per order. The kinds `squareness_urad`,
+    `cross_displacement_um` and `cross_rotation_urad` take one value each. The half-widths of a missing kind are zero.
     """
     known = (*SERIES_KINDS, *SINGLE_KINDS, "decay")
     for name in amplitudes:
