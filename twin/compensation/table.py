@@ -83,7 +83,8 @@ class CompensationTable:
 
     def at(self, axis_positions: ArrayLike) -> Array:
         """Return the corrections (n, 3) in mm at axis positions (n, 3) in mm. Inside the grid the corrections are
-        interpolated trilinearly; outside they are those of the nearest point on the border of the grid."""
+        interpolated trilinearly; outside the grid they are equal to the corrections at the nearest point on its border.
+        """
         points = as_points(axis_positions, "axis positions")
         cells, shares = zip(*(_cell(nodes, points[:, k]) for k, nodes in enumerate(self.nodes)), strict=True)
         total = np.zeros_like(points)

@@ -1,9 +1,9 @@
 """Compensation table as a CSV file with a JSON side file.
 
-The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and one row for each node of the grid. From row to row,
-z varies fastest and x slowest. The corrections in the last three columns are ADDED to the commanded position. The side
-file contains the grid, the tool offset, the anchor, the extrapolated nodes, and the CRC-32 checksum (IEEE 802.3, as in
-zlib) of the bytes of the CSV file.
+The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and one row for each node of the grid. In the sequence
+of rows, z varies fastest and x slowest. The corrections in the last three columns are ADDED to the commanded position.
+The side file contains the grid, the tool offset, the anchor, the extrapolated nodes, and the CRC-32 checksum (IEEE
+802.3, as in zlib) of the bytes of the CSV file.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ def format_table(table: CompensationTable) -> str:
 
 
 def format_side_file(table: CompensationTable) -> str:
-    """Return the JSON text of the side file of a table. The checksum in the side file is that of the CSV text returned
-    by `format_table` for this table."""
+    """Return the JSON text of the side file of a table. The side file contains the checksum of the CSV text that
+    `format_table` returns for the same table."""
     x, y, z = (_rounded(nodes) for nodes in table.nodes)
     document = {
         "format": "volcal compensation table 1",

@@ -45,7 +45,7 @@ class PositionCountGoal:
 
 @dataclass(frozen=True)
 class TimeSlotGoal:
-    """Goal of the smallest expected VCE that can be reached within `minutes` of machine time."""
+    """Goal of reaching the smallest expected VCE within `minutes` of machine time."""
 
     minutes: float
 
@@ -73,7 +73,7 @@ class TimeSlotGoal:
 
 @dataclass(frozen=True)
 class TargetErrorGoal:
-    """Goal of the shortest machine time in which the expected VCE falls to `vce_mm` or less. The VCE is taken after the
+    """Goal of reaching an expected VCE of at most `vce_mm` in the shortest machine time. The VCE is taken after the
     best-fitting rigid motion has been removed."""
 
     vce_mm: float

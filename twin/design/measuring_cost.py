@@ -48,8 +48,8 @@ class MeasuringCosts:
         return np.asarray(self.minutes + self.carry_minutes * ~np.isin(self.stations, here))
 
     def cheapest_pairs(self) -> Array:
-        """Return, for each candidate, the shortest time (N,) in minutes in which it can be measured together with one
-        other candidate."""
+        """Return, for each candidate, the shortest time (N,) in minutes in which the candidate can be measured together
+        with one other candidate."""
         cheapest = np.empty(len(self.minutes))
         for index in range(len(cheapest)):
             beside = self.marginal([index])

@@ -58,9 +58,9 @@ def parse_balls(
 ) -> BallFile:
     """Return the contents of a ball file given as CSV text.
 
-    `tools` maps the names of the machine's tools to their offsets (3,) in mm. An empty cell for the standard
-    uncertainty or the temperature takes its default value. Raise FormatError, which names `source`, the row and the
-    column, if the text is invalid.
+    `tools` maps the names of the machine's tools to their offsets (3,) in mm. If the cell of a standard uncertainty or
+    a temperature is empty, `default_sigma_um` or `default_temperature_c` is used. Raise FormatError, which names
+    `source`, the row and the column, if the text is invalid.
     """
     rows = list(read_rows(text, source, COLUMNS))
     if not rows:

@@ -41,7 +41,7 @@ def parse_deflection(text: str, source: str) -> DeflectionGrid:
 
 
 def format_deflection(grid: DeflectionGrid) -> str:
-    """Return a deflection grid as CSV text. From line to line, z varies fastest and x slowest. Displacements are
+    """Return a deflection grid as CSV text. In the sequence of lines, z varies fastest and x slowest. Displacements are
     rounded to 0.1 nm."""
     x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
     lines = [",".join(COLUMNS)]

@@ -143,7 +143,7 @@ def _whitening(covariance: Array) -> Array:
 
 
 def _unit_deviation(problem: IdentificationProblem) -> float:
-    """Return the standard deviation in mm that is used for all distances: that of the difference of two typical
-    coordinates."""
+    """Return the standard deviation in mm that is used for all distances. It is the standard deviation of the
+    difference of two typical coordinates."""
     variances = np.einsum("nii->n", problem.observations.covariance) / 3.0
     return float(np.sqrt(2.0 * np.median(variances)))

@@ -6,8 +6,8 @@ out. After integration over z, twice the negative log marginal likelihood is
 
     rows ln σ² + |y|²/σ² - rᵀ H⁻¹ r/σ⁴ + ln det H - ln det D,   H = N/σ² + D
 
-(MacKay 1992; Rasmussen and Williams 2006, 5.4). Here `rows` is the number of equations, N = AᵀA and r = Aᵀy are the
-matrix and the right side of the normal equations, σ is the touch noise, and D is the prior precision of z. The gradient
+(MacKay 1992; Rasmussen and Williams 2006, 5.4). Here `rows` is the number of equations, σ is the touch noise, and D is
+the prior precision of z. The matrix N = AᵀA and the right side r = Aᵀy belong to the normal equations. The gradient
 needs only the diagonal of H⁻¹. The logarithm of each scale has a weak normal prior and two bounds. This prior and the
 bounds prevent extreme scales if there are few measurements.
 """

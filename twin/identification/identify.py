@@ -48,9 +48,10 @@ def identify(
 ) -> Estimate:
     """Estimate the parameters of `model` from ball centres measured on `artefact`.
 
-    `family` is the prior, and its standard deviations are the units of the parameters. Raise SingularSet if the
-    measurements do not determine the parameters, for example because there are too few positions or too few different
-    balls. Raise DataError if the family belongs to another model, or if a measured ball is not on the artefact.
+    `family` is the prior of the parameters. The identification uses its standard deviations as units of the parameters.
+    Raise SingularSet if the measurements do not determine the parameters, for example because there are too few
+    positions or too few different balls. Raise DataError if the family belongs to another model, or if a measured ball
+    is not on the artefact.
     """
     options = options or Options()
     if family.model != model:
@@ -217,8 +218,8 @@ def _unresolved(misfit_mm: float, modes: MisfitModes, solution: Solution) -> flo
 
 
 def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution: Solution) -> Array:
-    """Return the residuals (n, 3) in mm, in the order of the given observations. They refer to the poses of the
-    solution."""
+    """Return the residuals (n, 3) in mm, in the order of the given observations. The residuals refer to the poses of
+    the solution."""
     accepted, poses = selection.accepted, solution.poses
     left, local = solution.sides if accepted.all() else whole.sides(solution.z)
     if isinstance(solution.equations, DistanceEquations):

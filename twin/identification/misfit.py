@@ -8,7 +8,8 @@ of another axis.
 
 The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale,
 because a machine that bends strongly need not have wavy rails, and one bad rail does not make the other rails bad.
-Within a kind, the prior standard deviations fall with increasing order, as those of families do.
+Within a kind, the prior standard deviations fall with increasing order, as the prior standard deviations of a family
+do.
 
 The part of the misfit that the model or a rigid motion can represent is removed by least squares over the workspace. An
 error that the model can explain is therefore not also explained by the misfit. The rest is condensed to its leading

@@ -31,7 +31,7 @@ class Options:
     the certificate.
 
     `weights` is "full" if the observations are weighted by their covariances. It is "unit" if all coordinates or all
-    distances have the same weight; the nuisance unknowns (those of certificate, thermal strain and misfit) are then
+    distances have the same weight; the nuisance unknowns (all unknowns except the parameters and the poses) are then
     omitted.
 
     `estimate_scales` is True if the scales of touch noise, prior and misfit are estimated by maximum marginal

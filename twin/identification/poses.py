@@ -47,7 +47,7 @@ class RowLayout:
 
     @cached_property
     def present(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Mask (K, width) of the slots that hold a row."""
+        """Mask (K, width) that is True for each slot with a row and False for each empty slot."""
         return np.asarray(np.arange(self.width) < self.counts[:, None])
 
     @cached_property

@@ -124,8 +124,8 @@ class ErrorModel:
 
     @cached_property
     def block(self) -> Mapping[str, slice]:
-        """Slice of a parameter vector that contains the coefficients of an error motion, for each error motion by its
-        ISO name."""
+        """Slices of a parameter vector by the ISO name of an error motion. Each slice selects the coefficients of this
+        error motion."""
         blocks, start = {}, 0
         for error in ERROR_MOTIONS:
             count = len(series_orders(error, self.orders[error]))

@@ -50,8 +50,8 @@ class GridQuadrature:
     def gather(self, field: Array) -> Array:
         """Return the projection g (m, 3) onto the nodes of a field f (n, 3) that is given at the points.
 
-        If a field a is a polynomial up to the degrees of the rule, the sum of a(X)ᵀ f(X) over all points X is equal to
-        the sum of a(N)ᵀ g(N) over all nodes N.
+        Let a field a be a polynomial up to the degrees of the rule. The sum of a(X)ᵀ f(X) over all points X is then
+        equal to the sum of a(N)ᵀ g(N) over all nodes N.
         """
         if self.lagrange is None:
             return field
