@@ -1,4 +1,5 @@
-"""Temperature rules of the plans and of the identification, built from the section `[temperature]` of the settings."""
+"""Rules on temperature: for measuring plans (thermal settling and drift limits) and for the identification of the
+machine's errors (prior of the thermal drift). They are built from the section `[temperature]` of the settings."""
 
 from __future__ import annotations
 

@@ -24,10 +24,11 @@ class TimeModel:
     """Model of the time that the steps of a plan take.
 
     `rapid_mm_per_s` and `acceleration_mm_per_s2` are the limits of X, Y and Z from the machine file. The speed
-    `turn_deg_per_s` and the acceleration `turn_deg_per_s2` apply to each axis of the mount; both axes turn
-    simultaneously. `command_latency_s`, `touch_latency_s` and `turn_latency_s` are added to the times of each move,
-    touch and turn. The latency of a turn includes the time in which the mount settles. `carrying_s` is the time that
-    the operator needs to put the artefact and the mount at another station.
+    `turn_deg_per_s` and the acceleration `turn_deg_per_s2` apply to each axis of the mount, the rotary device that
+    holds the artefact; both axes turn simultaneously. `command_latency_s`, `touch_latency_s` and `turn_latency_s` are
+    added to the times of each move, touch and turn. The latency of a turn includes the time in which the mount settles.
+    `carrying_s` is the time that the operator needs to put the artefact and the mount at another station (place of the
+    mount).
     """
 
     rapid_mm_per_s: Point
@@ -40,17 +41,18 @@ class TimeModel:
     carrying_s: float = 0.0
 
     def move_s(self, start_mm: Point, target_mm: Point, feed_mm_per_s: float | None) -> float:
-        """Return the time in s of a straight move from rest to rest, without latency. If the feed is None, the move is
-        made at rapid traverse."""
+        """Return the time in s of a straight move from rest to rest, without the latency of the command. If
+        `feed_mm_per_s` is None, the move is made at rapid traverse."""
         path = straight_path(start_mm, target_mm)
         speed = min(feed_mm_per_s or math.inf, path.limit_along(self.rapid_mm_per_s))
         return travel_time_s(path.length, speed, path.limit_along(self.acceleration_mm_per_s2))
 
     def touch_s(self, path: StraightPath, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
-        """Return the time in s of a touch along `path`, without latency, and the axis positions (3,) at its end.
+        """Return the time in s of a touch along `path`, without the latency of the command, and the axis positions (3,)
+        at the end of the touch. A touch is a move until the probe trips.
 
-        `trip_mm` is the distance along `path` at which the probe trips and the axes start to brake; it is None for a
-        miss.
+        `trip_mm` is the distance along `path` at which the probe trips and the axes start to brake; it is None if the
+        probe does not trip (a miss).
         """
         speed = min(feed_mm_per_s, path.limit_along(self.rapid_mm_per_s))
         acceleration = path.limit_along(self.acceleration_mm_per_s2)
@@ -63,14 +65,14 @@ class TimeModel:
         return trip_s + speed / acceleration, path.at(trip_mm + 0.5 * speed * speed / acceleration)
 
     def turn_s(self, start_deg: tuple[float, float], target_deg: tuple[float, float]) -> float:
-        """Return the time in s that the mount takes to turn from `start_deg` to `target_deg`, without latency. Both are
-        pairs of azimuth and elevation; the two axes turn simultaneously."""
+        """Return the time in s that the mount of the artefact takes to turn from `start_deg` to `target_deg`, without
+        the latency of the command. Both are pairs of azimuth and elevation; the two axes turn simultaneously."""
         angle_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
         return travel_time_s(angle_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
 
     def overhead_s(self, step: Step) -> float:
         """Return the time in s that `step` takes in addition to its motion. This is the latency of a move, touch or
-        turn, or the time in which the operator carries the artefact; it is 0 for all other steps."""
+        turn, or the time in which the operator carries the artefact to another station; it is 0 for all other steps."""
         match step:
             case MoveTo():
                 return self.command_latency_s
@@ -85,7 +87,7 @@ class TimeModel:
 
 def time_model(machine: MachineDescription, timing: TimingSettings) -> TimeModel:
     """Return the time model for `machine`. The limits of speed and acceleration of X, Y and Z come from the machine
-    file, and all other values come from the settings `timing`."""
+    file, and all other values come from the section `timing` of the settings."""
     x, y, z = machine.rapid_mm_per_min
     return TimeModel(
         rapid_mm_per_s=(x / S_PER_MIN, y / S_PER_MIN, z / S_PER_MIN),

@@ -1,5 +1,5 @@
-"""Measurement of one ball. The touches of the pattern are made, a sphere is fitted to them, and the limits of the
-fitted sphere are checked. If a limit is exceeded, the measurement is repeated a few times."""
+"""Measurement of one ball. The ball is touched in a fixed pattern of directions, a sphere is fitted to the touches, and
+the fitted sphere is checked against limits. If a limit is exceeded, the measurement is repeated a few times."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ __all__ = ["FittedBall", "LostBall", "measure_ball", "point"]
 
 @dataclass(frozen=True, eq=False)
 class FittedBall:
-    """Sphere fitted to the touches of one ball. `centre_mm` (3,) holds the displayed axis positions at which the
-    centres of stylus tip and ball coincide.
+    """Sphere fitted to the touches of one ball. `centre_mm` (3,) holds the axis positions, as the controller displays
+    them, at which the centres of stylus tip and ball coincide.
 
-    `radius_mm`, `form_mm` and `residuals_mm` (k,), with one residual for each of the k touches, belong to a sphere
-    fitted with a free radius. This holds even if the centre was fitted with a fixed radius, because only the values of
-    a free radius show whether the ball is clean.
+    `radius_mm`, `form_mm` (form error) and `residuals_mm` (k,), with one residual for each of the k touches, belong to
+    a sphere fitted with a free radius. This holds even if the centre was fitted with a fixed radius, because only the
+    values of a free radius show whether the ball is clean.
     """
 
     centre_mm: Vector
@@ -52,14 +52,14 @@ def measure_ball(
     """Measure the ball that is expected at the axis positions `predicted_mm` (3,), and repeat the measurement if it
     fails.
 
-    If the fitted sphere exceeds a limit, the doubtful touches are repeated first, then the whole ball. If the ball is
-    found far from its expected centre, it is measured again about the centre found, because all balls must be touched
-    along the same normals. If `search` has a guarded feed, the ball is first located by touches that stay away from its
-    holder.
+    If the sphere fitted to the touches exceeds a limit, the touches that may have caused this are repeated first, then
+    all touches of the ball. If the ball is found far from its expected centre, it is measured again about the centre
+    found, because all balls must be touched along the same surface normals. If `search.guarded_feed_mm_per_s` is set,
+    because the location of the ball is not known, the ball is first located by touches that stay away from its holder.
 
-    After the first miss, the wide search distances are used. If a touch with the wide distances misses too, the ball is
-    given up. If the ball is given up or all repeats fail, the plan raises MeasurementFault if `probing.stop_on_failure`
-    is set, and otherwise returns LostBall.
+    After the first touch that meets nothing (a miss), the longer distances of `probing.wide_search` are used. If a
+    touch with these distances misses too, the ball is given up. If the ball is given up or all repeats fail,
+    MeasurementFault is raised if `probing.stop_on_failure` is set; otherwise, the result is a LostBall.
     """
     ball = _Ball(key, predicted_mm, probing, search, path)
     if search.guarded_feed_mm_per_s is not None:

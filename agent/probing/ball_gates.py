@@ -22,7 +22,8 @@ MIN_POLE_REDUNDANCY = 0.05
 
 @dataclass(frozen=True)
 class FailedGate:
-    """Gate that a fitted ball did not pass, with the value found, the limit and a text with both."""
+    """Gate (limit) that a fitted ball did not pass, with the value found (`figure_um`), the limit and a text with
+    both."""
 
     gate: str
     figure_um: float
@@ -43,8 +44,8 @@ class FailedGate:
 
 
 def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate | None:
-    """Return the first gate that `fit`, a sphere fitted with a free radius, does not pass; None if it passes all
-    gates."""
+    """Return the first gate (limit of a measured ball) that `fit`, a sphere fitted with a free radius, does not pass;
+    None if it passes all gates."""
     limits = probing.limits
     deviation = fit.radius - probing.expected_radius_mm
     worst = int(np.abs(fit.residuals).argmax())
@@ -64,25 +65,25 @@ def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate 
 
 
 def pole_error_mm(fit: SphereFit, probing: ProbingParameters) -> float | None:
-    """Return the distance in mm of the pole touch from the sphere through all other touches; None for the five-point
-    pattern.
+    """Return the distance in mm of the touch at the pole (the point of the ball that faces the stylus) from the sphere
+    through all other touches; None for the pattern of five touches, one at the pole and four on the equator.
 
     To first order, the distance is the residual of the pole touch divided by its redundancy, which is the fraction of a
-    touch's error that appears in its residual. In the five-point pattern, the other four touches lie in one plane and
-    determine no sphere. With that pattern, a late trip at the pole looks like a ball that is farther away.
+    touch's error that appears in its residual. In the pattern of five touches, the four equator touches lie in one
+    plane and determine no sphere. With that pattern, a late trip at the pole looks like a ball that is farther away.
     """
     share = float(probing.redundancies[0])
     return float(fit.residuals[0]) / share if share > MIN_POLE_REDUNDANCY else None
 
 
 def doubtful_touches(fit: SphereFit, probing: ProbingParameters) -> tuple[int, ...]:
-    """Return the indices of the touches to repeat: the worst touch, and each touch that the pattern cannot distinguish
-    from it.
+    """Return the indices of the touches to repeat: the worst touch, and each touch that the pattern of touch directions
+    cannot distinguish from it.
 
     The redundancy of a touch is the fraction of its error that appears in its residual. To find the worst touch, each
-    residual is divided by the square root of the redundancy (Baarda's test). If five points are fitted with a free
-    radius, a wrong touch on the equator changes the residuals of all four equator touches equally. All four are then
-    repeated.
+    residual is divided by the square root of the redundancy (Baarda's test). If a pole touch and four equator touches
+    are fitted with a free radius, a wrong touch on the equator changes the residuals of the four equator touches
+    equally. All four are then repeated.
     """
     # Standardised residual w_i = |v_i| / √r_i; touches without redundancy have none.
     shown = np.sqrt(probing.redundancies)

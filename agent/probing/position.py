@@ -1,6 +1,7 @@
-"""Measurement of one position. The plan moves the tip clear, turns the mount, and measures both end balls. From the end
-balls it corrects the expected centres of the other balls and measures these balls. At the end it measures the first
-ball again."""
+"""Measuring plan of one position (one orientation and place of the artefact). The plan moves the stylus tip clear of
+the artefact, turns the mount that holds the artefact, and measures the two end balls of the artefact. From the centres
+of the end balls it corrects the expected centres of the other balls and measures these balls. At the end it measures
+the first ball again."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ class PositionTask:
     """Position to be measured.
 
     `predicted_mm` (N, 3) holds the expected axis positions of all N balls. `reachable` (N,) is True for balls within
-    reach. `located` is True if a ball has been found at this station since the artefact was put there.
+    reach. `located` is True if a ball has been found at `station` since the artefact was put there.
     """
 
     key: str
@@ -85,9 +86,9 @@ class MeasuredBall:
 class MeasuredPosition:
     """Result of the measurement of one position.
 
-    `lost` is the number of lost balls. `again` is the repeated measurement of the first ball; it is None if that ball
-    was lost in the repetition. `drift_mm` (3,) is the displacement of the first ball between its two measurements; it
-    is NaN if the ball was lost in the repetition.
+    `lost` is the number of balls that could not be measured. `again` is the repeated measurement of the position's
+    first ball; it is None if that ball was lost in the repetition. `drift_mm` (3,) is the displacement of the first
+    ball between its two measurements; it is NaN if the ball was lost in the repetition.
     """
 
     balls: tuple[MeasuredBall, ...]
@@ -108,7 +109,7 @@ class MeasuredPosition:
 
     @property
     def centres_mm(self) -> Array:
-        """Displayed axis positions (n, 3) of the n ball centres, in the order of `balls`."""
+        """Axis positions (n, 3), as displayed by the controller, of the n ball centres, in the order of `balls`."""
         return np.array([ball.found.centre_mm for ball in self.balls])
 
 
@@ -128,13 +129,14 @@ def measure_position(
     before: Sequence[Conditions] = (),
     planner: PathPlanner | None = None,
 ) -> Plan[MeasuredPosition]:
-    """Measure every reachable ball of `task`. If `planner` is None, the tip moves on plain paths, and the plan ends at
-    the retreat plane.
+    """Measure every reachable ball of `task`. If `planner` is None, the tip moves on plain paths and ends at the
+    retreat plane, which no part of the artefact or mount reaches.
 
-    `here` (3,) holds the axis positions at the start of the plan. Both end balls are measured first with the wide
-    search. The expected centres of the other balls are then corrected from the two centres found. The first ball is
-    measured again at the end to find the drift. `before` holds the temperature readings of the previous position. If
-    the readings show that the artefact has not settled thermally, the plan waits before it measures.
+    `here` (3,) holds the axis positions at the start. The two end balls of the artefact are measured first, with long
+    search distances. The expected centres of the other balls are then corrected from the two centres found. The first
+    ball is measured again at the end to find the drift during the position. `before` holds the temperature readings of
+    the previous position. If the readings show that the artefact has not settled thermally, the measurement starts only
+    after it has settled.
     """
     own = planner or PlainPathPlanner(rules.retreat, rules.probing)
     first, between, last = own.sequence(task)

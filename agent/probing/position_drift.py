@@ -1,8 +1,9 @@
-"""Drift within a position: the displacement of the first ball when it is measured again. Excessive drift is a fault.
+"""Drift during the measurement of a position: the displacement of the position's first ball when it is measured again
+at the end. Excessive drift is a fault.
 
-The drift is not corrected here. The repeated centre enters the identification with its time, like all other centres.
-The identification fits the drift of the whole machine over the whole run to all centres. This fit is more precise than
-a straight line through two noisy measurements of one ball.
+The drift is not corrected here. The centre from the repeated measurement enters the identification of the machine's
+errors with its time, like all other centres. The identification fits the drift of the whole machine over the whole run
+to all centres. This fit is more precise than a straight line through two noisy measurements of one ball.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ class DriftLimits:
 
 
 def judge_drift(key: str, drift_mm: Array, limits: DriftLimits) -> Plan[None]:
-    """Record the displacement `drift_mm` (3,) of the first ball. Raises MeasurementFault if its length exceeds
-    `limits.fault_mm`."""
+    """Record the displacement `drift_mm` (3,) of a position's first ball between its two measurements. Raises
+    MeasurementFault if its length exceeds `limits.fault_mm`."""
     distance_mm = float(np.linalg.norm(drift_mm))
     yield Record(f"{key}/drift", "event", _payload(drift_mm, distance_mm, limits))
     if distance_mm > limits.fault_mm:

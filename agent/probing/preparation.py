@@ -1,5 +1,5 @@
-"""Preparation of a run on one ball. The ball is located, the probe is checked, the stylus is qualified, and the
-reversal of the axes is measured."""
+"""Preparation of a run by checks on one ball of the artefact. The ball is located, the probe is checked, the stylus is
+qualified, and the lost motion of the axes at reversal is measured."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ from twin.collision.measuring_layout import MeasuringLayout
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """Checks that are made before a run. A check is left out if its rules are None.
+    """Checks that are made before a run. A check is left out if its rules (`check`, `qualification` or `reversal`) are
+    None.
 
-    `layout` is a layout in which a ball counts as reachable only if it is accessible for the dense touch pattern and
-    for the moves of the checks.
+    `layout` is a layout in which a ball counts as reachable only if it is accessible for the dense touch pattern of the
+    stylus qualification and for the moves of the checks.
     """
 
     check: ProbeCheck | None
@@ -43,8 +44,8 @@ class Preparation:
 
 @dataclass(frozen=True, eq=False)
 class PreparationResult:
-    """Result of the preparation. `rules` are the measuring rules with the qualified stylus, and `standing_at` is the
-    station at which the artefact stands afterwards."""
+    """Result of the preparation of a run by checks of the probe, the stylus and the axes. `rules` are the measuring
+    rules with the qualified stylus, and `standing_at` is the station at which the artefact stands afterwards."""
 
     rules: PositionRules
     standing_at: int | None
@@ -54,7 +55,7 @@ class PreparationResult:
 
     @property
     def reversals(self) -> tuple[AxisReversal, ...]:
-        """Lost motion of X, Y and Z at reversal; empty if the lost motion was not measured."""
+        """Lost motion of X, Y and Z at reversal of the axes; empty if the lost motion was not measured."""
         return () if self.reversal is None else self.reversal.axes
 
 
@@ -66,9 +67,9 @@ def prepare_probe(
 ) -> Plan[PreparationResult]:
     """Make the checks of `preparation` on the datum ball, which is the first suitable ball of `order`.
 
-    The plan may start anywhere. After the checks, it ends clear of the artefact (`PathPlanner.leave`). Raises
-    MeasurementFault if no ball is suitable, if the ball is not found or exceeds its limits, if the probe's
-    repeatability is too poor, or if the lost motion is too large.
+    The probe may be anywhere at the start. After the checks, it is moved clear of the artefact (see
+    `PathPlanner.leave`). Raises MeasurementFault if no ball is suitable, if the ball is not found or exceeds its
+    limits, if the probe's repeatability is too poor, or if the lost motion is too large.
     """
     yield from _park_all_mounts(rules)
     if preparation.is_empty:

@@ -1,5 +1,6 @@
-"""Check of the repeatability of the probe. The pole of a ball is touched n times, and twice the standard deviation (2σ)
-of these touches is compared with a limit. The comparison takes the confidence interval of 2σ into account."""
+"""Check of the repeatability of the probe. The pole of a ball (the point that faces the stylus) is touched n times, and
+twice the standard deviation (2σ) of these touches is compared with a limit. The comparison takes the confidence
+interval of 2σ into account."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ exactly at its limit would refuse every second run."""
 
 @dataclass(frozen=True)
 class ProbeCheck:
-    """Rules of the probe check. `touches` is the number of touches of the pole, and `limit_mm` is the limit of 2σ."""
+    """Rules of the probe check. `touches` is the number of touches at the pole of a ball, and `limit_mm` is the limit
+    of 2σ, twice the standard deviation of these touches."""
 
     touches: int
     limit_mm: float
@@ -30,8 +32,8 @@ class ProbeCheck:
 
 @dataclass(frozen=True)
 class Repeatability:
-    """Repeatability of the probe, stated as twice the standard deviation (2σ) of `touches` touches at the pole.
-    `interval_um` is the confidence interval of 2σ at the level `confidence`."""
+    """Repeatability of the probe, stated as twice the standard deviation (2σ) of `touches` touches at the pole of a
+    ball. `interval_um` is the confidence interval of 2σ at the level `confidence`."""
 
     two_sigma_um: float
     limit_um: float
@@ -50,11 +52,11 @@ class Repeatability:
 
 
 def check_repeatability(key: str, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[Repeatability]:
-    """Touch the pole of the ball at `centre` repeatedly, and compare 2σ of the touches with the limit. If 2σ exceeds
-    the limit, the series is repeated once.
+    """Touch the pole of the ball at `centre` repeatedly, and compare 2σ, twice the standard deviation of the touches,
+    with `check.limit_mm`. If 2σ exceeds this limit, the series of touches is repeated once.
 
-    Raises MeasurementFault if a touch misses, or if 2σ of all touches exceeds the limit with the confidence
-    `REFUSAL_CONFIDENCE`.
+    Raises MeasurementFault if a touch meets nothing, or if 2σ of all touches exceeds the limit with the confidence
+    `REFUSAL_CONFIDENCE` (99 %).
     """
     depths = yield from _depths(key, 0, centre, probing, check)
     if 2.0 * estimate_repeatability(depths).sigma > check.limit_mm:

@@ -33,12 +33,12 @@ class Search:
 
 @dataclass(frozen=True)
 class BallLimits:
-    """Limits that a measured ball must keep. If a limit is exceeded, first the doubtful touches are repeated, then the
-    whole ball.
+    """Limits that a measured ball must keep. If a limit is exceeded, first the touches that may have caused this are
+    repeated, then all touches of the ball.
 
     `radius_deviation_mm` is the limit of the deviation from the expected radius. `form_mm` is the limit of the form
     error. `touch_mm` is the limit of each residual of the fitted sphere. `pole_mm` is the limit of the distance of the
-    pole touch from the sphere through the other touches.
+    touch at the pole (the point that faces the stylus) from the sphere through the other touches.
     """
 
     radius_deviation_mm: float
@@ -50,7 +50,7 @@ class BallLimits:
 @dataclass(frozen=True)
 class FastTouch:
     """Fast touch that locates the surface before the measuring touch. After the fast touch, the tip moves back by
-    `back_off_mm` from the latched position."""
+    `back_off_mm` from the position latched when the probe tripped."""
 
     feed_mm_per_s: float
     back_off_mm: float
@@ -58,12 +58,12 @@ class FastTouch:
 
 @dataclass(frozen=True, eq=False)
 class Stylus:
-    """Qualified stylus.
+    """Stylus that has been qualified by touches of a ball.
 
-    `radius_mm` is the effective sum of the radii of ball and tip; it is smaller than the nominal sum by the pretravel.
-    `radius_sigma_mm` is the standard uncertainty of the effective sum for any single ball. `fixed` is True if spheres
-    are fitted with this radius. `pretravel` is the correction that is applied to every touch; it is None if touches are
-    not corrected.
+    `radius_mm` is the effective sum of the radii of ball and tip; it is smaller than the nominal sum by the pretravel
+    (travel of the tip between contact and trip). `radius_sigma_mm` is the standard uncertainty of the effective sum for
+    any single ball. `fixed` is True if spheres are fitted with this radius. `pretravel` is the correction that is
+    applied to every touch; it is None if touches are not corrected.
     """
 
     radius_mm: float
@@ -76,11 +76,16 @@ class Stylus:
 class ProbingParameters:
     """Parameters of the probing of all balls in a run.
 
-    `directions` (k, 3) holds the k unit vectors along which the tip moves towards the ball, the pole first. All balls
-    are touched along these vectors. Pretravel and lobing therefore shift all centres equally and cancel in their
-    differences. At contact, the centres of ball and tip are `ball_radius_mm` + `tip_radius_mm` apart. `feed_mm_per_s`
-    is the feed of the measuring touch. `fast_touch` is a fast touch before the measuring touch, or None.
-    `guarded_feed_mm_per_s` is the feed of moves near a ball that is being located.
+    `directions` (k, 3) holds the k unit vectors along which the tip moves towards the ball; the first of them points to
+    the pole, which faces the stylus. All balls are touched along these vectors. Pretravel (travel of the tip between
+    contact and trip) and its dependence on the direction (lobing) therefore shift all centres equally and cancel in
+    their differences. At contact, the centres of ball and tip are `ball_radius_mm` + `tip_radius_mm` apart.
+    `feed_mm_per_s` is the feed of the measuring touch. `fast_touch` is a fast touch before the measuring touch, or
+    None. `guarded_feed_mm_per_s` is the feed of moves near a ball that is being located.
+
+    `narrow_search` holds the search distances for a ball whose location is known, and `wide_search` longer ones. A ball
+    found farther than `recentre_mm` from its expected centre is measured again; `repeats` is the largest number of such
+    repeats. `touch_sigma_mm` is the standard uncertainty of a touch.
     """
 
     directions: Array
@@ -103,7 +108,7 @@ class ProbingParameters:
     @property
     def locating_search(self) -> Search:
         """Search distances and feed for the first ball of an artefact that has not been located yet. At this feed, the
-        tip stops within the probe's overtravel."""
+        tip stops within the overtravel that the probe permits after its trip."""
         return replace(self.wide_search, guarded_feed_mm_per_s=self.guarded_feed_mm_per_s)
 
     @property
@@ -113,8 +118,8 @@ class ProbingParameters:
 
     @cached_property
     def locating_directions(self) -> Array:
-        """Touch directions (5, 3) for locating a ball: the pole and a ring near it. They keep a tip that is some
-        millimetres off its path clear of the holder."""
+        """Touch directions (5, 3) for locating a ball: one towards the pole (the point that faces the stylus) and a
+        ring of directions near it. They keep a tip that is some millimetres off its path clear of the ball's holder."""
         return ring_directions(LOCATING_RINGS, self.stylus_axis)
 
     @property
@@ -123,27 +128,28 @@ class ProbingParameters:
 
     @property
     def expected_radius_mm(self) -> float:
-        """Expected radius of a sphere through latched positions. It is the qualified radius if the stylus has been
-        qualified, and otherwise the sum of the nominal radii of ball and tip."""
+        """Expected radius of a sphere through the positions latched when the probe trips. It is the qualified radius if
+        the stylus has been qualified, and otherwise the sum of the nominal radii of ball and tip."""
         return self.contact_mm if self.stylus is None else self.stylus.radius_mm
 
     @property
     def required_travel_mm(self) -> tuple[Array, Array]:
-        """Travel of X, Y and Z in mm that a touch with the wide search needs, as two arrays (3,): the travel below and
-        the travel above the axis positions of the ball centre."""
+        """Travel of X, Y and Z in mm that a touch with the distances of `wide_search` needs, as two arrays (3,): the
+        travel below and the travel above the axis positions of the ball centre."""
         starts = -self.directions * (self.contact_mm + self.wide_search.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + PLACEMENT_ALLOWANCE_MM
         return below, np.maximum(0.0, starts.max(axis=0)) + PLACEMENT_ALLOWANCE_MM
 
     @cached_property
     def redundancies(self) -> Array:
-        """Redundancies (k,) of the k touches. The redundancy of a touch is the fraction of its error that appears in
-        its residual (see `twin.artefact.touch_pattern`)."""
+        """Redundancies (k,) of the k touches of a ball. The redundancy of a touch is the fraction of its error that
+        appears in its residual (see `twin.artefact.touch_pattern`)."""
         return redundancies(self.directions)
 
     @cached_property
     def centre_per_radius(self) -> Array:
-        """Shift (3,) of a fitted centre for each millimetre by which the fixed radius is too large."""
+        """Shift (3,) of the centre of a sphere that is fitted with a fixed radius, for each millimetre by which this
+        radius is too large."""
         return centre_shift_per_radius(self.directions)
 
     def qualified(self, stylus: Stylus) -> ProbingParameters:

@@ -1,5 +1,5 @@
-"""Plans that write a table to an inactive bank, read it back, compare it, activate the bank, and check that it is
-active."""
+"""Plans that write a compensation table to an inactive bank (memory of the controller for one table), read it back,
+compare it, activate the bank, and check that it is active."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from drivers.roles import Activation, TableImage
 
 @dataclass(frozen=True)
 class ActiveCompensation:
-    """Active compensation. `bank` is the number of the active bank, or 0 if there is no compensation. `table` is the
-    table in that bank, or None if `bank` is 0."""
+    """Active compensation. `bank` is the number of the controller's active bank (memory for one compensation table), or
+    0 if there is no compensation. `table` is the table in that bank, or None if `bank` is 0."""
 
     bank: int
     table: TableImage | None
 
 
 def read_state(prefix: str) -> Plan[ActiveCompensation]:
-    """Read the active bank and the table in it. Both are needed to restore the compensation after a fault. Raises
-    StoreError if the active bank contains no table."""
+    """Read the number of the controller's active bank and the compensation table in it. Both are needed to restore the
+    compensation after a fault. Raises StoreError if the active bank contains no table."""
     bank = yield ReadActiveBank(f"{prefix}/active-bank")
     table = (yield ReadTable(f"{prefix}/active-table", bank)) if bank else None
     if bank and table is None:
@@ -40,8 +40,8 @@ def read_state(prefix: str) -> Plan[ActiveCompensation]:
 
 
 def choose_bank(banks: tuple[int, ...], active: int) -> int:
-    """Return a bank of `banks` that is inactive and can be written. Bank 0 means no compensation and is never written.
-    Raises StoreError if no such bank exists."""
+    """Return a bank (memory of the controller for one compensation table) of `banks` that is inactive and can be
+    written. Bank 0 means no compensation and is never written. Raises StoreError if no such bank exists."""
     free = [bank for bank in banks if bank not in (0, active)]
     if not free:
         raise StoreError(
@@ -65,18 +65,19 @@ def stage_table(bank: int, table: TableImage) -> Plan[None]:
 
 
 def restore(bank: int, *, after_fault: bool, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
-    """Reactivate `bank`, which was active before the run. If `after_fault` is set, the controller's fault is cleared
-    first, because a controller in fault accepts no table command."""
+    """Reactivate the compensation table in `bank`, which was active before the run. If `after_fault` is set, the
+    controller's fault is cleared first, because a controller in fault accepts no table command."""
     if after_fault:
         yield ResetFault("restore/reset")
     yield from activate("restore", bank, activation)
 
 
 def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
-    """Activate `bank` and check that it is active. Raises ReadBackMismatch if the controller reports another active
-    bank.
+    """Activate the controller's compensation bank `bank` and check that it is active. Raises ReadBackMismatch if the
+    controller reports another active bank.
 
-    Raises NotActiveYet if a person must act before the bank becomes active. The plan can be resumed after this action.
+    Raises NotActiveYet if a person must act before the bank becomes active. The plan can be resumed after the person
+    has acted.
     """
     yield ActivateBank(f"{prefix}/activate", bank)
     if activation is Activation.RESET:

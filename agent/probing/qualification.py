@@ -1,5 +1,6 @@
-"""Stylus qualification by dense touches of one ball. It gives the effective radius. If a pretravel map is requested, it
-also gives the pretravel for each direction."""
+"""Stylus qualification by dense touches of one ball. It gives the effective radius, that is, the radius of ball and tip
+together as the probe measures it. If a pretravel map is requested, it also gives the pretravel (travel of the tip
+between contact and trip) for each direction."""
 
 from __future__ import annotations
 
@@ -21,9 +22,10 @@ from twin.units import UM_PER_MM
 class QualificationRules:
     """Rules of a stylus qualification.
 
-    `directions` (k, 3) holds the k touch directions of the dense pattern, the pole first. `ball` is the number of the
-    datum ball; if it is None, the first ball that is accessible from all directions is used. `with_map` is True if a
-    pretravel map is fitted. `spread_mm` is the standard deviation of the radii of the artefact's balls.
+    `directions` (k, 3) holds the k touch directions of the dense pattern; the first of them points to the pole, which
+    faces the stylus. `ball` is the number of the ball on which the stylus is qualified; if it is None, the first ball
+    that is accessible from all directions is used. `with_map` is True if a pretravel map is fitted. `spread_mm` is the
+    standard deviation of the radii of the artefact's balls.
     """
 
     directions: Array
@@ -39,7 +41,7 @@ class Qualification:
 
     `trace_free_um2` and `trace_fixed_um2` are traces of the covariance of a ball centre that is measured with the touch
     pattern of the run. The first is valid if the sphere is fitted with a free radius, the second if it is fitted with a
-    fixed radius. The fit with the smaller trace is used for the run.
+    fixed radius. The fit with the smaller trace is used for the run. `datum_mm` is the centre of the ball used.
     """
 
     stylus: Stylus
@@ -70,10 +72,10 @@ class Qualification:
 def qualify_stylus(
     key: str, centre: Array, probing: ProbingParameters, rules: QualificationRules
 ) -> Plan[Qualification]:
-    """Touch the ball at `centre` in the dense pattern and qualify the stylus.
+    """Touch the ball at `centre` in the dense pattern `rules.directions` and qualify the stylus.
 
-    Raises MeasurementFault if the datum ball cannot be measured within its limits. In this case, later measurements
-    would not be trustworthy either.
+    Raises MeasurementFault if this ball cannot be measured within its limits. In this case, later measurements would
+    not be trustworthy either.
     """
     dense = replace(probing, directions=rules.directions, limits=rules.limits, stylus=None, stop_on_failure=True)
     found = yield from measure_ball(key, centre, dense, dense.narrow_search)
@@ -85,7 +87,7 @@ def qualify_stylus(
 
 def qualification_of(found: FittedBall, probing: ProbingParameters, rules: QualificationRules) -> Qualification:
     """Return the stylus qualification that results from the densely touched ball `found`. Later spheres are fitted with
-    the fixed radius if this reduces the uncertainty of their centres."""
+    the qualified radius as fixed radius if this reduces the uncertainty of their centres."""
     sigma_mm = probing.touch_sigma_mm
     # Uncertainty of the radius for any ball: that of the dense fit, and the spread of the balls' radii.
     dense = fit_sphere(-rules.directions, sigma_mm)

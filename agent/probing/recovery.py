@@ -18,12 +18,12 @@ def withdraw(
     retreat: Retreat, stylus_axis: NDArray[np.float64], distance_mm: float, last_motion: LastMotion | None = None
 ) -> Plan[None]:
     """Move the tip slowly back against the direction in which it arrived, then slowly along the stylus by
-    `distance_mm`, then to the retreat plane.
+    `distance_mm`, then to the retreat plane, which no part of the artefact or mount reaches.
 
     `last_motion` is the motion by which the tip arrived; if it is None, the first move is left out. All moves are
-    guarded. A guarded move may start with a deflected probe, because it must be able to leave a contact. For this
-    reason, the first two moves are slow. The plan does not clear a fault of the machine, because a person must check
-    the machine first.
+    guarded: they stop if the probe trips. A guarded move may start with a deflected probe, because it must be able to
+    leave a contact. For this reason, the first two moves are slow. The plan does not clear a fault of the machine,
+    because a person must check the machine first.
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))

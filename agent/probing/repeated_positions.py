@@ -1,10 +1,11 @@
 """Repetition of positions after a change of temperature. If the temperature of the machine has changed during the run,
 the positions that were measured first are measured again at the end.
 
-Stations are measured one after the other. A change with time therefore looks like a change along the travel: a scale
-that grows with time and a nonlinear scale give the same readings. Only positions that are measured both early and late
-distinguish these two causes. The bar may have moved as a rigid body between the two measurements. Such a motion is
-absorbed by the mount pose that is estimated for the repeated position.
+Stations (places of the artefact along the long axis) are measured one after the other. A change with time therefore
+looks like a change along the travel: a scale of an axis that grows with time and a nonlinear scale give the same
+readings. Only positions that are measured both early and late distinguish these two causes. The artefact may have moved
+as a rigid body between the two measurements. Such a motion is absorbed by the pose of the mount that is estimated for
+the repeated position.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ REPEAT_PREFIX = "close"
 
 @dataclass(frozen=True)
 class RepeatRules:
-    """Rules for the repetition of positions.
+    """Rules for the repetition of positions at the end of a run.
 
     If the machine's temperature changes by `threshold_k` or more, the first `count` measured positions that are among
     `candidates` are repeated. All repeated positions are at one station. `declared_k` is the change of temperature that
@@ -41,8 +42,8 @@ class RepeatRules:
 def measure_with_repeats(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, repeats: RepeatRules
 ) -> Plan[MeasuredPositions]:
-    """Measure the positions of `order`. If the machine's temperature has changed during the measurement, measure the
-    first positions again according to the rules `repeats`."""
+    """Measure the positions of `order`. If the machine's temperature has changed by `repeats.threshold_k` or more
+    during the measurement, measure the first positions again according to `repeats`."""
     measured = yield from measure_positions(order, layout, rules)
     change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
     first = _first(measured, repeats)
@@ -55,7 +56,8 @@ def measure_with_repeats(
 
 
 def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:
-    """Return the range in K of the machine's temperature readings. If there are no readings, return `declared_k`."""
+    """Return the range (largest minus smallest value) in K of the machine's temperature readings. If there are no
+    readings, return `declared_k`."""
     readings_c = [one.machine_c for one in conditions if one.machine_c is not None]
     return max(readings_c) - min(readings_c) if readings_c else declared_k
 

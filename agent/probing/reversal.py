@@ -1,9 +1,10 @@
-"""Lost motion of the linear axes at reversal. It is measured by oblique touches of the datum ball. Before each touch,
-the tested axis moves to the start of the touch from one side or from the other.
+"""Lost motion of the linear axes at reversal, that is, the difference between the positions reached from either side.
+It is measured by oblique touches of one ball. Before each touch, the tested axis moves to the start of the touch from
+one side or from the other.
 
 Ball centres do not show lost motion. Because the approach directions are equal on every ball, lost motion shifts all
 centres equally, and a freely placed artefact cannot reveal a common shift. For this reason, lost motion is measured
-separately. The report states the limits of this measurement.
+separately. The report of the run states the limits of this measurement.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class AxisReversal:
 
 @dataclass(frozen=True)
 class Reversal:
-    """Lost motion of X, Y and Z at reversal, measured on the datum ball at the axis positions `at_mm`."""
+    """Lost motion of X, Y and Z at reversal, measured on a ball at the axis positions `at_mm`."""
 
     axes: tuple[AxisReversal, ...]
     limit_um: float
@@ -73,7 +74,7 @@ class Reversal:
 
     @property
     def noticed(self) -> tuple[AxisReversal, ...]:
-        """Axes whose lost motion is above the limit or could not be measured."""
+        """Axes whose lost motion is above `limit_um` or could not be measured."""
         return tuple(one for one in self.axes if one.verdict != WITHIN)
 
     @property
@@ -93,10 +94,11 @@ class Reversal:
 
 
 def measure_reversal(key: str, centre: Vector, probing: ProbingParameters, check: ReversalCheck) -> Plan[Reversal]:
-    """Measure the lost motion of X, Y and Z on the ball at `centre`. The plan starts and ends in the plane in front of
-    the ball.
+    """Measure the lost motion of X, Y and Z on the ball at `centre`. The tip starts and ends in front of the ball, in a
+    plane perpendicular to the stylus.
 
-    Raises MeasurementFault if `check.stop` is set and the lost motion of an axis is reliably above the limit.
+    Raises MeasurementFault if the lost motion of an axis is reliably above `check.limit_mm` and `check.stop` requires
+    that the run stops in this case.
     """
     axes = []
     for axis, name in enumerate("XYZ"):

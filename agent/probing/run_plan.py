@@ -1,5 +1,5 @@
 """Measurement of all positions of a run, station by station. For each position, the ball centres are predicted, the
-balls are measured, and the estimated mount pose is updated."""
+balls are measured, and the estimated pose of the mount (its small deviation from the nominal place) is updated."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from twin.design.procedure import MIN_BALLS
 
 @dataclass(frozen=True)
 class MeasuringOrder:
-    """Positions in the order in which they are measured. The positions of one station follow one another. Every step
-    key begins with `prefix`.
+    """Positions in the order in which they are measured. The positions of one station follow one another. The key of
+    every step begins with `prefix`.
 
     `standing_at` is the artefact's station at the start of the plan. It is None if the station is not known, or if
     every station has an artefact of its own and all mounts are parked.
@@ -69,8 +69,8 @@ def measure_positions(
     rules: PositionRules,
     known: Mapping[int, MountPoseEstimate] | None = None,
 ) -> Plan[MeasuredPositions]:
-    """Measure every position of `order` that has enough balls within reach. `known` maps stations to the mount poses
-    that were estimated earlier in the run."""
+    """Measure every position of `order` that has enough balls within reach. `known` maps stations to the poses of the
+    mount that were estimated earlier in the run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
     yield ReadTemperatures(f"{order.prefix}/temperatures")
@@ -125,7 +125,7 @@ def measure_positions(
 
 
 def position_key(position: Position) -> str:
-    """Return the key of a position, such as ``station-1/az90-el-45``."""
+    """Return the key of a position, such as ``station-1/az90-el-45`` for station 1, azimuth 90° and elevation −45°."""
     return f"station-{position.station}/az{position.azimuth_deg:g}-el{position.elevation_deg:g}"
 
 

@@ -1,5 +1,5 @@
-"""Temperature readings. They are taken with every ball, and therefore each ball centre has its own temperature and
-time."""
+"""Temperature readings. They are taken with every ball that is measured, and therefore each ball centre has its own
+temperature and time."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Conditions:
 
 
 def read_conditions(key: str, thermometers: Thermometers) -> Plan[Conditions]:
-    """Read the temperatures and the clock. The machine does not move."""
+    """Read the temperatures of artefact and machine, and the run's clock. The machine does not move."""
     readings_c = yield ReadTemperatures(f"{key}/temperatures")
     instant_s = yield ReadClock(f"{key}/instant")
     return Conditions(instant_s, thermometers.artefact_c(readings_c), thermometers.machine_c(readings_c))

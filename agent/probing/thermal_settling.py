@@ -34,8 +34,8 @@ class SettlingRules:
     deadline_s: float = 3600.0
 
     def complaint(self, trace: Sequence[Conditions]) -> str:
-        """Return the reason why the artefact has not settled at the last reading of `trace`, as text. The text is empty
-        if the artefact has settled."""
+        """Return the reason why the artefact has not settled thermally at the last reading of `trace`, as text. The
+        text is empty if the artefact has settled. `trace` holds readings in the order of time."""
         now = trace[-1]
         if abs(now.departure_k) > self.max_departure_k:
             return (
@@ -52,11 +52,11 @@ class SettlingRules:
 
 
 def wait_until_settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Plan[Conditions]:
-    """Wait, if necessary, until the artefact has settled; return the temperature readings at the end of the wait. The
-    machine does not move.
+    """Wait, if necessary, until the artefact has settled thermally; return the temperature readings at the end of the
+    wait. The machine does not move.
 
     `history` holds the readings taken with the previous balls, oldest first. Raises MeasurementFault if the artefact
-    has not settled at the deadline.
+    has not settled at the deadline `rules.deadline_s`.
     """
     trace = [*history, (yield from read_conditions(key, rules.thermometers))]
     attempts = math.ceil(rules.deadline_s / rules.poll_interval_s)

@@ -16,8 +16,8 @@ from drivers.roles import Touch, Vector
 
 @dataclass(frozen=True)
 class TouchResult:
-    """Result of a touch. `latched_mm` holds the axis positions at the trip; it is None for a miss. `touches` is the
-    number of touches made, including the fast touch."""
+    """Result of a touch. `latched_mm` holds the axis positions at the trip; it is None if the probe did not trip.
+    `touches` is the number of touches made, including a preceding fast touch."""
 
     latched_mm: Point | None
     touches: int
@@ -26,7 +26,7 @@ class TouchResult:
 @dataclass(frozen=True, eq=False)
 class PlannedTouch:
     """Touch that is to be made along the unit vector `direction`, on a ball expected at the axis positions `centre`
-    (3,)."""
+    (3,). `contact_mm` is the distance between the centres of ball and tip at contact."""
 
     centre: Vector
     direction: Vector
@@ -57,8 +57,8 @@ class TouchPath(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlainTouchPath:
-    """Path along the stylus from the plane in front of the ball to the start of a touch, and back to that plane. The
-    path is free of collisions if the ball is accessible."""
+    """Path along the stylus from a plane in front of the ball, perpendicular to the stylus, to the start of a touch,
+    and back to that plane. The path is free of collisions if the ball is accessible."""
 
     probing: ProbingParameters
 
@@ -74,8 +74,8 @@ class PlainTouchPath:
 
 
 def before_ball(touch: PlannedTouch, probing: ProbingParameters) -> Vector:
-    """Return axis positions (3,) in the plane in front of the ball. From there, the tip reaches the start of `touch` by
-    a straight move along the stylus."""
+    """Return axis positions (3,) in front of the ball, in a plane perpendicular to the stylus. From there, the tip
+    reaches the start of `touch` by a straight move along the stylus."""
     along = touch.out_mm + float((touch.start - touch.centre) @ probing.stylus_axis)
     return np.asarray(touch.start - probing.stylus_axis * along)
 
@@ -89,7 +89,7 @@ def touch_ball(
     path: TouchPath | None = None,
 ) -> Plan[TouchResult]:
     """Touch the ball at `centre` along `direction`. `path` leads the tip to the start of the touch and away from the
-    surface. If `path` is None, the tip moves by way of the plane in front of the ball."""
+    surface. If `path` is None, the tip moves along the stylus from and to a plane in front of the ball."""
     touch = PlannedTouch(centre, direction, search, probing.contact_mm)
     chosen = path or PlainTouchPath(probing)
     yield from chosen.approach(key, touch)
@@ -116,6 +116,6 @@ def _trip(key: str, target: Vector, direction: Vector, probing: ProbingParameter
 
 
 def point(vector: Vector) -> Point:
-    """Return `vector` (3,) as a tuple, because steps contain points as tuples."""
+    """Return `vector` (3,) as a tuple, because the steps of a plan contain points as tuples."""
     x, y, z = vector.tolist()
     return x, y, z

@@ -1,5 +1,6 @@
-"""Measuring order of the balls of one position. Both end balls are measured first. The other balls are then measured on
-the fastest path from the second end ball back to the first."""
+"""Measuring order of the balls of one position (one orientation and place of the artefact). The first and the last ball
+of the artefact (the end balls) are measured first. The other balls are then measured on the fastest path from the
+second end ball back to the first."""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
-"""Fastest collision-free paths of one run: from touch to touch, from ball to ball, and from one pose to the next.
+"""Fastest collision-free paths of one run: from touch to touch, from ball to ball, and from one pose of the artefact to
+the next.
 
-Paths are searched among the nominal bodies, in coordinates relative to the mount's location. For this reason, a path
-that was found once can be used at every station and each time a position is measured. The uncertainty of the pose is
-added to the clearance. When a path is used, its corners are shifted to the measured location of the artefact.
+Paths are searched among the bodies at their nominal places, in coordinates relative to the location of the mount (the
+rotary device that holds the artefact). For this reason, a path that was found once can be used at every station and
+each time a position is measured. The uncertainty of the pose is added to the clearance between the bodies. When a path
+is used, its corners are shifted to the measured location of the artefact.
 """
 
 from __future__ import annotations
@@ -55,8 +57,8 @@ _GRID_MM = 80.0
 
 @dataclass(frozen=True)
 class ArtefactPose:
-    """Nominal pose of the artefact. It consists of the mount's two angles and of the Y and Z coordinates `depth_mm` and
-    `height_mm` of the mount's location in the workpiece frame.
+    """Nominal pose of the artefact. It consists of the two angles of the mount (azimuth and elevation) and of the Y and
+    Z coordinates `depth_mm` and `height_mm` of the mount's location in the workpiece frame.
 
     `station` is the station's number if other mounts or artefacts stand in the workspace. It is 0 if the paths are the
     same at all stations.
@@ -71,8 +73,8 @@ class ArtefactPose:
 
 @dataclass(frozen=True)
 class TurningPath:
-    """Path of the tip from a ball in the old pose to a ball in the new pose, by way of a waiting point where the tip
-    stays while the mount turns.
+    """Path of the tip from a ball in the artefact's old pose to a ball in its new pose, by way of a waiting point where
+    the tip stays while the mount turns the artefact.
 
     `exit_path` holds the corners before the waiting point, and `entry_path` the corners after it. The corners and
     `waiting_point` are relative to the mount's location. `seconds` is the time of both parts without the turn.
@@ -96,12 +98,13 @@ class _PosedBodies:
 
 @dataclass(frozen=True, eq=False)
 class FreePathRules:
-    """Rules for free paths.
+    """Rules for free paths, that is, for collision-free paths of the stylus tip.
 
     `stylus_axis` (3,) is the unit vector along which the stylus points. `lower_mm` and `upper_mm` (3,) are the limits
     of the axes' travel. `clearance_mm` is the minimum distance between moving and stationary bodies on every path. The
     uncertainty of the artefact's pose is added to this clearance. The uncertainty is `unaligned_uncertainty_mm` until
-    the end balls of the position have been measured, and `aligned_uncertainty_mm` afterwards.
+    the first and the last ball of the position (the end balls) have been measured, and `aligned_uncertainty_mm`
+    afterwards.
     """
 
     stylus_axis: Array
@@ -123,8 +126,8 @@ class FreePathRules:
 
 @dataclass(frozen=True, eq=False)
 class FreePathFinder:
-    """Finder of free paths. It stores every path it has found, because each station and each verification needs the
-    same paths."""
+    """Finder of collision-free (free) paths of the stylus tip. It stores every path it has found, because each station
+    and each verification needs the same paths."""
 
     layout: MeasuringLayout
     rules: FreePathRules
@@ -158,11 +161,11 @@ class FreePathFinder:
     def path_between(
         self, pose: ArtefactPose, start: TipLocation, end: TipLocation, uncertainty_mm: float, mount_x_mm: float
     ) -> FreePath | None:
-        """Return the fastest free path from `start` to `end`; None if no path is proved free.
+        """Return the fastest free (collision-free) path from `start` to `end`; None if no path is proved free.
 
-        The corners are relative to the mount's location. `uncertainty_mm` is the largest deviation of the artefact from
-        `pose`. `mount_x_mm` is the X coordinate of the mount's location. It is needed to keep the path within the
-        travel of X.
+        The corners of the path are relative to the mount's location. `uncertainty_mm` is the largest deviation of the
+        artefact from `pose`. `mount_x_mm` is the X coordinate of the mount's location. It is needed to keep the path
+        within the travel of the X axis.
         """
         uncertainty_mm = round_up_uncertainty(uncertainty_mm)
         unlimited = self._cached_path(pose, start, end, uncertainty_mm, (-math.inf, math.inf))
@@ -186,7 +189,7 @@ class FreePathFinder:
 
     def straight_seconds(self, pose: ArtefactPose, starts: Sequence[TipLocation], ends: Sequence[TipLocation]) -> Array:
         """Return the times in s of the straight paths from each of n starts to each of m ends, as an array of shape (n,
-        m). Each time is a lower bound for the time of a free path."""
+        m). Each time is a lower bound for the time of a collision-free path."""
         first, last = (
             np.array([self.tip_at(pose, location) for location in locations]) for locations in (starts, ends)
         )
@@ -201,8 +204,9 @@ class FreePathFinder:
         mount_x_mm: float,
         faster_than_s: float = math.inf,
     ) -> TurningPath | None:
-        """Return a path from `start` in the pose `before` to `end` in the pose `after`, by way of a waiting point for
-        the turn. The result is None if no path faster than `faster_than_s` is proved free."""
+        """Return a collision-free path from `start` in the pose `before` to `end` in the pose `after`, by way of a
+        waiting point where the tip stays while the artefact turns. The result is None if no path faster than
+        `faster_than_s` is proved free."""
         (low, high), reach = self._x_range(mount_x_mm), self._reach_mm(after)
         key = (before, start, after, end, (max(low, -reach), min(high, reach)))
         if key not in self._turning_paths:
@@ -219,8 +223,8 @@ class FreePathFinder:
         """Return a lower bound in s for the time of the fastest path from any of `starts` to any of `ends`. On this
         path, the artefact is turned from the pose `before` to the pose `after`; the time of the turn is not included.
 
-        The bound assumes that every path in front of the turning artefact is free. The path returned by `turning_path`
-        is rarely much slower.
+        The bound assumes that every path in front of the turning artefact is free of collisions. The path returned by
+        `turning_path` is rarely much slower.
         """
         reach = self._reach_mm(after)
         pairs = product([self.tip_at(before, start) for start in starts], [self.tip_at(after, end) for end in ends])
@@ -378,8 +382,8 @@ class FreePathFinder:
         return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))
 
     def path_to_point(self, pose: ArtefactPose, location: TipLocation, waiting_point: Point) -> FreePath | None:
-        """Return the fastest free path from `location` to `waiting_point`; None if no path is proved free. Its corners
-        are relative to the mount's location.
+        """Return the fastest free (collision-free) path from `location` to `waiting_point`; None if no path is proved
+        free. Its corners are relative to the mount's location.
 
         The reversed path leads from the waiting point to the ball.
         """
@@ -493,8 +497,8 @@ class FreePathFinder:
 
 
 def round_up_uncertainty(uncertainty_mm: float) -> float:
-    """Return `uncertainty_mm` rounded up to the next of `UNCERTAINTY_STEPS_MM`, or unchanged if it exceeds the largest
-    step."""
+    """Return `uncertainty_mm` rounded up to the next value of the list `UNCERTAINTY_STEPS_MM`, or unchanged if it
+    exceeds the largest value of the list."""
     return next((value for value in UNCERTAINTY_STEPS_MM if uncertainty_mm <= value), uncertainty_mm)
 
 

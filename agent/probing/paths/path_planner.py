@@ -1,7 +1,8 @@
 """Interface of path planners. A path planner moves the tip to the start of the next touch and away from the ball.
 
-`PlainPathPlanner` withdraws the tip from every ball, and moves it to the retreat plane between positions. The planner
-in `agent.probing.paths.shortest_path` takes the fastest path that is proved free.
+`PlainPathPlanner` withdraws the tip from every ball, and moves it between positions to the retreat plane, which no part
+of the artefact or mount reaches. The planner in `agent.probing.paths.shortest_path` takes the fastest path that is
+proved free of collisions.
 """
 
 from __future__ import annotations
@@ -34,12 +35,13 @@ class PlannedPosition(Protocol):
 
 
 class PathPlanner(Protocol):
-    """Interface of the path planner that one plan uses. A plan starts and ends at the retreat plane. Between two
-    positions, the tip may stay closer to the artefact."""
+    """Interface of the path planner that one measuring plan uses. A plan starts and ends at the retreat plane, which no
+    part of the artefact or mount reaches. Between two positions, the tip may stay closer to the artefact."""
 
     def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
-        """Return the measuring order of the balls as three values: the end ball that is measured first and once more at
-        the end, the balls between the ends in measuring order, and the other end ball."""
+        """Return the measuring order of the balls of `task` as three values: the end ball of the artefact that is
+        measured first and once more at the end, the balls between the ends in measuring order, and the other end
+        ball."""
         ...
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
@@ -63,19 +65,21 @@ class PathPlanner(Protocol):
     def from_ball(self, key: str, centre: Array) -> Plan[None]: ...
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Start planning from the present place of the tip, which is in the plane in front of `ball`. `centre` (3,)
-        holds the axis positions at which the ball was found."""
+        """Start planning from the present place of the tip, which is in front of `ball`, in a plane perpendicular to
+        the stylus. `centre` (3,) holds the axis positions at which the ball was found."""
         ...
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move the tip to the retreat plane, or to the park location beside the station, where the probe is clear of
-        the turning artefact. `centre` (3,) is the centre of the ball that was measured last."""
+        """Move the tip to the retreat plane, which no part of the artefact or mount reaches, or to the park location
+        beside the station, where the probe is clear of the turning artefact. `centre` (3,) is the centre of the ball
+        that was measured last."""
         ...
 
 
 class PlainPathPlanner:
     """Path planner that withdraws the tip by `retract_mm` from every ball. Between positions, it moves the tip to the
-    retreat plane and to the park location, where the probe is clear of the turning artefact."""
+    retreat plane, which no part of the artefact or mount reaches, and to the park location, where the probe is clear of
+    the turning artefact."""
 
     def __init__(self, retreat: Retreat, probing: ProbingParameters) -> None:
         self._retreat = retreat
@@ -96,7 +100,7 @@ class PlainPathPlanner:
         yield MoveTo(f"{task.key}/enter", point(self._retreat.at_retreat_plane(above)))
 
     def align(self, centres_mm: Array) -> None:
-        """Do nothing, because plain paths do not depend on the pose."""
+        """Do nothing, because plain paths do not depend on the pose of the artefact."""
 
     def to_ball(self, key: str, centre: Array) -> Plan[None]:
         yield MoveTo(f"{key}/approach", point(self._retreat.withdrawn_from(centre, self._probing)))

@@ -1,5 +1,6 @@
-"""Retreat plane, and park locations beside the stations. Paths by way of the plane and these locations are safe between
-positions without a collision check."""
+"""Retreat plane (an axis position that no part of the artefact or mount reaches) and park locations beside the stations
+(places of the mount). Paths by way of this plane and these locations are safe between positions without a collision
+check."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ class Retreat:
     `retreat_axis` is the index of the axis along which the stylus points. `retreat_mm` is a position of this axis that
     no part of the artefact or mount reaches. `station_axis` is the index of the axis along which the stations stand.
     `park_mm` maps each station to the position of that axis at which the probe is clear of the turning artefact.
-    `path_rules` are the rules for free paths; they are None if plain paths by way of `withdrawn_from` and
-    `park_location` are used.
+    `path_rules` are the rules for collision-free paths; they are None if plain paths by way of the places given by the
+    methods `withdrawn_from` and `park_location` are used.
     """
 
     retreat_axis: int
@@ -36,8 +37,9 @@ class Retreat:
         return out
 
     def withdrawn_from(self, centre: Array, probing: ProbingParameters) -> Array:
-        """Return the axis positions (3,) of the tip after it has been withdrawn along the stylus from the ball at
-        `centre`. The tip is never withdrawn beyond the retreat plane."""
+        """Return the axis positions (3,) of the tip after it has been withdrawn along the stylus by
+        `probing.retract_mm` from contact with the ball at `centre`. The tip is never withdrawn beyond the retreat plane
+        (`retreat_mm`)."""
         out = centre - probing.stylus_axis * (probing.contact_mm + probing.retract_mm)
         towards = np.sign(probing.stylus_axis[self.retreat_axis])
         out[self.retreat_axis] = towards * max(towards * out[self.retreat_axis], towards * self.retreat_mm)

@@ -1,5 +1,5 @@
-"""Path planner that moves the tip on the fastest path that is proved free. If no path is proved free, the tip moves on
-a plain path by way of a safe plane."""
+"""Path planner that moves the tip on the fastest path that is proved free of collisions. If no path is proved free, the
+tip moves on a plain path, by way of a plane that is always safe."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ class _TipState:
 
 
 class ShortestPathPlanner:
-    """Path planner that takes the fastest free paths and keeps track of the tip's location. Equal measured results
-    always give equal paths."""
+    """Path planner that takes the fastest collision-free paths and keeps track of the tip's location. Equal measured
+    results always give equal paths."""
 
     def __init__(self, finder: FreePathFinder, retreat: Retreat, probing: ProbingParameters) -> None:
         self._finder = finder
@@ -129,10 +129,11 @@ class ShortestPathPlanner:
         return _BallTouchPath(self, ball)
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move to the park location beside the station. No bar reaches this location in any pose.
+        """Move the tip to the park location beside the station of the artefact. No bar artefact reaches this location
+        in any pose.
 
-        If no path to the park location is proved free, lift off the surface and withdraw straight along the stylus. The
-        stylus then moves only through space that it has already passed.
+        If no path to the park location is proved free, lift the tip off the ball's surface and withdraw it straight
+        along the stylus. The stylus then moves only through space that it has already passed.
         """
         if self._tip is not None:
             yield from self._withdraw(key)
@@ -164,8 +165,8 @@ class ShortestPathPlanner:
         return np.asarray(free)
 
     def take_over(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
-        """Start planning from the present place of the tip, which is in the plane in front of `ball`. `centre` (3,)
-        holds the axis positions at which the ball was found."""
+        """Start planning from the present place of the tip, which is in front of `ball`, in a plane perpendicular to
+        the stylus. `centre` (3,) holds the axis positions at which the ball was found."""
         station = position.station
         artefact_pose = self._finder.pose_at(station, position.azimuth_deg, position.elevation_deg)
         nominal = self._finder.ball_axes(artefact_pose, station)
@@ -221,8 +222,8 @@ class ShortestPathPlanner:
         self._set_tip(_TipState(location, offset), touch.start)
 
     def retract(self, key: str, ball: int, touch: PlannedTouch, latched_mm: Point | None) -> Plan[None]:
-        """Stay on the surface if the contact was at the expected point, because the next path can start there.
-        Otherwise, return to the start of the touch."""
+        """Leave the tip on the ball's surface if the contact was at the expected point, because the next path can start
+        there. Otherwise, move the tip back to the start of the touch."""
         tip = self._tip
         assert tip is not None  # noqa: S101  `approach` came before
         if latched_mm is not None and touch.search == self._probing.narrow_search:
@@ -323,7 +324,7 @@ class _BallTouchPath:
 def create_path_planner(
     retreat: Retreat, probing: ProbingParameters, layout: MeasuringLayout
 ) -> PlainPathPlanner | ShortestPathPlanner:
-    """Return a ShortestPathPlanner if `retreat` has rules for free paths, otherwise a PlainPathPlanner."""
+    """Return a ShortestPathPlanner if `retreat` has rules for collision-free paths, otherwise a PlainPathPlanner."""
     if retreat.path_rules is None:
         return PlainPathPlanner(retreat, probing)
     return ShortestPathPlanner(retreat.path_rules.finder_for(layout), retreat, probing)
