@@ -18,8 +18,9 @@ PLANE_SHAPE = (81, 27)
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Values of a map. `length_um` is an array (nx, ny) with the length of the deviation in µm at each node of a grid.
-    The grid has nx nodes along X (`x_mm`) and ny nodes along Y (`y_mm`).
+    """Values of a map of the length of the deviation vector over one XY plane of the workspace. `length_um` is an array
+    (nx, ny) with this length in µm at each node of a grid. The grid has nx nodes along X (`x_mm`) and ny nodes along Y
+    (`y_mm`).
     """
 
     title: str
@@ -29,8 +30,9 @@ class Plane:
 
 
 def map_nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
-    """Return the X coordinates, the Y coordinates and the height Z of the map's nodes in mm. The height is
-    `MAP_HEIGHT_MM`, as in a published map. If the machine does not reach this height, it is the middle of the Z range.
+    """Return the X coordinates, the Y coordinates and the height Z, all in mm, of the nodes of a map over one XY plane.
+    The height is `MAP_HEIGHT_MM` (800 mm), as in a published map. If the machine does not reach this height, the middle
+    of its Z range is returned instead.
     """
     x, y, (low, high) = ranges_mm
     height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)
@@ -38,7 +40,9 @@ def map_nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
 
 
 def draw_plane(axes: Axes, plane: Plane, top_um: float) -> AxesImage:
-    """Draw the map with contour lines. Its colour scale extends from zero to `top_um`."""
+    """Draw the map `plane` of the length of the deviation in colours, with contour lines. The colour scale extends from
+    zero to `top_um`.
+    """
     extent = (plane.x_mm[0], plane.x_mm[-1], plane.y_mm[0], plane.y_mm[-1])
     values = plane.length_um.T
     image = axes.imshow(

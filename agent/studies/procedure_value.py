@@ -1,5 +1,5 @@
-"""Volumetric error that remains after a measuring procedure and its compensation. The error is computed in closed form,
-and also simulated on many machines.
+"""Volumetric error that remains after the machine errors have been measured with a given procedure and compensated. The
+error is computed in closed form, and also simulated on many machines.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ MIN_MACHINES = 2
 
 @dataclass(frozen=True, eq=False)
 class ProcedureVariant:
-    """Artefact, and the observations planned with it. `planned` is None if there is no position with at least three
-    balls within reach.
+    """Measuring procedure, given by an artefact and the observations planned with it. `planned` is None if the artefact
+    has no position with at least three balls within reach of the machine.
     """
 
     artefact: Artefact
@@ -44,12 +44,13 @@ class ProcedureVariant:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Volumetric error that remains after one measuring procedure, if the machine is identified with one variant of the
-    identification options.
+    """Volumetric error after compensation (VCE) that one measuring procedure achieves, if the machine is identified
+    with one variant of the identification options.
 
-    `expected` is the square root of the expected mean square VCE in closed form, or None if the machine is not
-    identified. `simulated` is the rms VCE of `machines` simulated machines, and `standard_error` is the standard error
-    of this rms value. `simulated` and `standard_error` are None if the procedure was not simulated.
+    `expected` is the square root of the expected mean square VCE, computed in closed form. It is None if the
+    measurements do not identify the machine. `simulated` is the rms VCE of `machines` simulated machines, and
+    `standard_error` is the standard error of this rms value. `simulated` and `standard_error` are None if the procedure
+    was not simulated.
     """
 
     expected: VolumetricRms | None
@@ -58,8 +59,9 @@ class Verdict:
     machines: int = 0
 
     def with_simulation(self, spread: ErrorSample | None) -> Verdict:
-        """Return the verdict with simulation results added. `spread` contains the VCE of each simulated machine. It is
-        None if one of the machines could not be identified. In this case the result is the verdict "not identified".
+        """Return the verdict with simulation results added. `spread` contains the volumetric error after compensation
+        (VCE) of each simulated machine. It is None if one of the machines could not be identified. In this case the
+        result is a verdict "not identified", whose `expected` is None.
         """
         if spread is None:
             return Verdict(None)
@@ -68,14 +70,17 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class ProcedureEvaluator:
-    """Evaluator of the measuring procedures of one study case, with several identification variants."""
+    """Evaluator of measuring procedures for one study case. It computes the volumetric error that remains after the
+    compensation, for several variants of the identification options.
+    """
 
     case: StudyCase
 
     @cached_property
     def field(self) -> FieldForm:
-        """Quadratic form that gives the mean square of the remaining error over the evaluation grid. It depends on
-        neither the procedure nor the identification variant, so it is built only once.
+        """Quadratic form that gives the mean square, over a grid of the workspace, of the error that remains after
+        compensation. It depends on neither the measuring procedure nor the identification options, so it is built only
+        once.
         """
         case = self.case
         grid = evaluation_grid(case.machine.model.ranges_mm)
@@ -83,12 +88,12 @@ class ProcedureEvaluator:
 
     @property
     def before(self) -> VolumetricRms:
-        """Expected volumetric error without compensation. It is the square root of the expected mean square VE."""
+        """Expected volumetric error (VE) without compensation. It is the square root of the expected mean square VE."""
         return self.field.uncompensated()
 
     def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:
-        """Return the closed-form error budget of a procedure. Return None if its planned observations do not identify
-        the machine.
+        """Return the error budget, in closed form, of the measuring procedure `trial` with the identification options
+        of `variant`. Return None if the planned observations do not identify the machine.
         """
         family = self.case.machine.family
         if trial.planned is None:
@@ -102,10 +107,12 @@ class ProcedureEvaluator:
     def evaluate(
         self, trials: Sequence[ProcedureVariant], variants: Sequence[IdentificationVariant], simulated: Sequence[int]
     ) -> list[tuple[Verdict, ...]]:
-        """Return a table of verdicts with one row per procedure in `trials` and one column per identification variant.
+        """Return a table with one row per measuring procedure in `trials` and one column per identification variant in
+        `variants`. Each element is a verdict, which contains the volumetric error that remains after compensation.
 
         The procedures whose indices are in `simulated` are also simulated, all on the same machines. The number of
-        these machines is that of the case divided by the number of simulated procedures, but at least `MIN_MACHINES`.
+        these machines is the number of machines of the study case divided by the number of simulated procedures, but at
+        least two (`MIN_MACHINES`).
         """
         rows = []
         for number, trial in enumerate(trials):
@@ -166,8 +173,8 @@ class ProcedureEvaluator:
 
 
 def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedMachine | None:
-    """Return the simulation of the machine with number `machine`. Return None if the procedure does not identify this
-    machine.
+    """Simulate the measuring procedure `procedure` on the machine with the number `machine`, and return the simulated
+    machine with its identification. Return None if the procedure does not identify this machine.
 
     A position set that barely identifies the nominal machine may fail to identify some of the simulated machines.
     """

@@ -1,5 +1,5 @@
-"""Choice of position sets. The study evaluates the sets S1, S2, S3 and all their combinations. It compares the VCE and
-the machine time of each.
+"""Choice of position sets. The study evaluates the named sets S1, S2, S3 of artefact positions and all their
+combinations. It compares the volumetric error after compensation (VCE) and the machine time of each.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _NAME_OFFSET = (5, 5)
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """Combination of position sets with its planned measurement, its machine time, and one verdict per identification
-    variant.
+    """Combination of position sets of the artefact, with its planned measurement, its machine time, and one verdict
+    (volumetric error after compensation) for each variant of the identification options.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Strategy:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate all combinations of the published position sets at the stations of the case."""
+    """Evaluate all combinations of the published position sets S1, S2 and S3 at the stations of the study case."""
     evaluator, variants = ProcedureEvaluator(case), identification_variants(case.options)
     sets = [case.positions(expression) for expression in EXPRESSIONS]
     trials = [ProcedureVariant.of(case, case.artefact, positions) for positions in sets]
@@ -68,9 +68,10 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def pareto_front(found: Sequence[Strategy], variant: int) -> tuple[str, ...]:
-    """Return the names of the combinations on the Pareto front of machine time and VCE, in ascending order of machine
-    time. A combination is on the front if no other combination has both at most the same machine time and at most the
-    same VCE. The VCE is computed after the best-fitting rigid motion is removed.
+    """Return the names of the combinations of position sets on the Pareto front of machine time and volumetric error
+    after compensation (VCE), in ascending order of machine time. A combination is on the front if every other
+    combination is worse in machine time, in VCE or in both. The VCE is computed after the best-fitting rigid motion is
+    removed.
     """
     known = [(one.minutes, aligned_um(one.verdicts[variant]), one.name) for one in found]
     best, names = float("inf"), []

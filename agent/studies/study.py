@@ -34,8 +34,8 @@ Progress = Callable[[str, int, int], None]
 class StudyCase:
     """Input of a study.
 
-    `options` contains the identification options, and `machines` is the number of machines to draw. `position_set` is
-    the value of the option `--set`, or None for the position set of the settings.
+    `options` contains the identification options, and `machines` is the number of random machines to simulate.
+    `position_set` is the value of the command-line option `--set`, or None if the position set of the settings is used.
     """
 
     job: Job
@@ -60,13 +60,13 @@ class StudyCase:
 
     @property
     def tool_offset(self) -> Array:
-        """Tool offset (3,) in mm."""
+        """Tool offset (3,) in mm, from the reference point of the ram to the stylus centre."""
         return self.job.tool_offset_mm
 
     @property
     def assumptions(self) -> TruthAssumptions:
-        """Assumptions about the true conditions of the measurement. The simulated machines belong to the family in the
-        machine file and have the deflection in the machine file.
+        """Assumptions about the true conditions of the measurement. The simulated machines are drawn from the family
+        (distribution of machine errors) that the machine file describes, and have the deflection given in this file.
         """
         return TruthAssumptions.of_case(self.machine)
 
@@ -90,12 +90,12 @@ class StudyCase:
 
     @property
     def stations(self) -> tuple[int, ...]:
-        """Numbers of the stations at which named sets are measured."""
+        """Numbers of the stations (places of the mount) at which named position sets, such as S1, are measured."""
         return tuple(self.job.settings.procedure.stations or self.procedure.stations)
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:
-        """Apply `task` to all items with the workers, and return the results in the order of the items. `what` is the
-        label of the progress display.
+        """Apply `task` to all items with the workers of the study, and return the results in the order of the items.
+        `what` is the label of the progress display.
         """
         total = len(items)
         self.progress(what, 0, total)
@@ -103,7 +103,9 @@ class StudyCase:
 
     @property
     def facts(self) -> dict[str, object]:
-        """Conditions of the study, which are added to its summary."""
+        """Conditions of the study by name, such as machine, artefact and seed. They are added to the summary of its
+        result.
+        """
         return {
             "machine": self.machine.name,
             "artefact": self.artefact.name,
@@ -137,7 +139,7 @@ class StudyResult:
 
 
 def run_study(name: str, case: StudyCase) -> StudyResult:
-    """Run the named study and add the conditions of the case to its summary."""
+    """Run the study called `name` and return its result, with the conditions of `case` added to the summary."""
     module, _, attribute = STUDIES[name].partition(":")
     run: Callable[[StudyCase], StudyResult] = getattr(import_module(module), attribute)
     result = run(case)

@@ -1,4 +1,6 @@
-"""Files of a study: NAME.png, NAME.svg, NAME.csv and NAME.json. The four files are written together or not at all."""
+"""Files with the result of a study: NAME.png, NAME.svg, NAME.csv and NAME.json. NAME is the name of the study. The four
+files are written together or not at all.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,8 @@ DIGITS = 8
 
 
 def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
-    """Write the four files of a study to `folder`, together or not at all. Return a mapping from file suffix to path.
-    Raises InputError if the files cannot be written.
+    """Write the result of a study to `folder` as four files (.png, .svg, .csv and .json), together or not at all.
+    Return a mapping from file suffix to path. Raises InputError if the files cannot be written.
     """
     drawn = picture(result.name, result.draw, result.size_in)
     contents: dict[str, str | bytes] = {
@@ -33,13 +35,13 @@ def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
 
 
 def document(result: StudyResult) -> dict[str, object]:
-    """Return the name, the title and the summary of the study as a dictionary of JSON-compatible values."""
+    """Return the name, the title and the summary of a study result as a dictionary of JSON-compatible values."""
     plain = {key: as_plain(value) for key, value in result.summary.items()}
     return {"study": result.name, "title": result.title, **plain}
 
 
 def format_rows(result: StudyResult) -> str:
-    """Return the table as CSV with one header line."""
+    """Return the table of a study result as CSV text with one header line."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(result.columns)

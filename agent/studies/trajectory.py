@@ -1,5 +1,5 @@
 """Compensation along a line in Z. The study compares the deviation of one simulated machine with the deviations
-predicted by models that were identified on this machine.
+predicted by models that were identified from simulated measurements of this machine.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ class TrajectoryResult:
     """Deviations at n points of a trajectory, as arrays (n, 3) in µm. The best-fitting rigid motion of the workspace is
     removed from all deviations.
 
-    `machine_um` contains the true deviations of the simulated machine. `models_um` and `sigma_um` are mappings whose
-    keys are numbers of balls. `models_um` gives the deviations predicted by the model that was identified with that
-    number of balls. `sigma_um` gives the expected rms difference between the machine and that model for each point and
-    direction. A number of balls is left out if it does not identify the machine.
+    `z_mm` (n,) contains the Z coordinates of the points. `machine_um` contains the true deviations of the simulated
+    machine. `models_um` and `sigma_um` are mappings whose keys are numbers of balls on the measured bar. `models_um`
+    gives the deviations predicted by the model that was identified with that number of balls. `sigma_um` gives the
+    expected rms difference between the machine and that model for each point and direction. A number of balls is left
+    out if the measurement of a bar with so many balls does not identify the machine.
     """
 
     z_mm: Array
@@ -47,21 +48,23 @@ class TrajectoryResult:
     sigma_um: dict[int, Array]
 
     def residual_um(self, count: int) -> float | None:
-        """Return the rms length in µm of the difference between the machine and the model identified with `count`
-        balls. Return None if `count` balls do not identify the machine.
+        """Return the rms length in µm, over the points of the trajectory, of the difference between the deviations of
+        the machine and of the model that was identified with a bar of `count` balls. Return None if this bar does not
+        identify the machine.
         """
         return _rms(self.machine_um - self.models_um[count]) if count in self.models_um else None
 
     def expected_residual_um(self, count: int) -> float | None:
-        """Return the expected rms difference in µm between a machine of the family and the model identified with
-        `count` balls. Return None if `count` balls do not identify the machine.
+        """Return the expected rms difference in µm, over the points of the trajectory, between the deviations of a
+        machine of the assumed family and of the model that is identified with a bar of `count` balls. Return None if
+        this bar does not identify the machine.
         """
         return _rms(self.sigma_um[count]) if count in self.sigma_um else None
 
 
 def run(case: StudyCase) -> StudyResult:
     """Compare simulated machine number 0 with three models of it. The models are identified with bars of 3, 5 and 11
-    balls, all measured in the position set of the case.
+    balls, all measured in the position set of the study case.
     """
     variant, line = identification_variants(case.options)[0], middle_line(case.machine.model.ranges_mm)
     followed = compare_along(case, variant, line)
@@ -78,8 +81,8 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def middle_line(ranges_mm: Ranges) -> Array:
-    """Return n axis positions (n, 3) on a line parallel to Z. The line covers the full range of Z, with X and Y in the
-    middle of their ranges.
+    """Return 151 axis positions (151, 3) in mm on a line parallel to Z. The line covers the full range of Z, with X and
+    Y in the middle of their ranges.
     """
     x, y, z = ranges_mm
     line = np.tile([0.5 * sum(x), 0.5 * sum(y), 0.0], (POINTS, 1))
@@ -88,7 +91,9 @@ def middle_line(ranges_mm: Ranges) -> Array:
 
 
 def compare_along(case: StudyCase, variant: IdentificationVariant, line: Array) -> TrajectoryResult:
-    """Return the deviations of the simulated machine and of its models at the n axis positions `line` (n, 3)."""
+    """Return the deviations of simulated machine number 0, and of its models identified with bars of 3, 5 and 11 balls,
+    at the n axis positions `line` (n, 3) in mm.
+    """
     evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
     basis, deflection = evaluator.field.columns_at(line, aligned=True)
     truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters

@@ -3,7 +3,7 @@ is also simulated separately.
 
 The assumed conditions are not ideal. The artefact is warm, its thermometer has an error, and the machine drifts during
 each position. The simulated machines have the deflection of the machine file, and higher Legendre orders than the
-identified model. The estimator allows for the thermometer error, but not for the drift.
+identified model. The identification takes the thermometer error into account, but not the drift.
 """
 
 from __future__ import annotations
@@ -65,8 +65,9 @@ COLUMNS = (
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the contributions of all influences for the position set of the case. Also simulate each influence alone,
-    and all influences together, on `case.machines` machines.
+    """Compute the contributions of all influences, such as touch noise and drift, to the error that remains after
+    compensation. The measurement is that of the position set of the study case. Also simulate each influence alone, and
+    all influences together, on `case.machines` machines.
     """
     trial = _Trial.of(case)
     assumptions = study_assumptions(case)
@@ -120,7 +121,9 @@ class _Trial:
 
 
 def study_assumptions(case: StudyCase) -> TruthAssumptions:
-    """Return the assumptions of this study about the true conditions of the measurement."""
+    """Return the assumptions of the study `uncertainty` about the true conditions of the measurement, such as a warm
+    artefact, a thermometer error and a drift of the machine.
+    """
     return TruthAssumptions(
         family=extended_family(case.machine),
         deflection=case.machine.deflection,
@@ -131,8 +134,8 @@ def study_assumptions(case: StudyCase) -> TruthAssumptions:
 
 
 def extended_family(machine: MachineDescription) -> Family:
-    """Return the family of machines in the machine file, extended to higher Legendre orders. The amplitudes of the
-    higher orders decrease as the machine file specifies.
+    """Return the family of machines (distribution of machine errors) described in the machine file, extended to higher
+    Legendre orders. The amplitudes of the higher orders decrease as the machine file specifies.
     """
     model = machine.model
     orders = {error: order + ORDERS_BEYOND for error, order in model.orders.items()}
@@ -141,7 +144,8 @@ def extended_family(machine: MachineDescription) -> Family:
 
 
 def isolated_influences(assumptions: TruthAssumptions, model: ErrorModel) -> Mapping[str, TruthAssumptions | None]:
-    """Return a mapping from the name of each influence to assumptions in which only this influence is present.
+    """Return a mapping from the name of each influence on the measurement (such as touch noise or drift) to assumptions
+    in which only this influence is present.
 
     The value for the influence of the mount is None. The pose of the mount is free in every estimate, so this influence
     need not be simulated.

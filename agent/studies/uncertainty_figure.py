@@ -1,5 +1,6 @@
-"""Figure of the study `uncertainty`. It shows the contributions of the influences, the distribution and a map of the
-residual error, and the standard uncertainties of the 21 geometric errors.
+"""Figure of the study `uncertainty`. It shows how much each influence, such as touch noise or drift, contributes to the
+error that remains after compensation, the distribution and a map of this error, and the standard uncertainties of the
+21 geometric errors.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ ROTATING = "ABC"
 
 @dataclass(frozen=True, eq=False)
 class InfluenceResult:
-    """Contribution of one influence to the residual error. `closed` is the contribution in closed form. `simulated` is
-    the result of a simulation with this influence alone, or None if the influence was not simulated.
+    """Contribution of one influence, such as touch noise, to the error that remains after compensation. `closed` is the
+    contribution computed in closed form. `simulated` is the result of a simulation with this influence alone, or None
+    if the influence was not simulated.
     """
 
     name: str
@@ -37,8 +39,9 @@ class InfluenceResult:
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyResult:
-    """Results of the study. `parts` contains one result for each influence. `budget` is the closed-form error budget
-    with all influences. `together` contains the errors of the machines that were simulated with all influences.
+    """Results of the study `uncertainty`. `parts` contains one result for each influence on the error that remains
+    after compensation, such as touch noise. `budget` is the closed-form error budget with all influences. `together`
+    contains the errors after compensation of the machines that were simulated with all influences.
     """
 
     parts: tuple[InfluenceResult, ...]

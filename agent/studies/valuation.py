@@ -1,6 +1,6 @@
-"""Test of the valuation of position sets. The valuation of a set is the expected reduction of the volumetric error by
-compensation in percent, and is computed before any measurement. For random sets, the study compares the valuation with
-the simulated VCE.
+"""Test of the valuation of position sets. The valuation of a set of artefact positions is the expected reduction of the
+volumetric error by compensation in percent. It is computed before any measurement. For random sets, the study compares
+the valuation with the simulated volumetric error after compensation (VCE).
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class SetTask:
-    """Task that simulates one of `procedures` on `machines` machines. The procedure is selected by its index."""
+    """Task that simulates one of the measuring procedures `procedures` on `machines` machines. The task is called with
+    the index of the procedure.
+    """
 
     procedures: Sequence[ProcedureTask]
     machines: int
@@ -57,8 +59,10 @@ class SetTask:
 
 @dataclass(frozen=True)
 class SimulatedSet:
-    """Results of one position set. They are its valuation in %, its expected VCE, the rms of its simulated VCE, and the
-    standard error of this rms value. All errors are computed after the best-fitting rigid motion is removed.
+    """Results of one position set. `valuation` is the expected reduction of the volumetric error by compensation in %.
+    `expected_um` is the expected volumetric error after compensation (VCE), `simulated_um` is the rms VCE of the
+    simulated machines, and `error_um` is the standard error of this rms value. All errors are computed after the
+    best-fitting rigid motion is removed.
     """
 
     name: str
@@ -71,7 +75,9 @@ class SimulatedSet:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compare the valuation with the simulated VCE for `RANDOM_SETS` random sets and the named sets in `NAMED`."""
+    """Compare the valuation of position sets (expected reduction of the volumetric error) with the simulated volumetric
+    error after compensation. The sets are `RANDOM_SETS` (60) random sets and the named sets in `NAMED`.
+    """
     machines = max(MIN_MACHINES, case.machines // MACHINES_SHARE)
     sets = [(name, tuple(case.positions(name))) for name in NAMED]
     sets += [(f"random {number + 1}", chosen) for number, chosen in enumerate(random_sets(case, RANDOM_SETS))]
@@ -96,8 +102,8 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def random_sets(case: StudyCase, count: int) -> list[tuple[Position, ...]]:
-    """Return `count` random sets of 2 to 24 reachable positions. The stations of each set are a random choice of one or
-    more stations.
+    """Return `count` random sets of 2 to 24 reachable positions of the artefact. The stations of each set are a random
+    choice of one or more stations.
     """
     reached = _within_reach(case)
     found = []

@@ -1,5 +1,5 @@
-"""Curves of the VCE for several identification variants. The VCE axis is in two parts if the VCE of a variant is far
-larger than the error without compensation.
+"""Curves of the volumetric error after compensation (VCE) for several variants of the identification options. The VCE
+axis is in two parts if the VCE of a variant is far larger than the error without compensation.
 
 The lower part is linear from zero and shows the results worth comparing. The upper part is logarithmic and shows the
 variants that make a machine much worse.
@@ -31,8 +31,9 @@ HEADROOM = 1.12
 
 @dataclass(frozen=True, eq=False)
 class BrokenAxes:
-    """Axes of a diagram in one or two parts. The part `lower` is linear from zero to `limit_um`. The part `upper` is
-    logarithmic and shows larger values. It is None if there are no larger values.
+    """Axes of a diagram of the volumetric error after compensation, in one or two parts. The part `lower` is linear
+    from zero to `limit_um`. The part `upper` is logarithmic and shows larger values. `upper` is None if there are no
+    larger values.
     """
 
     lower: Axes
@@ -43,8 +44,9 @@ class BrokenAxes:
     def add(
         cls, figure: Figure, slot: SubplotSpec, rows: Sequence[Sequence[Verdict]], before: VolumetricRms
     ) -> BrokenAxes:
-        """Add the axes to a cell of the figure's grid. Their scales fit the closed-form VCE of all verdicts in `rows`
-        and the VE without compensation, `before`.
+        """Add the axes to the cell `slot` of the figure's grid. Their scales fit the volumetric errors after
+        compensation that all verdicts in `rows` give in closed form, and the volumetric error without compensation,
+        `before`.
         """
         values = [value for row in rows for value in map(aligned_um, row) if value is not None]
         beyond = [value for value in values if value > FAR_BEYOND * before.aligned_um]
@@ -64,7 +66,7 @@ class BrokenAxes:
         return (self.lower,) if self.upper is None else (self.lower, self.upper)
 
     def axes_for(self, value_um: float) -> Axes:
-        """Return the part of the axes in which a value has to be drawn."""
+        """Return the part of the axes in which the value `value_um`, in µm, has to be drawn."""
         return self.lower if self.upper is None or value_um <= self.limit_um else self.upper
 
     @property
@@ -73,8 +75,9 @@ class BrokenAxes:
         return self.lower if self.upper is None else self.upper
 
     def draw_curve(self, coordinates: Sequence[float], verdicts: Sequence[Verdict], series: int) -> None:
-        """Draw the closed-form VCE as a line and the simulated VCE as open squares. The line is interrupted if the
-        machine is not identified.
+        """Draw the volumetric error after compensation (VCE) of `verdicts` over `coordinates`. The closed-form VCE is a
+        line, and the simulated VCE is drawn as open squares. The line is interrupted where the machine is not
+        identified.
         """
         expected = [np.nan if value is None else value for value in map(aligned_um, verdicts)]
         for axes in self.parts:
@@ -90,7 +93,7 @@ class BrokenAxes:
         self.lower.set_ylabel("VCE, rigidly aligned / µm")
 
     def set_abscissa(self, low: float, high: float, ticks: Sequence[float] | None = None) -> None:
-        """Set the same abscissa limits and ticks for both parts."""
+        """Set the same abscissa limits and ticks for both parts of the axes."""
         for axes in self.parts:
             axes.set_xlim(low, high)
             if ticks is not None:
@@ -98,7 +101,7 @@ class BrokenAxes:
 
 
 def draw_simulated(axes: Axes, coordinates: Sequence[float], verdicts: Sequence[Verdict], colour: str) -> None:
-    """Draw the simulated VCE as open squares with error bars of two standard errors."""
+    """Draw the simulated volumetric error after compensation as open squares with error bars of two standard errors."""
     for coordinate, verdict in zip(coordinates, verdicts, strict=True):
         if verdict.simulated is not None and verdict.standard_error is not None:
             error = TWO_STANDARD_ERRORS * verdict.standard_error.aligned_um
@@ -109,8 +112,8 @@ def draw_simulated(axes: Axes, coordinates: Sequence[float], verdicts: Sequence[
 
 
 def draw_legend(figure: Figure, titles: Sequence[str], before: VolumetricRms) -> None:
-    """Draw a legend below the diagrams. It explains the variants in the order of their series, the line of the VE
-    without compensation (`before`), and the open squares.
+    """Draw a legend below the diagrams. It explains the curves of the identification variants `titles` in this order,
+    the line of the volumetric error without compensation (`before`), and the open squares of the simulated values.
     """
     entries = [
         Line2D([], [], color=SERIES[series], marker=MARKERS[series], label=title) for series, title in enumerate(titles)

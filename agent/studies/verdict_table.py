@@ -1,4 +1,6 @@
-"""Cells of a table for the verdicts on measuring procedures."""
+"""Cells of a table for the verdicts on measuring procedures. A verdict gives the volumetric error after compensation in
+closed form and from simulation.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,8 @@ MIN_MACHINES = 30
 
 
 def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, ...]:
-    """Return the cells of one table row in the order of `COLUMNS`. `label` is the name of the identification
-    variant.
+    """Return the cells of one table row for `verdict` (the volumetric error after compensation with the procedure
+    `trial`), in the order of the column names `COLUMNS`. `label` is the name of the identification variant.
     """
     measured = 0 if trial.planned is None else trial.planned.size
     simulated, error = _both(verdict.simulated), _both(verdict.standard_error)
@@ -36,15 +38,16 @@ def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, 
 
 
 def aligned_um(verdict: Verdict) -> float | None:
-    """Return the closed-form VCE in µm, computed after the best-fitting rigid motion is removed. Return None if the
-    machine is not identified.
+    """Return the volumetric error after compensation of `verdict` in µm. It is the closed-form value, computed after
+    the best-fitting rigid motion is removed. Return None if the machine is not identified.
     """
     return None if verdict.expected is None else verdict.expected.aligned_um
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
-    """Return the largest absolute difference between the simulated and the closed-form VCE over all verdicts in `rows`.
-    Each difference is divided by the standard error of the simulated VCE.
+    """Return the largest absolute difference between the simulated and the closed-form volumetric error after
+    compensation (VCE) over all verdicts in `rows`. Each difference is divided by the standard error of the simulated
+    VCE.
 
     The VCE is computed after the best-fitting rigid motion is removed. Return None if no verdict has at least
     `MIN_MACHINES` simulated machines.

@@ -1,7 +1,8 @@
-"""Volumetric error of a family of machines, and a map of the deviation of a typical machine.
+"""Volumetric error of a family of machines (a distribution of machine errors), and a map of the deviation of a typical
+machine.
 
-The square of the volumetric error is a quadratic form of the parameters. It is therefore not necessary to evaluate the
-grid for each machine.
+The square of the volumetric error is a quadratic form of the error parameters of a machine. It is therefore not
+necessary to evaluate the error on a grid of the workspace for each machine.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ PERCENTS = (0.0, 1.0, 2.5, *np.arange(5.0, 100.0, 5.0).tolist(), 97.5, 99.0, 100
 
 @dataclass(frozen=True, eq=False)
 class FamilyErrors:
-    """Parameters and volumetric errors of m machines drawn from a family. `parameters` (m, p) contains p parameters per
-    machine. `raw_um` contains the volumetric error of each machine in µm. `aligned_um` contains the volumetric error of
-    each machine in µm after the best-fitting rigid motion is removed.
+    """Parameters and volumetric errors of m machines drawn from a family. `parameters` (m, p) contains the p error
+    parameters of each machine. `raw_um` contains the volumetric error of each machine in µm. `aligned_um` contains the
+    volumetric error of each machine in µm after the best-fitting rigid motion is removed.
     """
 
     parameters: Array
@@ -40,13 +41,13 @@ class FamilyErrors:
 
     @property
     def typical(self) -> int:
-        """Index of the machine whose raw volumetric error is nearest to the median of all machines."""
+        """Index of the machine whose volumetric error `raw_um` is nearest to the median over all machines."""
         return int(np.abs(self.raw_um - np.median(self.raw_um)).argmin())
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the distribution of the volumetric error over `case.machines` machines. Also compute a map of the
-    deviation for the machine whose error is nearest to the median.
+    """Compute the distribution of the volumetric error over `case.machines` random machines of the family. Also compute
+    a map of the deviation for the machine whose error is nearest to the median.
     """
     what, family = "volumetric error", case.assumptions.family
     case.progress(what, 0, 2)
@@ -69,8 +70,9 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.random.Generator) -> FamilyErrors:
-    """Draw random machines of a family and return their parameters and volumetric errors. `form` is the quadratic form
-    of the error. It includes the deflection, which is the same for all machines.
+    """Draw random machines of a family and return their parameters and volumetric errors. `form` gives the squared
+    error as a quadratic form of the parameters. It includes the deflection of the machine, which is the same for all
+    machines.
     """
     parameters = family.draw(rng, machines)
     raw_mm, aligned_mm = form.values(parameters)

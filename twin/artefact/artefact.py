@@ -1,8 +1,8 @@
 """Ball artefact with its calibrated ball centres, and the effect of temperature and gravity on the centres.
 
-The origin of the artefact frame is on the axis of the bar, at its middle. The X axis points along the bar. The holders
-(posts) of the balls point along -Y. The Z axis points upwards if the elevation is 0. Any other ball artefact (plate,
-tetrahedron, cross) differs only in its list of ball centres.
+The artefact is described as a ball bar. The origin of the artefact frame is on the axis of the bar, at its middle. The
+X axis points along the bar. The holders (posts) of the balls point along -Y. The Z axis points upwards if the elevation
+of the mount is 0. Any other ball artefact (plate, tetrahedron, cross) differs only in its list of ball centres.
 """
 
 from __future__ import annotations
@@ -65,12 +65,14 @@ class Artefact:
 
     @property
     def half_length_mm(self) -> float:
-        """Largest distance of a ball from the middle of the bar, measured along the bar in mm."""
+        """Largest distance in mm of a ball from the origin of the artefact frame, measured along X (along the bar, if
+        the artefact is a bar).
+        """
         return float(np.abs(self.balls[:, 0]).max())
 
     def at(self, temperature_c: float, elevation_rad: float) -> Array:
-        """Return the ball centres (N, 3) in mm in the artefact frame at a given temperature and elevation. Thermal
-        expansion and gravity sag are included.
+        """Return the ball centres (N, 3) in mm in the artefact frame at a given temperature and elevation of the mount.
+        Thermal expansion and gravity sag are included.
         """
         # thermal expansion p (1 + α ΔT); gravity acts across the bar with cos(elevation)
         stretched = self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c))
@@ -115,9 +117,10 @@ def ball_bar(
 def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: float) -> Array:
     """Return the ball centres of a bar as an array (balls, 3) in mm, equally spaced along X.
 
-    If the holders are not tilted, each ball is one holder length from the bar axis, in the direction -Y. If the holders
-    are tilted by an angle θ, each ball is displaced from this location by the holder length times sin θ. The direction
-    of the displacement repeats every four balls: up (+Z), out (-Y), down (-Z) and in (+Y).
+    If the holders (posts) of the balls are not tilted, each ball is one holder length from the bar axis, in the
+    direction -Y. If the holders are tilted by an angle θ, each ball is displaced from this location by the holder
+    length times sin θ. The direction of the displacement repeats every four balls: up (+Z), out (-Y), down (-Z) and in
+    (+Y).
     """
     if balls < 2:
         raise DataError(f"a ball bar needs at least two balls, got {balls}")

@@ -1,12 +1,14 @@
-"""Combination of several artefacts of one kind in one estimate, each with its own certificate.
+"""Combination of several artefacts of one kind in one estimate of the machine errors. Each artefact has its own
+calibration certificate.
 
 Each position contains the balls of only one artefact and has its own pose, so the artefacts are independent. The
 combined list contains the balls of one artefact after the other, each in the frame of its artefact. The certificates
 are assumed to be uncorrelated.
 
 The artefacts are made of one material. The error of the expansion coefficient is assumed to be the same for all of
-them, as for bars from one melt. A common error changes the scales of the machine, whereas errors of opposite sign
-cancel. If the errors actually differ, the assumption therefore does not understate the uncertainty of the scales.
+them, as for bars from one melt. A common error changes the estimated length scales of the machine axes, whereas errors
+of opposite sign cancel. If the errors actually differ, the assumption therefore does not understate the uncertainty of
+these scales.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Arr
 
     The two balls are given by their indices `first` and `last`. The midpoint between them is moved to the midpoint of
     the measured centres. The line through them is then made parallel to the measured line by the smallest possible
-    rotation (Rodrigues). Two balls do not determine a rotation about this line, so that rotation remains as predicted.
-    Raises DataError if the two predicted centres or the two measured centres coincide.
+    rotation (by the formula of Rodrigues). Two balls do not determine a rotation about this line, so that rotation
+    remains as predicted. Raises DataError if the two predicted centres or the two measured centres coincide.
     """
     line, found_line = predicted[last] - predicted[first], found_last - found_first
     length, found_length = np.linalg.norm(line), np.linalg.norm(found_line)

@@ -1,9 +1,10 @@
-"""Comparison of held-out positions with the prediction of an estimate.
+"""Comparison of held-out positions with the prediction of an estimate of the machine errors.
 
-Held-out positions are measured but not used in the estimate. At each position, the calibrated artefact is fitted
-rigidly to the measured ball centres, so the comparison does not depend on the pose of the artefact. The residual of
-this fit is a deviation of the machine plus noise. The covariance of the residuals is the sum of the covariances of the
-estimate, the stated model misfit, the certificate and the touches.
+Held-out positions of the artefact are measured but not used in the estimate. At each position, the calibrated artefact
+is fitted rigidly to the measured ball centres, so the comparison does not depend on the pose of the artefact. The
+residual of this fit is a deviation of the machine plus noise. The covariance of the residuals is the sum of the
+covariances of the estimate, the stated model misfit (the errors that the model cannot represent), the calibrated ball
+centres and the touches.
 """
 
 from __future__ import annotations
@@ -23,11 +24,13 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class HeldOutResiduals:
-    """Residuals of held-out positions with n measured balls in total.
+    """Residuals of held-out positions, which were measured but not used in the estimate, with n measured balls in
+    total.
 
-    `placed_mm` (n, 3) contains the calibrated ball centres after the best rigid fit. `residuals_mm` (n, 3) contains the
-    measured centres minus these fitted centres. `rms_mm` is the root mean square residual of a ball, corrected for the
-    degrees of freedom that the poses use.
+    `placed_mm` (n, 3) contains the calibrated ball centres after the best rigid fit to the measured centres.
+    `residuals_mm` (n, 3) contains the measured centres minus these fitted centres. `rms_mm` is the root mean square
+    residual of a ball, corrected for the degrees of freedom that the fitted poses use. `freedom` is the number of
+    remaining degrees of freedom.
     """
 
     placed_mm: Array
@@ -38,8 +41,9 @@ class HeldOutResiduals:
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """Result of the χ² test of held-out residuals. `predicted_mm` is the rms residual expected from the covariance.
-    `chi2_normalised` is χ² per degree of freedom.
+    """Result of the χ² test of held-out residuals. These are the residuals of positions that were measured but not used
+    in the estimate. `predicted_mm` is the rms residual expected from the covariance of the residuals. `chi2_normalised`
+    is χ² per degree of freedom, and `freedom` is the number of degrees of freedom.
     """
 
     predicted_mm: float
@@ -72,8 +76,9 @@ def held_out_test(
     """Compare the residuals in `result` with the residuals expected from their covariance.
 
     `field_covariance` (3n, 3n) is the covariance in mm² of the residual deviation at the n observed points, ordered
-    point by point as x, y, z. It must contain only the contributions of the estimate and of the model misfit. This
-    function adds the contributions of the touch noise and of the certificate.
+    point by point as x, y, z. It must contain only the contributions of the estimated machine parameters and of the
+    model misfit (the errors that the model cannot represent). This function adds the contributions of the touch noise
+    and of the calibration certificate.
     """
     n = observations.size
     total = field_covariance.copy()

@@ -1,6 +1,5 @@
-"""Geometry of the mount.
-
-It has a separate module, because the settings import it and must not load numpy.
+"""Geometry of the mount, which is the rotary device that holds the artefact. The geometry has a separate module,
+because the settings import it and must not load numpy.
 """
 
 from __future__ import annotations

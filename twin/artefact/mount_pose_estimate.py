@@ -1,4 +1,6 @@
-"""Estimate of the actual pose of a mount. It is a small rigid motion fitted to the balls measured so far."""
+"""Estimate of the actual pose of a mount, the rotary device that holds the artefact. It is a small rigid motion fitted
+to the balls measured so far.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ class MountPoseEstimate:
         return cls(np.zeros((0, 3)), np.zeros((0, 3)))
 
     def with_found_balls(self, expected: Array, found: Array) -> MountPoseEstimate:
-        """Return a new estimate that also uses the given balls. All balls, earlier and new, have equal weight.
+        """Return a new estimate that also uses the given, newly measured balls. All balls, earlier and new, have equal
+        weight.
 
         `expected` and `found` are arrays (n, 3) in mm with the expected and the measured centres of the new balls.
         """

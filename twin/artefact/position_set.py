@@ -31,8 +31,8 @@ crossing face diagonals of each of the planes XY, ZX and YZ.
 
 @dataclass(frozen=True)
 class Position:
-    """Orientation of the artefact at one station, and the name of the tool for its measurement. Stations are counted
-    from 1.
+    """Orientation of the artefact at one station (place of the mount), and the name of the tool for its measurement.
+    Stations are counted from 1.
 
     If the tool is None, the tool of the run is used.
     """
@@ -68,7 +68,8 @@ class Pose:
 
 
 def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
-    """Parse an expression such as `S1` or `S1+S3` and return its positions at the stations 1 to `stations`.
+    """Parse an expression of named position sets, such as `S1` or `S1+S3`, and return its positions at the stations 1
+    to `stations`.
 
     All positions at station 1 come first, then those at station 2, and so on. An orientation that occurs in several
     sets is included only once per station. Raises TwinError if a set name is unknown.
@@ -84,8 +85,8 @@ def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, 
     """Return the pose of the bar on a mount at `location_mm`.
 
     For the azimuth az and the elevation el, the bar points along (cos az cos el, sin az cos el, sin el). Its holders
-    point along (0, -1, 0) rotated by az about Z. `location_mm` (3,) is the point of the azimuth axis at the height of
-    the middle of the bar.
+    point along (0, -1, 0) rotated by az about Z. `location_mm` (3,) is the point of the vertical azimuth axis of the
+    mount at the height of the middle of the bar.
     """
     ca, sa = math.cos(azimuth_rad), math.sin(azimuth_rad)
     ce, se = math.cos(elevation_rad), math.sin(elevation_rad)
@@ -95,7 +96,8 @@ def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, 
 
 
 def station_locations(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:
-    """Return an array (count, 3) in mm of station locations that are evenly spaced along X.
+    """Return the locations of the mount at `count` stations that are evenly spaced along X, as an array (count, 3) in
+    mm.
 
     The first and the last location are `half_span_mm` inside the ends of `x_range`.
     """
@@ -112,7 +114,7 @@ def is_reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_
     """Return a boolean array with one element for each of n axis positions (n, 3). An element is True if the axis
     position is at least `margin_mm` (3,) inside the travel limits of every axis.
 
-    The margin is needed for approach and retract.
+    The margin is needed for the approach to a ball and the retraction from it.
     """
     inside = (ball_axis_positions >= lower + margin_mm) & (ball_axis_positions <= upper - margin_mm)
     return np.asarray(inside.all(axis=1), dtype=np.bool_)

@@ -3,8 +3,9 @@
 The harmonics are fitted to one ball with many touches. A probe whose stylus rests on three seats triggers later in some
 directions than in others (lobing). The mean pretravel over all directions is equivalent to a smaller stylus radius, and
 the first harmonic is equivalent to a displaced stylus centre. Touches of a ball cannot distinguish these two effects
-from an error of the radius and of the centre, and both effects are the same on all balls. The map therefore contains
-only the higher harmonics. It moves every touch onto the sphere that is fitted to all touches of the qualification.
+from an error of the radius and of the centre, and both effects are the same on all balls. The pretravel map of this
+module therefore contains only the higher harmonics. It moves every touch onto the sphere that is fitted to all touches
+of the qualification ball.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ class PretravelMap:
 
     - `coefficients_mm` (18,) contains the coefficients of the centre (3), of the radius (1) and of the harmonics (14).
     - `stylus_axis` (3,) is the unit vector from the ram towards the tip.
-    - `noise_mm` is the rms residual of the fit, corrected for the degrees of freedom. If the harmonics describe the
-      lobing completely, `noise_mm` is the touch noise.
+    - `noise_mm` is the rms residual of the fit of the map to touches of one ball, corrected for the degrees of freedom.
+      If the harmonics describe the direction-dependent pretravel (lobing) completely, `noise_mm` is the touch noise.
     - `largest_mm` is the largest absolute value of the map at the fitted touches.
     """
 
@@ -39,26 +40,28 @@ class PretravelMap:
     largest_mm: float
 
     def offsets_mm(self, directions: Array) -> Array:
-        """Return for each of k approach directions (k, 3) the distance in mm from the fitted sphere at which the probe
-        triggers. The distance is positive if the latched point is outside the sphere.
+        """Return for each of k approach directions (k, 3) the distance in mm from the sphere fitted to the
+        qualification touches at which the probe triggers. The distance is positive if the latched point is outside this
+        sphere.
         """
         return np.asarray(_terms(directions, self.stylus_axis) @ self.coefficients_mm)
 
     def correct(self, points: Array, directions: Array) -> Array:
-        """Correct the latched points (k, 3) in mm of touches along `directions` (k, 3) for lobing. The result is the
-        points that a probe without lobing would latch.
+        """Correct the latched points (k, 3) in mm of touches along `directions` (k, 3) for lobing (direction-dependent
+        pretravel). The result is the points that a probe without lobing would latch.
         """
         return np.asarray(points + self.offsets_mm(directions)[:, None] * directions)
 
 
 def fit_pretravel(directions: Array, residuals_mm: Array, stylus_axis: Array) -> PretravelMap:
-    """Fit a pretravel map to the residuals of k touches along `directions` (k, 3).
+    """Fit a pretravel map to the residuals of k touches of one ball along `directions` (k, 3). The map is a sum of
+    harmonics about the stylus axis.
 
     `residuals_mm` (k,) contains the residuals of a sphere that was fitted to the same touches with free centre and
     radius.
 
     The harmonics are made orthogonal to centre and radius over these touches, so the map does not change the fitted
-    sphere. Raises DataError if there are too few touches or too few rings of touches.
+    sphere. Raises DataError if there are too few touches or too few rings (circles of latitude of the ball) of touches.
     """
     terms = _terms(directions, stylus_axis)
     touches, unknowns = terms.shape

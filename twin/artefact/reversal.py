@@ -1,10 +1,10 @@
 """Reversal value of a linear axis from touches of oblique points of a ball. Each point is touched after the tested axis
 has been preloaded from one side, and again after it has been preloaded from the other side.
 
-During a touch, only another axis moves. It moves the tip against a point of the ball whose normal leans towards the
-tested axis. A change of the preload direction displaces the tested axis by its lost motion. The tip therefore meets the
-ball earlier or later by the lost motion times the tangent of the slope. Errors of the touch itself (pretravel, play of
-the moving axis) are the same for both preload directions and cancel.
+During a touch, only another axis moves. It moves the tip against a point of the ball whose normal is inclined towards
+the tested axis. A change of the preload direction displaces the tested axis by its lost motion. The tip therefore meets
+the ball earlier or later by the lost motion times the tangent of the angle between the normal and the moving axis.
+Errors of the touch itself (pretravel, play of the moving axis) are the same for both preload directions and cancel.
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ At 45° the reading of the moving axis changes by the full lost motion (tangent 
 
 @dataclass(frozen=True)
 class ObliqueTouch:
-    """Oblique point on the ball and the touch at this point. The axes X, Y, Z are numbered 0, 1, 2.
+    """Point of a ball whose normal is oblique to two machine axes, and the touch at this point, which measures lost
+    motion. The axes X, Y, Z are numbered 0, 1, 2.
 
-    - `axis` is the tested axis, which is preloaded before the touch.
+    - `axis` is the axis whose lost motion is tested. It is preloaded, that is, moved in a known direction, before the
+      touch.
     - `along` is the axis that moves during the touch.
     - `normal` (3,) is the unit vector from the centre of the ball to the point.
     - `direction` (3,) is the unit vector of the motion during the touch.
@@ -45,8 +47,8 @@ class ObliqueTouch:
     def ratio(self) -> float:
         """Change of the latched position of the axis `along` per mm of lost motion of the axis `axis`.
 
-        The change is the latched position with `axis` preloaded upwards minus the latched position with it preloaded
-        downwards.
+        The change is the latched position after `axis` has been preloaded by upward motion minus the latched position
+        after it has been preloaded by downward motion.
         """
         return float(self.normal[self.axis] / self.normal[self.along])
 
@@ -66,8 +68,8 @@ class LostMotion:
 
 
 def plan_oblique_touches(axis: int, stylus_axis: Array) -> tuple[ObliqueTouch, ObliqueTouch]:
-    """Return two mirrored oblique points that are sensitive to the lost motion of `axis`. A straight stylus can reach
-    both.
+    """Return the touches of two mirrored points of a ball whose normals are inclined towards `axis`. The touches are
+    sensitive to the lost motion of this axis, and a straight stylus can reach both points.
 
     `stylus_axis` (3,) is the unit vector from the ram towards the tip. Raises DataError if it is not parallel to a
     machine axis.
@@ -90,8 +92,8 @@ def fit_lost_motion(
     latched_mm: Sequence[float],
     floor_mm: float,
 ) -> LostMotion:
-    """Fit the lost motion of an axis to all its touches by least squares. Each touched point has its own level as a
-    further unknown.
+    """Fit the lost motion of an axis to all its touches by least squares. The mean latched position of each touched
+    point is a further unknown.
 
     - `ratios` contains `ObliqueTouch.ratio` of each touch.
     - `upwards` is True for each touch before which the preloaded axis moved upwards last.

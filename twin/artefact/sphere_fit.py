@@ -1,10 +1,10 @@
 """Least-squares fit of a ball centre to touched points, with a known or a free radius and with the covariance of the
 result.
 
-The fit is a Gauss-Newton iteration on the geometric distances. It starts from the algebraic sphere, so two steps are
-enough. The fit runs once per ball, also during a preflight. Each ball has only five to twenty-five points. For so few
-points, sums of plain floats are faster than sums of arrays: for 5 points they took a quarter of the time. LAPACK is
-used only to solve the 3×3 or 4×4 system of equations.
+The fit is a Gauss-Newton iteration on the geometric distances. It starts from the algebraic least-squares sphere, so
+two steps are enough. The fit runs once per ball, also during a preflight. Each ball has only five to twenty-five
+points. For so few points, sums of plain floats are faster than sums of arrays: for 5 points they took a quarter of the
+time. LAPACK is used only to solve the 3×3 or 4×4 system of equations.
 """
 
 from __future__ import annotations

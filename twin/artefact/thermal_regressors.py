@@ -32,8 +32,8 @@ def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: flo
 
 
 def smooth_readings(instants_s: Array, values: Array, half_window_s: float = SMOOTHING_HALF_WINDOW_S) -> Array:
-    """Return the readings (n,) after smoothing, which removes most of their noise. A straight line is fitted around
-    each instant by weighted least squares.
+    """Return the readings `values` (n,) of a thermometer after smoothing, which removes most of their noise. A straight
+    line is fitted around each instant by weighted least squares.
     """
     away = (instants_s[None, :] - instants_s[:, None]) / half_window_s
     # Epanechnikov weights 1 - t²; the value at t = 0 of the weighted line through the neighbours

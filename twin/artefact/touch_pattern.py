@@ -43,9 +43,8 @@ _NEGLIGIBLE = 1e-6
 
 
 def approach_directions(count: int, stylus_axis: Array) -> Array:
-    """Return the approach directions of the pattern with `count` touches as unit vectors, in an array (count, 3).
-
-    The first touch is at the pole.
+    """Return the approach directions of the touch pattern with `count` touches on a ball as unit vectors, in an array
+    (count, 3). The first touch is at the pole, which is the point of the ball that faces the stylus.
 
     `stylus_axis` (3,) is the unit vector from the ram towards the tip. Raises DataError if `count` is not 5, 9, 13 or
     25.
@@ -56,8 +55,8 @@ def approach_directions(count: int, stylus_axis: Array) -> Array:
 
 
 def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
-    """Return the approach directions of one touch at the pole and of all touches on `rings`, as unit vectors. A ring is
-    a circle of latitude of the ball.
+    """Return the approach directions of one touch at the pole of a ball (the point that faces the stylus) and of all
+    touches on `rings`, as unit vectors. A ring is a circle of latitude of the ball.
 
     The array has one row (3,) per touch. The touch at the pole is first, followed by the rings in the given order.
     """
@@ -104,12 +103,12 @@ def centre_shift_per_radius(directions: Array) -> Array:
 
 
 def redundancies(directions: Array) -> Array:
-    """Return the redundancy number of each of k touches. It is the share, from 0 to 1, of an error of the touch that
-    appears in the residual of the same touch.
+    """Return the redundancy number of each of k touches of a ball along `directions` (k, 3). It is the share, from 0 to
+    1, of an error of the touch that appears in the residual of the same touch.
 
     The redundancy number is that of Baarda for a sphere fit with free radius. It is 1 minus the touch's diagonal
     element of the hat matrix. If it is 0, an error of the touch cannot be detected, because no other touch checks it.
-    An example is the touch at the pole in the five-touch pattern.
+    An example is the touch at the pole (the point of the ball that faces the stylus) in the five-touch pattern.
     """
     jacobian = np.column_stack([-directions, np.ones(len(directions))])
     basis = np.linalg.qr(jacobian)[0]
