@@ -1,4 +1,6 @@
-"""Conversion factors from the units of calculation (mm, rad, s) to those of reports; the reference temperature."""
+"""Conversion factors from the units of calculation (mm, rad, s) to those of reports, and the reference temperature of
+ISO 1.
+"""
 
 from __future__ import annotations
 

@@ -14,10 +14,11 @@ from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS, ErrorModel, seri
 def motion_uncertainty(model: ErrorModel, covariance: Array) -> Mapping[str, float]:
     """Return the standard uncertainty (mm or rad) of each geometric error, keyed by its ISO 230-1 name.
 
-    The uncertainty of an error motion is the root mean square of its standard uncertainty over the range of the axis.
-    The uncertainty of a squareness is that of its single parameter. `covariance`, shape (p, p), is the covariance of
-    the p parameters or the matrix of their second moments. Only its diagonal is used, because Legendre polynomials of
-    different orders are orthogonal over the range; the mean square of the polynomial of order k is 1 / (2 k + 1).
+    The uncertainty of an error motion (a Legendre series in the position of its axis) is the root mean square of its
+    standard uncertainty over the range of this axis. The uncertainty of a squareness is that of its only parameter.
+    `covariance`, shape (p, p), is the covariance of the p parameters of `model` or the matrix of their second moments.
+    Only its diagonal is used, because Legendre polynomials of different orders are orthogonal over the range of the
+    axis; the mean square of the polynomial of order k is 1 / (2 k + 1).
     """
     if covariance.shape != (model.size, model.size):
         raise DataError(f"the covariance has shape {covariance.shape}, but the model has {model.size} parameters")

@@ -12,11 +12,11 @@ from twin.arrays import Array
 
 
 def rigid_fields(points: Array, middle: Array, size_mm: float) -> Array:
-    """Return the displacement fields of six small rigid motions at `points`, shape (n, 3), in mm.
+    """Return the displacement fields of six small rigid motions at n `points`, shape (n, 3) in mm.
 
-    The result has shape (n, 3, 6): three translations along x, y and z with displacement 1, then three rotations about
-    axes parallel to x, y and z through the point `middle`, shape (3,). A rotation displaces a point at the distance
-    `size_mm` from its axis by 1.
+    The result has shape (n, 3, 6): three translations along x, y and z with the displacement 1 (in any unit), then
+    three rotations about axes parallel to x, y and z through the point `middle`, shape (3,). A rotation displaces a
+    point at the distance `size_mm` from its axis by 1.
     """
     x, y, z = ((points - middle) / size_mm).T
     fields = np.zeros((len(points), 3, 6))

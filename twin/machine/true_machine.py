@@ -1,8 +1,8 @@
 """True machine of a simulation.
 
-The true machine has effects that the identified model cannot represent: Legendre terms of higher order, and a
-deflection that is given on a grid of axis positions. A simulator uses one true machine, whereas a study draws many of
-them at random.
+The true machine has effects that the error model identified from its measurement cannot represent: Legendre terms of
+higher order, and a deflection that is given on a grid of axis positions. A simulator uses one true machine, whereas a
+study draws many of them at random.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ class TrueMachine:
     """True errors of one machine.
 
     `model` is None for a machine without parametric errors. `parameters`, shape (p,), contains the values of the p
-    parameters of `model`. `deflection` is None for a machine without deflection.
+    parameters of `model`. `tool_offset`, shape (3,), in mm, is the vector from the reference point of the ram to the
+    tool centre point. `deflection` contains further displacements of the tool centre point on a grid of axis positions;
+    it is None for a machine without deflection.
     """
 
     model: ErrorModel | None
@@ -60,10 +62,12 @@ def draw_machine(
     with_deflection: bool,
     rng: np.random.Generator,
 ) -> TrueMachine:
-    """Draw one machine at random from the family in the machine file, with Legendre series up to `order`.
+    """Draw one machine at random from the family (distribution of the errors of machines of one make) that the machine
+    file `description` defines.
 
-    Beyond the orders for which the machine file gives half-widths, each half-width is the previous one multiplied by
-    the decay factor of the family. All drawn parameters are multiplied by `scale`.
+    The error motions are Legendre series up to `order`. The machine file gives half-widths for the parameters of the
+    lowest orders. For each higher order, the half-width is that of the previous order multiplied by the decay factor of
+    the family. All drawn parameters are multiplied by `scale`.
     """
     offset = description.tool(tool)
     nominal = description.model

@@ -59,8 +59,8 @@ def covering_grid(ranges_mm: Ranges, nodes: tuple[ArrayLike, ArrayLike, ArrayLik
     """Return the axis positions, shape (n, 3), of the grid with the given `nodes` in mm along X, Y and Z.
 
     The x position changes slowest and the z position fastest. An rms over only a part of the workspace is not a
-    volumetric error. Therefore ModelError, naming the axis, is raised if the nodes do not ascend from one end of the
-    range to the other.
+    volumetric error. Therefore ModelError, which names the axis, is raised if the nodes of an axis do not ascend from
+    one end of its range to the other.
     """
     lines = [np.asarray(line, dtype=np.float64) for line in nodes]
     for axis, line, (low, high) in zip(AXES, lines, ranges_mm, strict=True):
@@ -122,9 +122,10 @@ class QuadraticForm:
 
     The field is linear in the parameters. A fixed field, which does not depend on the parameters, can be added.
 
-    `raw` and `aligned`, shape (p, p), are the quadratic coefficients in mm² per product of two parameter units. The
-    fixed field causes the linear coefficients `raw_linear` and `aligned_linear`, shape (p,), and the constants
-    `raw_constant` and `aligned_constant`. All of these are zero if there is no fixed field.
+    `raw` and `aligned`, shape (p, p), are the quadratic coefficients in mm² per product of two parameter units;
+    `aligned` applies after the best-fitting rigid motion has been removed from the field. The fixed field causes the
+    linear coefficients `raw_linear` and `aligned_linear`, shape (p,), and the constants `raw_constant` and
+    `aligned_constant`. All of these are zero if there is no fixed field.
     """
 
     model: ErrorModel
@@ -139,9 +140,10 @@ class QuadraticForm:
 
     @classmethod
     def build(cls, model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> QuadraticForm:
-        """Build the quadratic form for a grid and a tool offset in mm.
+        """Build the quadratic form of the deviations that `model` gives on a grid of axis positions for one tool
+        offset.
 
-        The axis positions of the grid have shape (n, 3), and the tool offset has shape (3,).
+        `axis_positions` has shape (n, 3) and `tool_offset` has shape (3,); both are in mm.
         """
         points = as_points(axis_positions, "axis positions")
         offset = as_vector(tool_offset, 3, "tool offset")
@@ -160,7 +162,8 @@ class QuadraticForm:
     def with_field(self, field: ArrayLike) -> QuadraticForm:
         """Return a quadratic form that also includes a fixed field on the same grid.
 
-        `field`, shape (n, 3), contains the deviations in mm that are added to the linear field.
+        `field`, shape (n, 3), contains the deviations in mm that are added to the field that is linear in the
+        parameters.
         """
         fixed = as_points(field, "field")
         if fixed.shape != self.axis_positions.shape:
@@ -185,9 +188,10 @@ class QuadraticForm:
         )
 
     def values(self, parameters: ArrayLike) -> tuple[Array, Array]:
-        """Return the raw and the aligned rms of m machines in mm, as two arrays of shape (m,).
+        """Return the volumetric errors of m machines in mm, raw and aligned, as two arrays of shape (m,).
 
-        `parameters`, shape (m, p), has one row for each machine.
+        Aligned means after the best-fitting rigid motion has been removed. `parameters`, shape (m, p), has one row for
+        each machine.
         """
         vectors = np.asarray(parameters, dtype=np.float64)
         if vectors.ndim != 2 or vectors.shape[1] != self.model.size:
@@ -199,17 +203,19 @@ class QuadraticForm:
     def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> VolumetricRms:
         """Return the volumetric error of one machine with `parameters`, shape (p,), and an optional fixed `field`.
 
-        To evaluate many machines with the same fixed field, call `with_field` once and then `values`.
+        `field`, shape (n, 3), contains deviations in mm that are added to those that the parameters cause. To evaluate
+        many machines with the same fixed field, call `with_field` once and then `values`.
         """
         form = self if field is None else self.with_field(field)
         raw, aligned = form.values(as_vector(parameters, self.model.size, "parameters")[None, :])
         return VolumetricRms(float(raw[0]), float(aligned[0]))
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Return the root of the mean square that is expected over machines with random parameters.
+        """Return the volumetric error expected over machines with random parameters, raw and aligned.
 
-        The parameters have mean zero and the `covariance` P, shape (p, p). The result is sqrt(trace(Q P) + c), where Q
-        is `raw` or `aligned`, and c is the mean square of the fixed field.
+        The parameters have mean zero and the `covariance` P, shape (p, p). The expected value is the root of the
+        expected mean square, sqrt(trace(Q P) + c), where Q is the matrix `raw` or `aligned` of this form, and c is the
+        mean square of the fixed field (zero if there is none).
         """
         raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
         aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant

@@ -12,11 +12,12 @@ _STEPS = 60  # bisections of the horizon
 
 @dataclass(frozen=True)
 class LimitCrossing:
-    """Number of nights from the last measured night until `limit` is reached.
+    """Number of nights from the last measured night until a drifting value reaches `limit`.
 
-    `expected` is the number of nights until the fitted line reaches the limit. `earliest` is the number of nights until
-    the edge of the 95 % band of the line reaches the limit. Each number is 0 if the limit is already reached, and
-    infinite if the limit is not reached within the horizon of the computation.
+    `expected` is the number of nights until the straight line fitted to the measured values reaches the limit.
+    `earliest` is the number of nights until the edge of the 95 % uncertainty band of this line reaches the limit. Each
+    number is 0 if the limit is already reached, and infinite if the limit is not reached within the horizon of the
+    computation.
     """
 
     limit: float
@@ -31,8 +32,8 @@ class LimitCrossing:
 def limit_crossing(drift: Drift, limit: float, horizon: float, *, two_sided: bool) -> LimitCrossing:
     """Return the number of nights until the fitted `drift` reaches `limit`, as expected and at the earliest.
 
-    `limit` has the unit of the values. Only the next `horizon` nights are considered. If `two_sided`, the limits are
-    `limit` and -`limit`; otherwise `limit` is the only limit, an upper one.
+    `limit` has the unit of the values to which `drift` was fitted. Only the next `horizon` nights are considered. If
+    `two_sided`, the limits are `limit` and -`limit`; otherwise `limit` is the only limit, an upper one.
     """
     sides = (1.0, -1.0) if two_sided else (1.0,)
     expected = min(_line(drift, limit, side, horizon) for side in sides)

@@ -1,11 +1,11 @@
 """Choice of positions whose measurement best shows if an error has jumped, or which of several errors has jumped.
 
-A position is described by its information factor W: WᵀW is the information (the inverse covariance) that its ball
-centres give about the unknowns z of the identification. If z changes by a, the measurement of the position, scaled to
-unit noise, changes by W a. Touch noise and the covariance C of z give this measurement the covariance I + W C Wᵀ, where
-I is the identity matrix. The detectability of the change is the noncentrality of the χ² test, aᵀWᵀ(I + W C Wᵀ)⁻¹W a. If
-a is the difference of two suspected jumps, the detectability is twice the Kullback-Leibler divergence between the two
-hypotheses (Box & Hill, Technometrics 9, 1967).
+A position is one place and orientation of the artefact. It is described by its information factor W: WᵀW is the
+information (the inverse covariance) that its ball centres give about the unknowns z of the identification. If z changes
+by a vector a, the measurement of the position, scaled to unit noise, changes by W a. Touch noise and the covariance C
+of z give this measurement the covariance I + W C Wᵀ, where I is the identity matrix. The detectability of the change is
+the noncentrality of the χ² test for it, aᵀWᵀ(I + W C Wᵀ)⁻¹W a. If a is the difference of two suspected jumps, the
+detectability is twice the Kullback-Leibler divergence between the two hypotheses (Box & Hill, Technometrics 9, 1967).
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from twin.monitoring.step_detection import ERRORS
 
 @dataclass(frozen=True, eq=False)
 class JumpQuestions:
-    """Questions about possible jumps of the errors, which further measurements should answer.
+    """Questions to be answered by further measurements, such as: has an error jumped, and which one?
 
-    The noncentrality of a χ² test measures how clearly a measurement would show a shift of the unknowns. `shifts`,
-    shape (m, P), contains m possible shifts of the P unknowns z. `weights`, shape (q, m), contains one row for each of
-    the q questions: the weights with which the noncentralities of the m shifts are summed.
+    A jump of an error shifts the P unknowns z of the identification. The noncentrality of a χ² test measures how
+    clearly a measurement would show a shift. Each question is expressed as a weighted sum of the noncentralities of
+    possible shifts: the larger the sum, the more clearly the measurement answers the question. `shifts`, shape (m, P),
+    contains m possible shifts of z. `weights`, shape (q, m), contains the m weights for each of the q questions.
     """
 
     shifts: Array
@@ -39,7 +40,7 @@ class JumpQuestions:
     def which_jump(cls, jumps: Array) -> JumpQuestions:
         """Return one question for each pair of the k suspected `jumps`: which jump of the pair has occurred?
 
-        `jumps`, shape (k, P), contains each jump as a change of the P unknowns.
+        `jumps`, shape (k, P), contains each jump as a change of the P unknowns of the identification.
         """
         pairs = np.array(list(combinations(range(len(jumps)), 2)), dtype=np.intp).reshape(-1, 2)
         return cls(jumps[pairs[:, 0]] - jumps[pairs[:, 1]], np.eye(len(pairs)))
@@ -48,18 +49,21 @@ class JumpQuestions:
     def any_jump(cls, unknowns: Unknowns) -> JumpQuestions:
         """Return one question for each geometric error: has this error jumped?
 
-        The assumed jumps shift each coefficient of the error by its standard deviation in the family of machines.
+        The assumed jumps shift each coefficient of the error by its standard deviation in the family of machines, which
+        is the prior of the identification.
         """
         names = np.array([parameter.error for parameter in unknowns.model.parameters])
         moves = np.eye(len(names), unknowns.blocks.size)
         return cls(moves, np.array([names == error for error in ERRORS], dtype=np.float64))
 
     def noncentralities(self, factors: Array, covariance: Array) -> Array:
-        """Return the noncentrality, shape (N, q), that each of N positions contributes to each of the q questions.
+        """Return the noncentrality of the χ² test, shape (N, q), that each of N positions contributes to each of q
+        questions.
 
-        A large noncentrality means that the position answers the question clearly. `factors`, shape (N, r, P), contains
-        the information factors of the positions, with r rows each. `covariance`, shape (P, P), is the covariance of the
-        unknowns z before these positions are measured.
+        A position is one place and orientation of the artefact; a large noncentrality means that its measurement
+        answers the question clearly. `factors`, shape (N, r, P), contains the information factor W of each position,
+        with r rows: WᵀW is the information that the measurement of the position gives about the P unknowns z of the
+        identification. `covariance`, shape (P, P), is the covariance of z before these positions are measured.
         """
         seen = factors @ self.shifts.T
         noise = np.eye(factors.shape[1]) + factors @ covariance @ factors.transpose(0, 2, 1)
@@ -73,13 +77,14 @@ def rank_discriminating_positions(
     allowed: NDArray[np.bool_],
     minutes: Array,
 ) -> Iterator[int]:
-    """Yield the indices of the candidates in the order in which they should be measured.
+    """Yield the indices of N candidate positions in the order in which they should be measured to answer `questions`.
 
-    The next candidate is always the one with the largest value per minute, assuming that the positions `measured` and
-    all candidates yielded earlier have been measured. The value is the increase of the sum of ln(1 + noncentrality)
-    over the questions. Questions that are already answered therefore contribute little. `allowed`, shape (N,), marks
-    the candidates that may be yielded, each of them once. `minutes`, shape (N,), contains the time that each candidate
-    needs.
+    A position is one place and orientation of the artefact. For each question, the noncentrality of a χ² test measures
+    how clearly the measured positions answer it. The next candidate is always the one that, per minute, most increases
+    the sum of ln(1 + noncentrality) over the questions, assuming that the positions with the indices `measured` and all
+    candidates yielded earlier have been measured. Questions that are already answered therefore contribute little.
+    `allowed`, shape (N,), marks the candidates that may be yielded, each of them once. `minutes`, shape (N,), contains
+    the time that the measurement of each candidate takes.
     """
     left, chosen = allowed.copy(), list(measured)
     obtained = _answered(candidates, measured, questions)

@@ -3,12 +3,12 @@
 The separate terms prevent the steps from biasing the drift. The value y_i of night t_i is modelled as y_i = level +
 slope (t_i - t_n) - (sum of the sizes of all steps later than t_i), where t_n is the last night.
 
-The variances are assumed to be proportional to the stated variances. The factor of proportionality is estimated from
-the residuals (GUM Type A; Deming 1943), because contributions common to all nights (certificate, prior) are part of the
-stated uncertainty but cause no scatter about a trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom, the
-stated uncertainties are used unchanged. If the estimates of neighbouring nights share information, they scatter too
-little. Therefore, if the residuals have a lag-1 correlation r > 0, the variance is multiplied by (1 + r) / (1 - r)
-(Bartlett 1935).
+The variances of the values are assumed to be proportional to the stated variances. The factor of proportionality is
+estimated from the residuals (GUM Type A; Deming 1943), because contributions common to all nights (the calibration
+certificate of the artefact, the prior of the identification) are part of the stated uncertainty but cause no scatter
+about a trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom, the stated uncertainties are used unchanged.
+If the estimates of neighbouring nights share information, they scatter too little. Therefore, if the residuals have a
+lag-1 correlation r > 0, the variance is multiplied by (1 + r) / (1 - r) (Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ _HIGHEST_CORRELATION = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """Fitted drift, in the unit of the values.
+    """Straight line fitted to the values of n nights, in the unit of the values.
 
     `level` is the value of the fitted line at the last night, and `slope` is its change per night. `level_sigma` and
     `slope_sigma` are the standard uncertainties of `level` and `slope`, and `covariance` is their covariance. `steps`
-    contains one tuple for each step: the first night after the step, the size of the step, and its standard
-    uncertainty. `fitted`, shape (n,), contains the fitted values.
+    contains one tuple for each step (sudden change of level): the first night after the step, the size of the step, and
+    its standard uncertainty. `fitted`, shape (n,), contains the fitted values.
 
-    `scatter` is the factor by which the stated uncertainties were multiplied, `correlation` is the lag-1 correlation of
-    the residuals, and `freedom` is the number of degrees of freedom. `factor` is the coverage factor for 95 %; it is
-    1.96 if the stated uncertainties were used unchanged.
+    `scatter` is the factor by which the stated uncertainties of the values were multiplied, `correlation` is the lag-1
+    correlation of the residuals, and `freedom` is the number of degrees of freedom. `factor` is the coverage factor for
+    95 %; it is 1.96 if the stated uncertainties were used unchanged.
     """
 
     level: float
@@ -56,7 +56,7 @@ class Drift:
 
     @property
     def significant(self) -> bool:
-        """True if the magnitude of the slope exceeds its expanded uncertainty (95 %)."""
+        """True if the magnitude of the fitted slope exceeds its expanded uncertainty (95 %)."""
         return abs(self.slope) > self.factor * self.slope_sigma
 
     def predict(self, nights: float) -> tuple[float, float]:

@@ -21,11 +21,13 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True, eq=False)
 class ResidualWithTable:
-    """Expected error that remains over a workspace with a compensation table active, for one tool.
+    """Expected volumetric error that remains over a workspace while a compensation table is active, for one tool.
 
-    `unknowns` defines the P unknowns z of the machine. `form` contains the quadratic forms, shape (P, P), that give the
-    mean square error from z. `left_out_mm2` is the mean square, in mm², of the part of the misfit that the misfit modes
-    (the basis functions of the misfit) do not represent.
+    `unknowns` defines the P unknowns z: the parameters of the error model, the coefficients of the misfit (the part of
+    the true deviations that the error model cannot represent), and others. `form` contains the quadratic forms, shape
+    (P, P), that give the mean square error, raw and aligned (after the best-fitting rigid motion has been removed),
+    from z. `left_out_mm2` is the mean square, in mm², of the part of the misfit that the misfit modes (the basis
+    functions of the misfit) do not represent.
     """
 
     unknowns: Unknowns
@@ -37,13 +39,15 @@ class ResidualWithTable:
         """Prepare the computation of the residual error for a `grid` of axis positions, shape (n, 3), and a tool
         offset, shape (3,), in mm.
 
-        `scales` are the scale factors of noise, prior and misfit from the current estimate.
+        `scales` are the factors by which the current estimate multiplies the standard deviations of noise, prior and
+        misfit (the part of the true deviations that the error model cannot represent).
         """
         form = Criterion.build(unknowns, grid, tool_offset)
         return cls(unknowns, form, 3.0 * left_out_variance(unknowns, scales))
 
     def of(self, mean: Array, covariance: Array, written: ArrayLike) -> VolumetricRms:
-        """Return the root of the expected mean square of the residual field (machine minus table).
+        """Return the root of the expected mean square of the residual field (deviations of the machine minus those that
+        the table compensates).
 
         The P unknowns z of the machine have the given `mean`, shape (P,), and `covariance`, shape (P, P). `written`,
         shape (p,), contains the model parameters in mm or rad from which the table was computed.
@@ -51,15 +55,17 @@ class ResidualWithTable:
         return self._root(covariance, self.uncompensated(mean, written), self.left_out_mm2)
 
     def between(self, mean: Array, other: Array) -> VolumetricRms:
-        """Return the volumetric rms of the difference between two machines, each given by its unknowns z, shape (P,).
+        """Return the rms, over the workspace, of the difference between the deviations of two machines.
 
-        Only the model parameters in z are compared. All other unknowns, such as the misfit, are ignored.
+        Each machine is given by its unknowns z, shape (P,). Only the parameters of the error model in z are compared.
+        All other unknowns, such as the misfit coefficients, are ignored.
         """
         step = self._parameters_only(mean - other)
         return self._root(np.zeros_like(self.form.raw), step, 0.0)
 
     def uncompensated(self, mean: Array, written: ArrayLike) -> Array:
-        """Return the mean of the unknowns z, shape (P,), minus the parameters that the table compensates.
+        """Return the mean of the unknowns z of the machine, shape (P,), minus the parameters that the active table
+        compensates.
 
         `mean`, shape (P,), is the mean of z. `written`, shape (p,), contains the model parameters in mm or rad from
         which the table was computed; they are converted to the units of z.
@@ -81,7 +87,8 @@ class ResidualWithTable:
 
 
 def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
-    """Return the mean of the unknowns z, shape (P,), minus the parameters that the table compensates.
+    """Return the mean of the unknowns z of a machine, shape (P,), minus the parameters that its active table
+    compensates.
 
     `mean`, shape (P,), is the mean of z. `written`, shape (p,), contains the model parameters in mm or rad from which
     the table was computed; they are converted to the units of z.
@@ -95,7 +102,9 @@ def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
 def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
     """Return the variance in mm², per direction, of the part of the misfit that the misfit modes do not represent.
 
-    The modes are the basis functions of the misfit. Shorter wavelengths than those of the modes are not represented.
+    The misfit is the part of the true deviations that the error model cannot represent; the misfit modes are its basis
+    functions. Wavelengths shorter than those of the modes are not represented. `scales` contains the estimated factors
+    on the standard deviations of the kinds of misfit.
     """
     modes = unknowns.modes
     return 0.0 if modes is None else unknowns.misfit_mm**2 * float(modes.left_out @ np.square(scales.kinds))
@@ -104,11 +113,12 @@ def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
 def residual_covariance(
     unknowns: Unknowns, scales: Scales, mean: Array, covariance: Array, points: ArrayLike, tool_offset: ArrayLike
 ) -> Array:
-    """Return the second moments, shape (3n, 3n), of the residual field (machine minus table) in mm².
+    """Return the second moments, shape (3n, 3n), of the residual field in mm².
 
-    The residual field is taken at n axis positions `points`, shape (n, 3). Rows and columns run point by point, in the
-    order x, y, z. `mean`, shape (P,), is the mean of the unknowns z minus the parameters that the table compensates, as
-    returned by `uncompensated`. `covariance`, shape (P, P), is the covariance of z.
+    The residual field contains the deviations of the machine minus those that the active table compensates. It is taken
+    at n axis positions `points`, shape (n, 3). Rows and columns run point by point, in the order x, y, z. `mean`, shape
+    (P,), is the mean of the P unknowns z of the machine minus the parameters that the table compensates, as returned by
+    `uncompensated`. `covariance`, shape (P, P), is the covariance of z.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     blocks = unknowns.blocks

@@ -58,9 +58,9 @@ class SuspectedJump:
     of the jump, with `freedom` degrees of freedom.
 
     `change` is the size of the jump in `unit`. For a squareness it is the change of the angle. For an error motion it
-    is the peak-to-valley value of the change over the travel; it is negative if the change at the end of the travel is
-    smaller than the change at the start. `coefficients` gives the change of each coefficient, keyed by its name, in mm
-    or rad.
+    is the peak-to-valley value of the change over the travel of the axis; it is negative if the change at the end of
+    the travel is smaller than the change at the start. `coefficients` gives the change of each coefficient, keyed by
+    its name, in mm or rad.
     """
 
     error: str
@@ -114,7 +114,7 @@ class Innovation:
         return np.asarray(0.5 * (after + after.T))
 
     def suspects(self, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Return all errors of the model as suspects, the most likely one first.
+        """Return the suspected jump of each error of the error model, the most likely jump first.
 
         `jump` is the standard deviation of the assumed jump of a coefficient, divided by the standard deviation of the
         coefficient in the family of machines.
@@ -125,10 +125,11 @@ class Innovation:
     def find_jumps(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
         """Search for the errors that have jumped, and return them in the order in which they are found.
 
-        Each step of the search takes the error with the largest evidence. Errors found in earlier steps remain free to
-        have jumped. The search ends when the largest evidence is smaller than `evidence`, or after `most` errors.
-        `jump` is the standard deviation of the assumed jump of a coefficient, divided by the standard deviation of the
-        coefficient in the family of machines.
+        Each step of the search takes the error with the largest evidence, which is the natural logarithm of the
+        likelihood ratio of a jump against no jump. Errors found in earlier steps are still assumed to have jumped by an
+        unknown amount. The search ends when the largest evidence is smaller than `evidence`, or when `most` errors have
+        been found. `jump` is the standard deviation of the assumed jump of a coefficient, divided by the standard
+        deviation of the coefficient in the family of machines.
         """
         left, named = self, []
         for _ in range(most):
@@ -188,11 +189,12 @@ class Innovation:
 
 
 def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
-    """Compare measured ball centres (`observations`) with the prior knowledge `known`.
+    """Compare measured ball centres (`observations`) with the prior knowledge `known`, which was carried over from an
+    earlier estimate.
 
-    The covariance in `known` must already include the changes that are expected since the earlier estimate (the process
-    noise). The scale of the touch noise is taken from `known`. Raises DataError if model, artefact or balls do not
-    match.
+    The covariance in `known` must already include the changes that are expected since this estimate (the process
+    noise). The scale of the touch noise is taken from `known`. Raises DataError if the model, the artefact or the balls
+    of the arguments do not match.
     """
     options = Options(carried_over=known, outliers="none", estimate_scales=False)
     problem = build_problem(family, observations, artefact, options)

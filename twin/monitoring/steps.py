@@ -1,9 +1,9 @@
 """Search for steps (sudden changes of level) in a series of nights.
 
-Steps are found one by one. A candidate is scored by the reduction of the residual sum of squares that it achieves, in
-units of the noise variance. The residuals are those of the whole regression (level, slope, and the steps found so far).
-The noise is estimated from the median of successive differences (median moving range), because neither the slope nor
-single steps increase this median much. A candidate is accepted if the reduction exceeds a penalty of about
+Steps are found one by one. A candidate step is scored by the reduction of the residual sum of squares that it achieves,
+in units of the noise variance. The residuals are those of the whole regression (level, slope, and the steps found so
+far). The noise is estimated from the median of successive differences (median moving range), because neither the slope
+nor single steps increase this median much. A candidate is accepted if the reduction exceeds a penalty of about
 `PENALTY_PER_LOG` ln n for n nights. The penalty accounts for the two fitted values of a step (size and time) and for
 the search over times, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
 """
@@ -31,7 +31,7 @@ MEDIAN_RANGE = 0.9539
 def find_steps(
     nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, known: Sequence[float] = ()
 ) -> tuple[float, ...]:
-    """Return the times at which the level changes, in ascending order, including the `known` times.
+    """Return the times at which the level of `values` changes, in ascending order, including the `known` times.
 
     A known step is omitted if it cannot be distinguished from the slope or from another step. If there are fewer than
     `MIN_NIGHTS` values, only the known steps are returned. A new step needs two values on either side. It must also

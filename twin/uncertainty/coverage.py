@@ -34,9 +34,10 @@ _RESAMPLES = 2000
 
 @dataclass(frozen=True)
 class ObservedCoverage:
-    """Observed coverage over all machines, and its standard error.
+    """Observed coverage of stated uncertainty regions over all simulated machines, and its standard error.
 
-    `observed` is the fraction of comparisons whose region contains the true value.
+    `observed` is the fraction of the comparisons of an estimate with the truth in which the uncertainty region contains
+    the true value.
     """
 
     observed: float
@@ -44,11 +45,12 @@ class ObservedCoverage:
 
 
 def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Generator) -> ObservedCoverage:
-    """Return the observed coverage of the regions with the level `nominal`.
+    """Return the observed coverage of the uncertainty regions stated for the level `nominal`, for example 0.95.
 
-    `levels` contains one array, shape (m,), for each machine: the levels of its m comparisons. The standard error is
-    obtained by resampling whole machines with replacement (bootstrap), since the comparisons of one machine are
-    correlated.
+    `levels` contains one array, shape (m,), for each machine: the levels of its m comparisons of an estimate with the
+    truth. The level of a comparison is the level of the uncertainty region whose boundary passes through the true
+    value. The standard error is obtained by resampling whole machines with replacement (bootstrap), since the
+    comparisons of one machine are correlated.
     """
     held = np.array([np.count_nonzero(one <= nominal) for one in levels], dtype=np.float64)
     counts = np.array([np.size(one) for one in levels], dtype=np.float64)
@@ -91,9 +93,9 @@ class FieldError:
         return cls(expected - motions @ (motions.T @ expected), whole)
 
     def pointwise_levels(self) -> Array:
-        """Return one level for each component of the error at each point, as an array of shape (3n,).
+        """Return the level of one uncertainty interval for each component of the error at each point, shape (3n,).
 
-        Each level belongs to the symmetric uncertainty interval that ends exactly at the true value.
+        Each interval is symmetric about the expected value and ends exactly at the true value.
         """
         return two_sided_level(self.error / np.sqrt(np.diagonal(self.covariance)))
 
@@ -126,11 +128,12 @@ def joint_level(error: Array, covariance: Array) -> float:
 
 
 def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) -> Array:
-    """Return one level for each parameter that the measurement has determined.
+    """Return the level of one uncertainty interval for each parameter that the measurement has determined.
 
     A parameter counts as determined if its standard uncertainty is below `share_of_prior` times its prior standard
-    deviation. The level is that of the symmetric interval that ends at the true value. `truth`, shape (p,), contains
-    the true values of the p parameters. The levels are meaningful only for a machine that the model can represent.
+    deviation. Each interval is symmetric about the estimated value and ends exactly at the true value. `truth`, shape
+    (p,), contains the true values of the p parameters. The levels are meaningful only for a machine that the model can
+    represent.
     """
     sigma = estimate.standard_uncertainty
     known = sigma < share_of_prior * estimate.scales.prior * estimate.prior_scale
@@ -139,11 +142,11 @@ def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) ->
 
 @dataclass(frozen=True)
 class VolumetricComparison:
-    """Comparison of a true volumetric error with its expected value, for VE or for VCE.
+    """Comparison of the true volumetric error of a machine, with or without compensation, with its expected value.
 
-    `true_mm` is the true value, and `expected_mm` is the root of the expected mean square. Both apply after the
-    best-fitting rigid motion has been removed. `level` is the level of the equal-tailed uncertainty interval that ends
-    exactly at the true value.
+    `true_mm` is the true value, and `expected_mm` is the root of the expected mean square, both in mm. Both apply after
+    the best-fitting rigid motion has been removed. `level` is the level of the equal-tailed uncertainty interval that
+    ends exactly at the true value.
     """
 
     true_mm: float
@@ -154,10 +157,10 @@ class VolumetricComparison:
 def volumetric_comparisons(
     estimate: Estimate, truth: TrueMachine, grid: Array
 ) -> tuple[VolumetricComparison, VolumetricComparison]:
-    """Compare the true VE and the true VCE with their distributions according to `estimate`.
+    """Compare the true volumetric errors of the machine `truth` with their distributions according to `estimate`.
 
-    Both are computed over the axis positions `grid`, shape (n, 3), in mm. Return the comparison of VE first and that of
-    VCE second.
+    The errors are the volumetric error without compensation (VE) and the volumetric compensated error (VCE), computed
+    over the axis positions `grid`, shape (n, 3), in mm. Return the comparison of VE first and that of VCE second.
     """
     offset = truth.tool_offset
     true = truth.deviation(grid)
@@ -174,11 +177,11 @@ def volumetric_comparisons(
 def held_out_levels(
     estimate: Estimate, family: Family, seen: Observations, artefact: Artefact, options: Options
 ) -> Array:
-    """Return one level for each of the K held-out positions in `seen`, as an array of shape (K,).
+    """Return the level of one uncertainty region for each of the K positions of the artefact in `seen`, shape (K,).
 
-    The pose of each position is fitted and removed. The level is that of the joint uncertainty region of all balls of
-    the position whose boundary passes through the measured values. The estimate must not have used the observations in
-    `seen`.
+    The observations in `seen` are held out: `estimate` must not have used them. The pose of the artefact in each
+    position is fitted and removed. The region is the joint uncertainty region of all balls of the position whose
+    boundary passes through the measured values.
     """
     problem = build_problem(family, seen, artefact, options)
     left, local = problem.sides(estimate.z)

@@ -1,11 +1,12 @@
-"""Expected volumetric compensated error (VCE) in closed form, divided into contributions of the influences.
+"""Expected volumetric compensated error (VCE) in closed form, divided into contributions of the influences (such as
+touch noise).
 
-The estimate is a linear function of all errors of a procedure (`twin.uncertainty.linear_estimator`). The field that
-remains after compensation is therefore also linear in these errors. The mean square of this field, expected over
-machines, certificates and touches, is the trace of the matrix product Q M. Q is the quadratic form of the field, and M
-contains the second moments of its parameters. All influences are independent and have mean zero, except the deflection,
-which is the same for all machines and contributes its own mean square. The squares of the contributions therefore add
-up.
+The estimate is a linear function of all errors of a calibration procedure (`twin.uncertainty.linear_estimator`). The
+field that remains after compensation is therefore also linear in these errors. The mean square of this field, expected
+over machines, certificates and touches, is the trace of the matrix product Q M. Q is the quadratic form of the field,
+and M contains the second moments of its parameters. All influences are independent and have mean zero, except the
+deflection, which is the same for all machines and contributes its own mean square. The squares of the contributions
+therefore add up.
 """
 
 from __future__ import annotations
@@ -47,11 +48,12 @@ determine them or the prior shrinks them towards zero.
 
 @dataclass(frozen=True, eq=False)
 class ErrorBudget:
-    """Error budget of a procedure: the contribution of each influence to the expected VCE.
+    """Contribution of each influence, such as touch noise, to the expected volumetric compensated error (VCE).
 
-    The residual field (true machine minus compensation model) has u parameters, those of the joint model of `field`.
-    `moments` contains, for each influence, the second moments, shape (u, u), that the influence causes in these
-    parameters. `bias`, shape (u,), contains the errors of the parameters that the deflection causes in all machines.
+    The residual field (true machine minus compensation model) has u parameters: those of the joint model of `field`,
+    which combines the identified model and the model of the true machines. `moments` contains, for each influence, the
+    second moments, shape (u, u), that the influence causes in these parameters. `bias`, shape (u,), contains the errors
+    of the parameters that the deflection, which is the same for all true machines, causes.
     """
 
     field: FieldForm
@@ -60,9 +62,10 @@ class ErrorBudget:
 
     @cached_property
     def contributions(self) -> Mapping[str, VolumetricRms]:
-        """Contribution of each influence to the expected VCE.
+        """Contribution of each influence to the expected volumetric compensated error (VCE), keyed by influence.
 
-        An influence causes a part of the expected mean square; its contribution is the root of this part.
+        An influence, such as touch noise, causes a part of the expected mean square; its contribution is the root of
+        this part.
         """
         squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
         fixed = self.field.fixed_square(self.bias)
@@ -71,23 +74,29 @@ class ErrorBudget:
 
     @cached_property
     def expected(self) -> VolumetricRms:
-        """Expected VCE: the root of the mean square expected over machines after compensation."""
+        """Expected volumetric compensated error (VCE): the root of the mean square expected over machines."""
         parts = self.contributions.values()
         return _root(sum(part.raw_mm**2 for part in parts), sum(part.aligned_mm**2 for part in parts))
 
     @cached_property
     def uncompensated(self) -> VolumetricRms:
-        """Expected VE: the root of the mean square expected over machines without compensation."""
+        """Expected volumetric error (VE): the root of the mean square expected over machines without compensation."""
         return self.field.uncompensated()
 
     @cached_property
     def total(self) -> Array:
-        """Second moments, shape (u, u), caused by all influences together; the deflection is not included."""
+        """Second moments, shape (u, u), that all influences together cause in the u parameters of the residual field.
+
+        The deflection, which is the same for all true machines, is not included.
+        """
         return np.asarray(np.sum(list(self.moments.values()), axis=0))
 
     @property
     def distribution(self) -> VolumetricDistribution:
-        """Distribution of the VCE over machines whose parameters are Gaussian with the variances of the family."""
+        """Distribution of the volumetric compensated error (VCE) over machines with Gaussian parameters.
+
+        The parameters have the variances that they have in the family of the true machines.
+        """
         form = self.field.form
         return VolumetricDistribution(
             QuadraticDistribution.of(form.raw, form.raw_linear, form.raw_constant, self.bias, self.total),
@@ -100,10 +109,11 @@ class ErrorBudget:
         return np.asarray(np.sqrt(squares[self.field.model_indices]))
 
     def field_uncertainty(self, axis_positions: ArrayLike, aligned: bool = False) -> Array:
-        """Return the expected rms, shape (n, 3), of each component of the residual field at n axis positions, in mm.
+        """Return the expected rms, shape (n, 3), of each component of the residual field, in mm.
 
-        `axis_positions` has shape (n, 3). If `aligned`, the best-fitting rigid motion over the grid of `field` is
-        removed first, since an artefact in an unknown pose cannot determine this motion.
+        The residual field is the true machine minus the compensation model, taken at n `axis_positions`, shape (n, 3).
+        If `aligned`, the best-fitting rigid motion over the grid of `field` is removed first, since an artefact in an
+        unknown pose cannot determine this motion.
         """
         basis, deflection = self.field.columns_at(axis_positions, aligned)
         squares = np.einsum("nip,nip->ni", basis @ self.total, basis) + (deflection + basis @ self.bias) ** 2
@@ -120,12 +130,13 @@ def error_budget(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> ErrorBudget:
-    """Return the error budget of a procedure that identifies `model` from planned `observations`.
+    """Return the error budget of a calibration procedure that identifies `model` from planned `observations`.
 
-    The true machines follow `assumptions`; `family` is the prior of the identification. The error is evaluated for a
-    tool offset, shape (3,), on a `grid` of axis positions, shape (n, 3), in mm. The scales (factors on the standard
-    deviations of noise, prior and misfit) are 1 and no ball is rejected, regardless of `options`. To evaluate many
-    position sets, build the `FieldForm` once and use `error_budget_of_form`.
+    The true machines follow `assumptions`; `family` is the prior of the identification. The error after compensation is
+    evaluated for a tool offset, shape (3,), on a `grid` of axis positions, shape (n, 3), in mm. The scales (factors on
+    the standard deviations of noise, prior and misfit) are 1 and no ball is rejected, regardless of `options`. To
+    evaluate many sets of artefact positions, build the `FieldForm` (quadratic form of the residual field) once and use
+    `error_budget_of_form`.
     """
     return error_budget_of_form(
         FieldForm.build(model, assumptions, grid, tool_offset), family, artefact, observations, options
@@ -135,9 +146,10 @@ def error_budget(
 def error_budget_of_form(
     field: FieldForm, family: Family, artefact: Artefact, observations: Observations, options: Options
 ) -> ErrorBudget:
-    """Return the error budget of a procedure for an existing quadratic form `field` of the residual field.
+    """Return the error budget of a calibration procedure for an existing quadratic form `field`.
 
-    `family` is the prior of the identification. Raises DataError if it belongs to another model than `field`.
+    `field` is the quadratic form of the residual field (true machine minus compensation model). `family` is the prior
+    of the identification. Raises DataError if `family` belongs to another error model than `field`.
     """
     if family.model != field.model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")

@@ -1,8 +1,9 @@
 """Identification as a linear map from measurement errors to parameters; the linearisation is accurate to nanometres.
 
 No measurements are needed. For the planned ball centres, the estimate is the product of a matrix K and the data if no
-scales are estimated and no outliers are rejected. K = H⁻¹Aᵀ follows from the design matrix A and the posterior
-precision H. Both depend on the chosen formulation, weights and prior.
+scales (factors on the standard deviations of noise, prior and misfit) are estimated and no outliers are rejected. K =
+H⁻¹Aᵀ follows from the design matrix A and the posterior precision H (the inverse of the posterior covariance). Both
+depend on the formulation of the equations (ball centres or distances), the weights and the prior that are chosen.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True, eq=False)
 class LinearEstimator:
-    """Response of the p estimated parameters, in mm or rad, to each influence.
+    """Response of the p estimated parameters, in mm or rad, to each error of the measurement (influence).
 
     `certificate`, shape (p, m), is the response to one standard deviation of each of the m independent errors of the
-    certificate. `influences`, shape (p, x), is the response to each of x additional error fields. `noise`, shape (p,
-    p), is the covariance that the stated touch noise causes in the parameters.
+    artefact's calibration certificate. `influences`, shape (p, x), is the response to each of x additional error
+    fields. `noise`, shape (p, p), is the covariance that the stated touch noise causes in the parameters.
     """
 
     certificate: Array
@@ -40,8 +41,8 @@ class LinearEstimator:
         """Build the linear estimator of an identification problem.
 
         `influences`, shape (n, 3, x), contains x error fields in mm; each is added to the tool points of the n rows of
-        `problem.observations`. Raises DataError if `options` contains a carried-over estimate, since the mean of such
-        an estimate belongs to one particular machine.
+        `problem.observations`. Raises DataError if `options` contains an earlier estimate that is carried over as the
+        prior, since the mean of such an estimate belongs to one particular machine.
         """
         if options.carried_over is not None:
             raise DataError(

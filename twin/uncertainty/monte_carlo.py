@@ -1,9 +1,10 @@
 """Monte Carlo simulation of a whole procedure: true machine, true artefact, simulated measurements, residual error.
 
 Every quantity that `twin.identification` models as uncertain is drawn at random here. The machine is drawn from its
-family, which may have any Legendre order and a deflection; its parameters are uniformly distributed. The artefact is
-drawn from its certificate. The errors of thermometer, drift and touches are drawn from their uncertainties. The true
-field is computed from the exact product of the axis transforms, not from its linearisation.
+family (distribution of the errors of machines of one make), which may have any Legendre order and a deflection; its
+parameters are uniformly distributed. The artefact is drawn from its certificate. The errors of thermometer, drift and
+touches are drawn from their uncertainties. The true field is computed from the exact product of the axis transforms,
+not from its linearisation.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ _STEPS = 3
 
 
 def draw_truth(assumptions: TruthAssumptions, rng: np.random.Generator, tool_offset: ArrayLike) -> TrueMachine:
-    """Draw one true machine at random from the family; it has the deflection that all machines of the family share."""
+    """Draw one true machine at random from the family of machines in `assumptions`.
+
+    The machine has the deflection that all machines of this family share.
+    """
     family = assumptions.family
     offset = np.asarray(tool_offset, dtype=np.float64)
     return TrueMachine(family.model, family.draw(rng, 1)[0], offset, assumptions.deflection)
@@ -46,8 +50,8 @@ def simulated_observations(
     """Simulate the measurement of the `planned` balls on the machine `truth`, and return the observations.
 
     `planned` contains the observations that an error-free machine would give at the same balls. `artefact` is the
-    artefact with its certified values. Random numbers are drawn even for an influence that is switched off, so the
-    values of the other influences do not depend on the switches.
+    artefact with its certified values. Random numbers are drawn even for an influence (such as touch noise) that
+    `assumptions` switch off, so the values of the other influences do not depend on what is switched off.
     """
     real, shift_k = _draw_artefact(artefact, assumptions, rng)
     change = _ball_displacements(planned, artefact, real, assumptions.artefact_temperature_c)
@@ -64,7 +68,7 @@ def uncompensated_errors(form: FieldForm, truths: Array) -> tuple[Array, Array]:
     """Return the volumetric errors (VE) of m machines in mm, raw and aligned, as two arrays of shape (m,).
 
     Aligned means after the best-fitting rigid motion has been removed. `truths`, shape (m, t), contains the t
-    parameters of each machine in the family of true machines.
+    parameters of each machine in the model of the true machines.
     """
     return form.form.values(_embed(form, truths, form.true_indices))
 
@@ -174,7 +178,7 @@ def _draw_drift(position: IndexArray, drift_mm: float, rng: np.random.Generator)
 
 
 def position_progress(position: IndexArray) -> Array:
-    """Return the progress, shape (n,), of each of n measured balls within its position.
+    """Return the progress, shape (n,), of each of n measured balls within its position of the artefact.
 
     The progress rises linearly from 0 at the first ball of the position to 1 at the last. `position`, shape (n,),
     contains the number of the position to which each ball belongs.

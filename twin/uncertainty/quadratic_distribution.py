@@ -91,9 +91,10 @@ class QuadraticDistribution:
         means: Sequence[ArrayLike],
         factor: Array,
     ) -> tuple[QuadraticDistribution, ...]:
-        """Return one distribution of Q for each of several `means`, shape (p,), of the Gaussian vector x.
+        """Return one distribution of Q = xᵀ `form` x + 2 `linear`ᵀ x + `constant` for each of several means of x.
 
-        All distributions share the covariance L Lᵀ of x; `factor`, shape (p, p), is the matrix L.
+        x is a Gaussian vector of p variables; each of the `means` has shape (p,). All distributions share the
+        covariance L Lᵀ of x; `factor`, shape (p, p), is the matrix L.
         """
         size = len(factor)
         matrix = np.asarray(form, dtype=np.float64)
@@ -129,7 +130,7 @@ class QuadraticDistribution:
         return 2.0 * float(self.weights**2 @ (1.0 + 2.0 * self.shifts**2))
 
     def exceeds(self, value: float) -> float:
-        """Return the probability that Q > value."""
+        """Return the probability that the quadratic form Q is greater than `value`."""
         above = value - self.least
         if above <= 0.0:
             return 1.0
@@ -138,7 +139,7 @@ class QuadraticDistribution:
         return 1.0 - self._tail(above, upper=False)
 
     def at_most(self, value: float) -> float:
-        """Return the probability that Q ≤ value.
+        """Return the probability that the quadratic form Q is at most `value`.
 
         A very small probability is also accurate; if it were computed as 1 - `exceeds(value)`, it would be lost by
         rounding.
@@ -146,7 +147,7 @@ class QuadraticDistribution:
         return self._at_most(value - self.least)
 
     def quantile(self, probability: float) -> float:
-        """Return the value that Q does not exceed with the given probability.
+        """Return the value that the quadratic form Q does not exceed with the given probability.
 
         Raises DataError if `probability` is not between 0 and 1.
         """

@@ -28,15 +28,15 @@ class QuadraticMixture:
         return float(np.mean([part.variance + part.mean**2 for part in self.parts])) - self.mean**2
 
     def exceeds(self, value: float) -> float:
-        """Return the probability that Q > value."""
+        """Return the probability that the quadratic form Q is greater than `value`."""
         return float(np.mean([part.exceeds(value) for part in self.parts]))
 
     def at_most(self, value: float) -> float:
-        """Return the probability that Q ≤ value."""
+        """Return the probability that the quadratic form Q is at most `value`."""
         return float(np.mean([part.at_most(value) for part in self.parts]))
 
     def quantile(self, probability: float) -> float:
-        """Return the value that Q does not exceed with the given probability.
+        """Return the value that the quadratic form Q does not exceed with the given probability.
 
         Raises DataError if `probability` is not between 0 and 1.
         """

@@ -1,7 +1,7 @@
-"""Random machines for a test of the stated uncertainties.
+"""Random machines for a test of the uncertainties that an identification states.
 
-The identified model cannot fully represent these machines, and the true measurement conditions differ from the stated
-conditions.
+The error model that is identified cannot fully represent these machines, and the true measurement conditions differ
+from the stated conditions.
 """
 
 from __future__ import annotations
@@ -49,9 +49,10 @@ DEFLECTION_FORMS = ("none", "beams", *_DRAW_FUNCTIONS)
 class RandomMachine:
     """Random machine and the true conditions of its measurement.
 
-    `form` is the name of the form of its deflection. `truth` contains its true errors. `assumptions` contains the true
-    temperature of the artefact, the uncertainty of the thermometer, the drift, and the other influences to be
-    simulated. `noise` is the true standard deviation of the touch noise divided by the stated one.
+    `form` is the name of the form of the machine's deflection, or "as modelled" for a machine that the error model
+    represents exactly. `truth` contains the true errors of the machine. `assumptions` contains the true temperature of
+    the artefact, the uncertainty of the thermometer, the drift, and the other influences to be simulated. `noise` is
+    the true standard deviation of the touch noise divided by the stated one.
     """
 
     form: str
@@ -75,8 +76,8 @@ def draw_random_machine(
 ) -> RandomMachine:
     """Draw a random machine with the given `form` of deflection.
 
-    `form` is one of `DEFLECTION_FORMS`, or `AS_MODELLED` for a machine that the model represents exactly and whose
-    measurement conditions are the stated ones.
+    `form` is one of `DEFLECTION_FORMS`, or `AS_MODELLED` for a machine that the error model in `description` represents
+    exactly and whose measurement conditions are the stated ones.
     """
     if form == AS_MODELLED:
         assumptions = TruthAssumptions.as_modelled(description)

@@ -30,12 +30,12 @@ IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class FieldForm:
-    """Quadratic form of the residual field.
+    """Quadratic form that gives the mean square of the residual field (true machine minus compensation model).
 
-    The joint model has u parameters: all p parameters of the identified model and all t parameters of the true
-    machines. `form` is the quadratic form of the joint model; it includes the deflection as a fixed field.
-    `model_indices`, shape (p,), and `true_indices`, shape (t,), are the indices of the parameters of the identified
-    model and of the true machines in the joint model.
+    The joint model has u parameters: all p parameters of the identified `model` and all t parameters of the true
+    machines, which `assumptions` describe. `form` is the quadratic form of the joint model; it includes the deflection
+    of the true machines as a fixed field. `model_indices`, shape (p,), and `true_indices`, shape (t,), are the indices
+    of the parameters of the identified model and of the true machines in the joint model.
     """
 
     model: ErrorModel
@@ -48,7 +48,8 @@ class FieldForm:
     def build(
         cls, model: ErrorModel, assumptions: TruthAssumptions, grid: ArrayLike, tool_offset: ArrayLike
     ) -> FieldForm:
-        """Build the quadratic form for a `grid` of axis positions, shape (n, 3), and a tool offset, shape (3,), in mm.
+        """Build the quadratic form of the residual field for a `grid` of axis positions, shape (n, 3), and a tool
+        offset, shape (3,), in mm.
 
         Raises ModelError if `model` and the model of the true machines differ in kinematic chain or axis ranges.
         """
@@ -61,7 +62,7 @@ class FieldForm:
 
     @property
     def size(self) -> int:
-        """Number of parameters of the joint model."""
+        """Number of parameters of the joint model, which combines the identified and the true model."""
         return self.form.model.size
 
     @property
@@ -70,26 +71,29 @@ class FieldForm:
         return ~np.isin(self.true_indices, self.model_indices)
 
     def mean_square(self, moments: Array) -> tuple[float, float]:
-        """Return the expected mean square, raw and aligned, in mm² of a field with random parameters.
+        """Return the expected mean square in mm², raw and aligned, of a residual field with random parameters.
 
-        `moments`, shape (u, u), contains the second moments of the u parameters. The deflection is not included.
+        `moments`, shape (u, u), contains the second moments of the u parameters of the joint model. Aligned means after
+        the best-fitting rigid motion has been removed. The deflection of the true machines is not included.
         """
         return float(np.vdot(self.form.raw, moments)), float(np.vdot(self.form.aligned, moments))
 
     def fixed_square(self, parameters: Array) -> tuple[float, float]:
-        """Return the mean square, raw and aligned, in mm² of a fixed field.
+        """Return the mean square in mm², raw and aligned, of a fixed field.
 
-        The fixed field is the deflection plus the field of the given `parameters`, shape (u,).
+        The fixed field is the deflection of the true machines plus the field of the given `parameters` of the joint
+        model, shape (u,). Aligned means after the best-fitting rigid motion has been removed.
         """
         one = self.form.value(parameters)
         return one.raw_mm**2, one.aligned_mm**2
 
     def columns_at(self, axis_positions: ArrayLike, aligned: bool = False) -> tuple[Array, Array]:
-        """Return the basis of the joint model and the deflection at axis positions, shape (n, 3), in mm.
+        """Return the basis of the joint model, and the deflection of the true machines, at n axis positions.
 
-        The basis has shape (n, 3, u) and is in mm per unit of each parameter; the deflection has shape (n, 3) and is in
-        mm. If `aligned`, the rigid motion that best fits over the grid of the form is removed from the deflection and
-        from the field of each parameter.
+        `axis_positions` has shape (n, 3) and is in mm. The joint model combines the identified model and the model of
+        the true machines. Its basis has shape (n, 3, u) and is in mm per unit of each parameter; the deflection has
+        shape (n, 3) and is in mm. If `aligned`, the rigid motion that best fits over the grid of this quadratic form is
+        removed from the deflection and from the field of each parameter.
         """
         points, form = as_points(axis_positions, "axis positions"), self.form
         basis = deviation_basis(form.model, points, form.tool_offset)
@@ -127,18 +131,21 @@ class FieldForm:
 
     @property
     def family_moments(self) -> Array:
-        """Second moments, shape (u, u), of the parameters of the true machines before compensation."""
+        """Second moments, shape (u, u), of the joint model's parameters for the true machines before compensation."""
         variances = np.zeros(self.size)
         variances[self.true_indices] = self.assumptions.family.prior_standard_deviation**2
         return np.diag(variances)
 
     def uncompensated(self) -> VolumetricRms:
-        """Return the root of the mean square deviation expected over the true machines without compensation."""
+        """Return the root of the mean square deviation, raw and aligned, expected over the true machines.
+
+        No compensation is active. Aligned means after the best-fitting rigid motion has been removed.
+        """
         return self.form.expected(self.family_moments)
 
 
 def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
-    """Return the smallest model that has all parameters of both models.
+    """Return the smallest model that has all parameters of the models `one` and `other`.
 
     Raises ModelError if the models differ in kinematic chain or axis ranges.
     """
@@ -153,7 +160,7 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
 
 
 def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:
-    """Return the deflection, shape (n, 3), in mm at axis positions, shape (n, 3), in mm.
+    """Return the deflection, shape (n, 3), at n axis positions, shape (n, 3); both are in mm.
 
     At a position outside the deflection grid, the value at the nearest border point is used, as in a `TrueMachine`.
     """

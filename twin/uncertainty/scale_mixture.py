@@ -18,11 +18,12 @@ from twin.uncertainty.quadratic_distribution import covariance_factor
 
 @dataclass(frozen=True, eq=False)
 class MixtureComponent:
-    """One Gaussian of the mixture.
+    """One Gaussian of a mixture that describes the posterior distribution of a machine.
 
     `mean`, shape (m,), and `covariance`, shape (m, m), refer to a vector that contains the model parameters (mm or
-    rad), followed by the misfit coefficients. `unresolved_mm2` is the variance per direction, in mm², of the part of
-    the misfit whose wavelength is too short for the misfit modes (the basis functions of the misfit).
+    rad), followed by the coefficients of the misfit (the part of the true deviations that the model cannot represent).
+    `unresolved_mm2` is the variance per direction, in mm², of the part of the misfit whose wavelength is too short for
+    the misfit modes (the basis functions of the misfit).
     """
 
     mean: Array
@@ -31,14 +32,15 @@ class MixtureComponent:
 
     @cached_property
     def factor(self) -> Array:
-        """Matrix L, shape (m, m), whose product L Lᵀ is the covariance."""
+        """Matrix L, shape (m, m), whose product L Lᵀ is `covariance`."""
         return covariance_factor(self.covariance)
 
 
 def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
     """Return the Gaussians of the posterior distribution that `estimate` describes; all have equal weight.
 
-    There is only one Gaussian if the scales were not estimated.
+    There is only one Gaussian if no scales (factors on the standard deviations of noise, prior and misfit) were
+    estimated.
     """
     if not estimate.alternatives:
         return (_as_stated(estimate),)

@@ -1,8 +1,8 @@
 """Assumptions about the true machine, the true artefact and the true conditions of a measurement.
 
 The assumptions include errors that the identified model does not have. The Monte Carlo simulation draws machines
-according to the assumptions, and the closed form computes second moments from the same assumptions. The results of the
-two methods can therefore be compared.
+according to the assumptions, and the error budget in closed form computes second moments from the same assumptions. The
+results of the two methods can therefore be compared.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from twin.machine.machine_population import Family
 class TruthAssumptions:
     """Assumed true errors of machine, artefact and measurement conditions.
 
-    `family` is the family of the true machines, whose Legendre order may exceed that of the identified model.
-    `deflection` is the deflection that all true machines share. `touch_noise`, `certificate` and `cte` switch three
-    errors on or off: the error of a ball centre, the error of the certified ball positions, and the error of the
-    artefact's coefficient of thermal expansion (CTE). An error that is switched on varies according to its stated
-    uncertainty; an error that is switched off is zero.
+    `family` is the distribution from which the true machines are drawn; its Legendre order may exceed that of the
+    identified model. `deflection` is the deflection that all true machines share. `touch_noise`, `certificate` and
+    `cte` switch three errors on or off: the error of a ball centre, the error of the certified ball positions, and the
+    error of the artefact's coefficient of thermal expansion (CTE). An error that is switched on varies according to its
+    stated uncertainty; an error that is switched off is zero.
 
     `artefact_temperature_c` is the true temperature of the artefact during the measurement. `thermometer_uncertainty_k`
     is the standard uncertainty of the thermometer of the artefact; the error of the thermometer is constant during a
-    run. The machine drifts linearly from the first to the last ball of each position, and `drift_mm` is the standard
-    deviation of this drift, per direction, at the last ball.
+    run. The machine drifts linearly from the first to the last ball of each position of the artefact, and `drift_mm` is
+    the standard deviation of this drift, per direction, at the last ball.
     """
 
     family: Family

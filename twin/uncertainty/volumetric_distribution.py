@@ -30,7 +30,7 @@ class VolumetricDistribution:
 
     @property
     def expected(self) -> VolumetricRms:
-        """Root of the expected mean square, raw and aligned, in mm."""
+        """Root of the expected mean square deviation in mm, raw and aligned (best-fitting rigid motion removed)."""
         return VolumetricRms(math.sqrt(self.raw.mean), math.sqrt(self.aligned.mean))
 
     @property
@@ -43,7 +43,9 @@ class VolumetricDistribution:
         return VolumetricRms(raw, aligned)
 
     def limits(self, coverage: float = 0.95) -> tuple[VolumetricRms, VolumetricRms]:
-        """Return the lower and the upper limit of the equal-tailed interval that has the given coverage."""
+        """Return the lower and the upper limit of the equal-tailed interval for the volumetric error, in mm, that has
+        the given coverage.
+        """
         outside = 0.5 * (1.0 - coverage)
         return self.quantile(outside), self.quantile(1.0 - outside)
 
@@ -52,7 +54,8 @@ class VolumetricDistribution:
 class VolumetricDistributions:
     """Distributions of the volumetric error without compensation (`ve`) and with compensation (`vce`).
 
-    `vce` applies to the residual field, which is the machine minus the compensation model.
+    `vce` applies to the residual field, which contains the deviations of the machine minus those that the compensation
+    model gives.
     """
 
     ve: VolumetricDistribution
@@ -60,9 +63,9 @@ class VolumetricDistributions:
 
 
 def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
-    """Return the distributions of VE and VCE for the machine that `estimate` describes.
+    """Return the distributions of the volumetric error with and without compensation, given `estimate`.
 
-    The errors are taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
+    The error is taken over the axis positions `points`, shape (n, 3), in mm. The distributions are averaged over all
     sets of scales (factors on the standard deviations of noise, prior and misfit) that are compatible with the
     measurements. Raises DataError if a covariance is invalid or zero.
     """
