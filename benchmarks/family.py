@@ -115,8 +115,8 @@ def run() -> dict[str, float]:
 
 
 def largest_difference(plain: PlainGrid, form: QuadraticForm, machines: Array) -> float:
-    """Return the largest relative difference between the rms errors by the quadratic form and by the linear grid
-    evaluation.
+    """Return the largest relative difference between two calculations of the rms error of the machines `parameters`:
+    with the quadratic form `form`, and with the linear evaluation of `plain` on a grid.
 
     Only a sample of the machines is compared.
     """

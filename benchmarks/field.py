@@ -41,11 +41,13 @@ def legendre(order: int, argument: float) -> list[float]:
 
 
 def axis_transform(axis: int, point: list[float], series: Array, lean: list[float]) -> Array:
-    """Return the transform of one axis as a 4x4 array.
+    """Return the homogeneous transform of one axis, with its errors, as a 4x4 array.
 
     The transform is the product Trans(q u) Trans(E) Rz Ry Rx. In this product q is the axis position, u is the unit
     vector of the axis, and E is the translational error of the axis. Rz, Ry and Rx are the rotations by its angular
-    errors about Z, Y and X. `lean` contains the bending terms of column and ram.
+    errors about Z, Y and X. `series` contains the Legendre coefficients of the six error motions of the axis. `lean`
+    contains the five coefficients of the bending of the column by the extended ram: in the transform of the Z axis,
+    three of them add a displacement along Y to E, and two add a rotation about X.
     """
     low, high = RANGES[axis]
     values = legendre(series.shape[1] - 1, 2.0 * (point[axis] - low) / (high - low) - 1.0)

@@ -79,9 +79,11 @@ def in_own_process(lines: int) -> tuple[float, float, int, float]:
 
 
 def one_by_one(lines: Iterable[str], field: CompensationTable) -> float:
-    """Return the CPU time in s for the same correction by a simple program that handles one line after another.
+    """Return the CPU time in s that a simple program needs to correct `lines`, the lines of a part program, one after
+    another.
 
-    For every line the simple program splits the words, looks up one point in the table, and formats the words again.
+    For every line the simple program splits the words, interpolates the correction of one point in the table `field`,
+    and formats the words again.
     """
     here, work = {"X": 0.0, "Y": 0.0, "Z": 0.0}, SETUP.work_offsets["G54"]
     start = process_time()

@@ -1,4 +1,5 @@
-"""Trial in which one whole run is interrupted in every way at each of its steps.
+"""Trial in which one whole run is repeated many times, each time with one kind of interruption at one of its steps.
 
-After every interruption the machine must be in the state in which it was before the run.
+All steps and all kinds of interruption are covered. After every interruption the machine must be in the state in which
+it was before the run.
 """

@@ -1,10 +1,12 @@
-"""Trial in which one whole run is interrupted in every way at each of its steps. The output ends with one line of JSON.
+"""Trial of one whole run in copies: each copy is interrupted in one way at one of the steps. The output ends with one
+line of JSON.
 
     python -m campaigns.aborts [--every 1] [--workers 2]
 
 The run consists of probe check, qualification, measuring, identification, staging, activation and verification. It
-starts with a former table active and is carried out once in each worker. At each step the process is forked once for
-every kind of interruption, and the forked copy runs to its end.
+starts with a compensation table from an earlier run (the former table) active, and it is carried out once in each
+worker process. At each step the process is forked once for every kind of interruption, and the forked copy runs to its
+end.
 
 The kinds of interruption are: an abort by request, a permanent loss of the link, a single failure of the link, a fault
 of the machine, a refused command, a guarded move that trips, a full disk, an operator who declines, and a software

@@ -1,5 +1,5 @@
-"""Bad plans in which one numeric settings key is NaN, infinite or out of range. Every numeric settings key
-is covered.
+"""Bad plans (plans that the agent must refuse) in which one numeric settings key is NaN, infinite or out of range.
+Every numeric settings key is covered.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ EVERYWHERE = {"nan": math.nan, "inf": math.inf}
 
 
 def number_plans() -> list[BadPlan]:
-    """Return the bad plans for every numeric key of the settings schema."""
+    """Return, for every numeric key of the settings schema, one bad plan for each wrong value of the key.
+
+    A bad plan has settings that the agent must refuse because the key is NaN, infinite or out of range.
+    """
     schema = Settings.model_json_schema()
     return [bad for path, kind in _numbers(schema, schema, "") for bad in _wrong_at(path, kind)]
 

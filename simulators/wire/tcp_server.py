@@ -1,4 +1,6 @@
-"""TCP server with its own threads, shared by Modbus, the control channel and the time server."""
+"""TCP server with its own threads. The simulator uses it for Modbus, for its control channel (actions of a person at
+the machine) and for its time server.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ log = structlog.get_logger()
 
 
 class TcpServer:
-    """TCP server that listens from its construction on. After `start` it calls `serve(connection)` for each connection.
+    """TCP server that listens from its construction on. After `start` it calls the given function `serve(connection)`
+    for each connection.
 
     If `one_client` is True, the connections are served one at a time: the next connection waits until the present one
     has closed, as with a PLC that has a single Modbus socket. An OSError raised by `serve` means that the peer has

@@ -1,8 +1,8 @@
 """Sources of machine time for simulators that run as a separate process.
 
 In lockstep the agent controls time (`drivers.clock.LockstepClock`). The agent sends the line ``advance SECONDS``, the
-server advances the world to that instant of the agent's clock, and then answers with ``ok``. Without lockstep a ticker
-advances the world with the wall clock.
+server advances the simulated world to that instant of the agent's clock, and then answers with ``ok``. Without lockstep
+a thread (`Ticker`) advances the world with the wall clock.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ TICK_S = 0.002
 
 
 class TimeServer:
-    """TCP server through which an agent advances machine time in lockstep.
+    """TCP server through which an agent advances machine time in lockstep: machine time passes only when the agent
+    requests it.
 
     The clock of each agent starts at zero, so its seconds are counted from the machine time at which the agent
     connected. If they were counted from machine time 0, time would stand still for a second agent until its clock had
@@ -59,7 +60,9 @@ def _parse_advance(line: bytes) -> float | None:
 
 
 class Ticker:
-    """Thread that advances the world in small steps with `clock`, a wall clock in real or scaled time."""
+    """Thread that advances the simulated world in small steps of time with `clock`, a wall clock in real or scaled
+    time.
+    """
 
     def __init__(self, shared: SharedWorld[TimeDriven], clock: Clock) -> None:
         self._shared = shared

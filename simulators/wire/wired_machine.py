@@ -1,4 +1,6 @@
-"""Complete simulated machine with its links: one world, all servers that give access to it, and its source of time."""
+"""Complete simulated machine with its communication links: one simulated world, all servers that give access to it, and
+its source of time.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,9 @@ class Links:
     """Addresses at which the simulated machine listens.
 
     `speed` is the number of machine seconds per second of the wall clock. If `speed` is None, the agent advances time
-    in lockstep over the address `time`. If `modbus_rtu` is given, the controller listens only on the serial line that
-    `modbus_rtu` describes, and not on TCP, because the controller accepts only one master.
+    in lockstep (machine time passes only when the agent requests it) over the address `time`. If `modbus_rtu` is given,
+    the controller listens only on the serial line that `modbus_rtu` describes, and not on TCP, because the controller
+    accepts only one Modbus master.
     """
 
     modbus: Address
@@ -46,7 +49,8 @@ class WiredMachine:
     """Simulated machine with its links to the agent.
 
     The constructor opens all links, `start` begins to serve them, and `close` ends all servers. Raises
-    ConfigurationError if a link is not available or if the scenario does not fit the register map.
+    ConfigurationError if a link is not available or if the scenario does not fit the controller's map of Modbus
+    registers.
     """
 
     def __init__(self, scenario: Scenario, links: Links) -> None:
@@ -89,19 +93,19 @@ class WiredMachine:
             server.start()
 
     def close(self) -> None:
-        """Close all servers. The source of time is closed first, because otherwise a server could still send on a
-        closed link.
+        """Close all servers. The source of machine time is closed first, because otherwise a server could still send on
+        a closed link.
         """
         while self._servers:
             self._servers.pop().close()
 
     def ready_line(self) -> dict[str, Any]:
-        """Return everything that the agent must know: the actual addresses, the stations, and the drives on the CAN
-        bus.
+        """Return everything that the agent must know: the actual addresses of the links, the places of the stations,
+        and the drives on the CAN bus.
 
-        The value ``can_nodes`` contains the drives of the first mount. The value ``can_mounts`` maps the number of each
-        mount to the drives of the mount. If each station has its own mount, the number of a mount is the number of its
-        station.
+        The value ``can_nodes`` maps each axis of the first mount to the CAN node number of its drive. The value
+        ``can_mounts`` contains such a mapping for the number of each mount. If each station has its own mount, the
+        number of a mount is the number of its station.
         """
         settings = self.world.scenario.settings
         nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drive_configs(len(self.world.mounts))]

@@ -24,7 +24,7 @@ _SEED_OFFSET_PER_NIGHT = 1_000_003
 
 
 def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
-    """Return `machine` with the errors that it has in the night `ageing.night`.
+    """Return `machine` with the errors to which it has aged by the night with the number `ageing.night`.
 
     Raises ConfigurationError if `ageing.collision` names an error that the machine does not have.
     """
@@ -48,9 +48,11 @@ def scenario_of_night(scenario: Scenario, night: int) -> Scenario:
 
 
 def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
-    """Return the change of the p model parameters by seasonal scale errors since night 0, as an array of shape (p,).
+    """Return the change of the p model parameters since night 0 that seasonal scale errors cause, as an array of shape
+    (p,).
 
-    A scale error s over a travel of length L corresponds to the value s L / 2 of the Legendre coefficient of order 1.
+    A scale error s over a travel of length L corresponds to the value s L / 2 of the order-1 Legendre coefficient of
+    the positioning error of that axis.
     """
     change = np.zeros(model.size)
     for axis, amplitude, phase_deg, (low, high) in zip(
@@ -64,10 +66,10 @@ def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
 
 
 def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
-    """Return the change of the p model parameters by one collision, as an array of shape (p,).
+    """Return the change of the p model parameters that one collision causes, as an array of shape (p,).
 
     `jumps` maps the name of each changed error to its change in µm or µrad. If the name of an error motion contains no
-    Legendre order, the coefficient of its lowest order changes.
+    Legendre order, the Legendre coefficient of its lowest order changes.
     """
     change = np.zeros(model.size)
     for name, jump in jumps.items():

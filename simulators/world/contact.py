@@ -1,8 +1,9 @@
-"""Calculation of the first contact between stylus tip and ball on a straight path, including the machine's deviation.
+"""Calculation of the first contact between stylus tip and ball on a straight path, including the machine's deviation
+(the error of the tip position).
 
-The intersection of a straight line with a sphere has a closed form. The first solution uses the deviation at the ball.
-Because the deviation changes by less than 0.1 µm per mm, one further solution, with the deviation at the first contact
-point, leaves an error far below a nanometre.
+The intersection of a straight line with a sphere has a closed form. The contact point is first calculated with the
+deviation at the ball. Because the deviation changes by less than 0.1 µm per mm, one further calculation, with the
+deviation at the contact point thus found, leaves an error far below a nanometre.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _ROUNDING_MM = 1e-6
 class Contact(NamedTuple):
     """First contact of the stylus tip with a ball on a path.
 
-    `distance` is the length of the path in mm up to the contact, and `ball` is the number of the ball.
+    `distance` is the length of the path in mm up to the contact, and `ball` is the number of the ball, counted from 0.
     """
 
     distance: float
@@ -33,7 +34,7 @@ class Contact(NamedTuple):
 
 
 class ContactSolver:
-    """Solver for the contacts of one stylus tip with the balls.
+    """Solver for the contacts of one stylus tip with the balls of the artefacts.
 
     `reach` is the distance in mm between the centres of tip and ball at contact: the tip radius plus the ball radius.
     """
@@ -48,7 +49,8 @@ class ContactSolver:
     def first(self, path: StraightPath, snapshot: WorkpieceSnapshot, resting: int | None) -> Contact | None:
         """Return the first contact along `path`, or None if the tip reaches no ball.
 
-        The ball with the number `resting`, which touches the tip at the start of the path, is ignored.
+        `snapshot` contains the true ball centres. The ball with the number `resting`, which touches the tip at the
+        start of the path, is ignored.
         """
         first: Contact | None = None
         start = translate_point(path.start, self._shift.rigid)
@@ -82,14 +84,16 @@ class ContactSolver:
         return None
 
     def pressing(self, path: StraightPath, centre: Point) -> bool:
-        """Return True if a motion along `path`, which starts in contact, initially moves the tip further into the ball.
+        """Return True if a motion along `path`, which starts in contact, initially presses the tip further against the
+        ball that it touches.
 
         `centre` is the centre of this ball.
         """
         return _closing(self.tip(path.start), path.direction, centre) < 0.0
 
     def deeper(self, path: StraightPath, centre: Point, overtravel: float) -> float | None:
-        """Return the path distance in mm at which the deflection of the tip begins to exceed `overtravel` mm.
+        """Return the path distance in mm at which the deflection of the tip begins to exceed `overtravel` mm, the
+        permitted deflection.
 
         The tip is deflected by the ball with the given `centre`. Returns None if the deflection never exceeds
         `overtravel` on the path.

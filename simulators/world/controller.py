@@ -1,8 +1,8 @@
-"""Controller of the simulated machine: it executes commands, tracks the axes, and latches the axis positions of a
-touch.
+"""Controller of the simulated machine: it executes commands, tracks the axes, and stores (latches) the axis positions
+at which the probe trips in a touch.
 
-All events of a motion are computed when the motion begins. Time may therefore advance in steps of any size, and each
-event still has its exact instant.
+All events of a motion are computed when the motion begins. Simulated time may therefore advance in steps of any size,
+and each event still has its exact instant.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LIMIT_TOLERANCE_MM = 1e-6
 class Latch:
     """Displayed axis positions in mm at the last trip of the probe.
 
-    `sequence` is the number of the touch in which the probe tripped.
+    `sequence` is the number of the touch (a move that stops when the probe trips) in which the probe tripped.
     """
 
     sequence: int
@@ -133,7 +133,7 @@ class Controller:
     def displayed_at(self, instant_s: float) -> Point:
         """Return the axis positions in mm that are displayed at `instant_s`, now or in the future.
 
-        The forecast assumes that no other command or fault occurs before `instant_s`.
+        A future position is a forecast, which assumes that no other command or fault occurs before `instant_s`.
         """
         if self._motion is None:
             return self._position
@@ -160,17 +160,18 @@ class Controller:
     # ------------------------------------------------------------------ motion commands
 
     def trace(self, tag: int) -> None:
-        """Assign the following motions to the step with the number `tag`, or to no step if `tag` is 0.
+        """Assign the following motions to the step of the agent's plan with the number `tag`, or to no step if `tag` is
+        0.
 
-        If the scenario sets `noise_by_step`, the noise of a motion depends on its step and not on the number of the
-        motion.
+        If the key `noise_by_step` of the scenario is True, the noise of a motion depends on its step and not on the
+        running number of the motion.
         """
         self._tag = tag
 
     def begin_move(self, target: ArrayLike, feed_mm_per_s: float | None, guarded: bool) -> None:
         """Start a straight move to `target` in mm, at rapid speed if `feed_mm_per_s` is None.
 
-        If `guarded` is True and the probe trips, the move ends in a fault.
+        If `guarded` is True and the probe trips, the axes stop and the controller enters the fault state.
         """
         self._begin(MoveKind.GUARDED if guarded else MoveKind.POSITIONING, target, feed_mm_per_s)
 
@@ -182,7 +183,9 @@ class Controller:
         self._begin(MoveKind.TOUCH, target, feed_mm_per_s)
 
     def hold(self) -> None:
-        """Brake along the path, and store the command of the motion; `resume` completes that command later."""
+        """Brake the axes along the path, and store the motion command; the method `resume` completes that command
+        later.
+        """
         if self._motion is not None and self._motion.ends_in is MotionState.IDLE:
             self._held = self._motion.command
             self._brake(MotionState.HELD)
@@ -194,7 +197,7 @@ class Controller:
             self._begin(command.kind, command.target, command.speed)
 
     def halt(self) -> None:
-        """Brake and discard the command of the motion. A fault remains."""
+        """Brake the axes and discard the motion command. A controller in the fault state remains in that state."""
         self._held = None
         if self._motion is not None and self._motion.ends_in is not MotionState.FAULT:
             self._brake(MotionState.IDLE)
@@ -202,7 +205,8 @@ class Controller:
             self._state = MotionState.IDLE
 
     def fail(self, reason: str) -> None:
-        """Brake and enter the fault state, as after an emergency stop or a lost heartbeat.
+        """Brake the axes and enter the fault state, as after an emergency stop or a lost heartbeat (sign of life) of
+        the agent.
 
         If the controller is already in a fault, it keeps the reason of the first fault.
         """
@@ -349,7 +353,9 @@ class Controller:
 
 
 def axis_limits(machine: MachineDescription) -> AxisLimits:
-    """Return the travel and the dynamics of the axes from the machine file, in mm, mm/s and mm/s²."""
+    """Return the travel and the dynamics of the axes from the machine file: positions in mm, speeds in mm/s and
+    accelerations in mm/s².
+    """
     (x0, x1), (y0, y1), (z0, z1) = machine.limits
     rx, ry, rz = machine.rapid_mm_per_min
     return AxisLimits((x0, y0, z0), (x1, y1, z1), (rx / 60, ry / 60, rz / 60), machine.acceleration_mm_per_s2)

@@ -1,5 +1,5 @@
-"""Fast evaluation of two fields: the correction by the controller's compensation table, and the true machine's
-deviation.
+"""Fast evaluation of two functions of the axis position (fields): the correction by the controller's compensation
+table, and the true machine's deviation.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ZERO: Point = (0.0, 0.0, 0.0)
 
 
 class TableField:
-    """Correction that a controller adds to the commanded position.
+    """Correction that a controller adds to the commanded axis position, from a compensation table.
 
     The correction is interpolated trilinearly between the nodes of the table and is constant outside the grid of nodes.
     """
@@ -53,12 +53,12 @@ class TipShift:
     """Offset in mm of the true tip centre from the nominal tip centre.
 
     The nominal tip centre is the displayed axis position plus the tool offset. If the axes display the position X, the
-    drives go to X plus the correction of the table at X. At that place of the drives the true machine has a deviation
-    and a `thermal` deformation. The position-dependent part of the offset is the sum of correction, deviation and
-    thermal deformation.
+    drives go to X plus the correction of the compensation table at X. At that place of the drives the true machine has
+    a deviation and a `thermal` deformation. The position-dependent part of the offset is the sum of correction,
+    deviation and thermal deformation.
 
-    Two other parts are the same at every position. One is the thermal `drift`. The other is the `play`, the error that
-    the last motion leaves because of backlash and limited repeatability.
+    Two other parts are the same at every position. One is the thermal `drift`, the growth of spindle and ram. The other
+    is the `play`, the error that the last motion leaves because of backlash and limited repeatability.
     """
 
     def __init__(self, machine: FieldOfMany | None) -> None:
@@ -74,15 +74,17 @@ class TipShift:
 
     @property
     def rigid(self) -> Point:
-        """Part of the offset in mm that is the same at every axis position: the sum of `drift` and `play`."""
+        """Part of the tip centre's offset in mm that is the same at every axis position: the sum of the thermal `drift`
+        and the backlash error `play`.
+        """
         return translate_point(self.drift, self.play)
 
     def field_at(self, axis_position: Point) -> Point:
         return point(self.field_at_many(np.array([axis_position]))[0]) if self.has_field else ZERO
 
     def field_at_many(self, axis_positions: Array) -> Array:
-        """Return the position-dependent part of the offset, shape (n, 3), at n displayed positions, shape (n, 3), both
-        in mm.
+        """Return the position-dependent part of the tip centre's offset, shape (n, 3), at n displayed axis positions,
+        shape (n, 3), both in mm.
         """
         shift = np.zeros_like(axis_positions)
         if self.table is not None:

@@ -14,9 +14,9 @@ STILL_MM = 1e-4
 class PlayOperator:
     """Model of the backlash of each axis as a play operator: the slide lags its drive by up to half the backlash.
 
-    The slide does not move while the drive crosses the play. A reversal shorter than the backlash therefore changes
-    only part of the lag. The lag of an axis that does not move is unchanged. The backlash may grow along the travel of
-    the axis.
+    The slide does not move while the drive, after a reversal, moves through the backlash. A reversal shorter than the
+    backlash therefore changes the lag by less than the backlash. The lag of an axis that does not move is unchanged.
+    The backlash may grow along the travel of the axis.
     """
 
     def __init__(self, behaviour: AxisBehaviour, seed: int) -> None:
@@ -32,7 +32,8 @@ class PlayOperator:
     def after(self, start: Point, end: Point, step: int | None = None) -> Point:
         """Return the tip offset, shape (3,), in mm during and after a motion from axis position `start` to `end`.
 
-        If `step` is given, it selects the noise; otherwise the number of the motion selects the noise.
+        The offset contains noise (limited repeatability). The step number `step` selects the noise; if it is None, the
+        running number of the motion does.
         """
         self._motions += 1
         if self._idle:

@@ -20,7 +20,7 @@ class MoveKind(Enum):
 
 
 class MotionCommand(NamedTuple):
-    """Motion as commanded.
+    """Motion as commanded: its kind, its target and its straight path.
 
     `speed` is the speed along the path in mm/s, already limited to the highest speed that the axes can reach.
     """
@@ -41,7 +41,7 @@ class Crash(NamedTuple):
 
 
 class PathEvents(NamedTuple):
-    """Events along the path of a command; all distances are measured along the path in mm.
+    """Events along the path of a motion command; all distances are measured along the path in mm.
 
     The probe trips at the distance `trip_mm`, or never if `trip_mm` is None. `crash` is the first collision that would
     happen if the motion continued, or None if there is no collision. A probe that is deflected at the start loses
@@ -56,7 +56,8 @@ class PathEvents(NamedTuple):
 class MotionForecast(NamedTuple):
     """Motion law (distance along the path as a function of time) that the axes will follow, and its events.
 
-    The instants of the events are in s.
+    `trip_s` is the instant in s at which the probe trips, or None. `free_s` is the instant at which an initially
+    deflected probe loses contact. `end_s` is the end of the motion.
     """
 
     law: MotionLaw
@@ -67,7 +68,7 @@ class MotionForecast(NamedTuple):
 
 
 def forecast_motion(law: MotionLaw, events: PathEvents, deceleration: float) -> MotionForecast:
-    """Return the forecast of a motion that follows the motion law `law` until an event changes the motion.
+    """Return the forecast of a motion that follows the motion law `law` until one of `events` changes the motion.
 
     The motion brakes with `deceleration` in mm/s² when the probe trips, and it ends abruptly at a collision.
     """

@@ -1,4 +1,4 @@
-"""Rotary mount: its two axes with their motion laws, and the true orientation of the bar with the errors of
+"""Rotary mount: its two axes with their motion laws, and the true orientation of the ball bar, including the errors of
 the mount.
 """
 
@@ -53,7 +53,7 @@ class RotaryAxis:
 
 
 class MountPhysics:
-    """Both rotary axes of one mount.
+    """Both rotary axes (azimuth and elevation) of one mount.
 
     The function `on_turn` is called whenever a motion begins or changes. Mounts with different names have different
     true errors.
@@ -110,13 +110,13 @@ class MountPhysics:
 
     @property
     def settled_s(self) -> float:
-        """Instant in s at which both axes will be at rest if no other command intervenes; `now_s` if both are already
-        at rest.
+        """Instant in s at which both axes will be at rest if no other command intervenes; the present instant `now_s`
+        if both are already at rest.
         """
         return max(self.now_s, *(axis.at_rest_s for axis in self._axes.values()))
 
     def halt(self, axis: str | None = None) -> None:
-        """Brake one axis, or both if `axis` is None."""
+        """Brake the rotary axis `axis`, or both axes if `axis` is None."""
         for name in (axis,) if axis is not None else tuple(self._axes):
             self._axes[name].halt(self.now_s)
         self._on_turn()

@@ -1,4 +1,6 @@
-"""Noise that depends only on a seed, a stream name and a counter, never on the order of the calls."""
+"""Noise that depends only on a seed, the name of an independent sequence of numbers (stream) and a counter, never on
+the order of the calls.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ class NoiseSource:
 
 
 def generator(seed: int, stream: str) -> np.random.Generator:
-    """Return a random generator for values that are drawn only once. Each name `stream` has an independent
-    generator.
+    """Return a random generator for values that are drawn only once. Each name `stream` selects an independent sequence
+    of numbers.
     """
     return np.random.default_rng([seed, crc32(stream.encode())])

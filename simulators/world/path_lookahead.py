@@ -1,4 +1,4 @@
-"""Search for contacts of the tip and collisions of other bodies along the path of a command, before the
+"""Search for contacts of the stylus tip and collisions of other bodies along the path of a motion command, before the
 motion begins.
 """
 
@@ -13,7 +13,7 @@ from twin.collision.geometry import Point, translate_point
 
 
 class PathLookahead:
-    """Search for the events along a path: contacts of the tip, trips of the probe, and collisions.
+    """Search for the events along a path: contacts of the stylus tip, trips of the probe, and collisions.
 
     Contacts of the tip are calculated exactly. Collisions of other bodies are searched along the nominal path of the
     tip, which differs from the true path by less than 0.1 mm.
@@ -27,12 +27,13 @@ class PathLookahead:
     def events_on(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, resting: int | None, touch: int
     ) -> PathEvents:
-        """Return the events on the path of `command`.
+        """Return the events on the path of `command`: a trip of the probe, a collision, and the separation of a
+        deflected probe.
 
         `resting` is the number of the ball that deflects the probe at the start, or None if the probe is not deflected.
-        `touch` is the number that selects the noise of the trip. Raises CommandRejected if the probe is deflected
-        before a touch. The same error is raised if the probe is deflected and a guarded move would press it further
-        into the ball.
+        `snapshot` contains the balls and all bodies. `touch` is the number that selects the noise of the trip. Raises
+        CommandRejected if the probe is already deflected and the command is a touch, or a guarded move that would press
+        the tip further against the ball.
         """
         free_mm, pressed = self._from_rest(command, snapshot, resting)
         contact = self._contacts.first(command.path, snapshot, resting)

@@ -11,7 +11,9 @@ from simulators.world.field import TableField
 
 
 class TableBanks:
-    """Banks of the controller. Bank 0 means no compensation. The active bank cannot be written."""
+    """Numbered memory banks of the controller, each for one compensation table. Bank 0 means no compensation. The
+    active bank cannot be written.
+    """
 
     def __init__(self, settings: StoreSettings) -> None:
         self.limits = StoreLimits(
@@ -27,7 +29,7 @@ class TableBanks:
         self.field: TableField | None = None
 
     def write(self, bank: int, image: TableImage) -> None:
-        """Store the table `image` in `bank`.
+        """Store the compensation table `image` in the controller's bank number `bank`.
 
         Raises CommandRejected if the bank does not exist or is active, or if the table exceeds the limits of the
         controller.
@@ -40,7 +42,9 @@ class TableBanks:
         self.images[bank] = image
 
     def activate(self, bank: int) -> None:
-        """Make `bank` the active bank. Raises CommandRejected if the bank is empty."""
+        """Make `bank` the active bank, whose compensation table corrects the motion. Raises CommandRejected if the bank
+        is empty.
+        """
         if bank and bank not in self.images:
             raise CommandRejected(f"bank {bank} holds no table")
         self.active = bank

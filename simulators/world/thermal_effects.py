@@ -63,8 +63,8 @@ class ThermalEffects:
     # ------------------------------------------------------------------ deformation
 
     def drift_mm(self, now_s: float) -> Point:
-        """Return the displacement of the tip by thermal growth of spindle and ram since the start, shape
-        (3,), in mm.
+        """Return the displacement of the tip by thermal growth of spindle and ram since the start of the simulation,
+        shape (3,), in mm.
         """
         if self.state.machine_is_constant:
             return ZERO
@@ -73,8 +73,8 @@ class ThermalEffects:
         return x * warmed * 1e-3, y * warmed * 1e-3, z * warmed * 1e-3
 
     def field(self, now_s: float) -> FieldOfMany | None:
-        """Return the thermal change of the machine's deviation field since the start, or None if the field has not
-        changed.
+        """Return the thermal change of the machine's deviation field (tip deviation as a function of axis position)
+        since the start of the simulation, or None if the machine's temperature is constant.
         """
         if self.state.machine_is_constant:
             return None
@@ -116,7 +116,7 @@ class ThermalField:
 
 
 def artefact_bow_mm(settings: ThermalSettings, warming: ThermalState, now_s: float) -> float:
-    """Return the bow of the artefact at instant `now_s` in mm.
+    """Return the thermal bow of the artefact at instant `now_s` in mm.
 
     The bow is the displacement of the artefact's middle from the straight line between its ends.
     """

@@ -1,6 +1,6 @@
 """Temperatures of the ambient air, the artefact and the machine at any instant.
 
-The temperatures are computed in closed form, and time may therefore advance in steps of any size.
+The temperatures are explicit functions of time, and simulated time may therefore advance in steps of any size.
 """
 
 from __future__ import annotations
@@ -38,14 +38,15 @@ class ThermalState:
         return s.machine_c + self.machine_change_k(now_s)
 
     def machine_change_k(self, now_s: float) -> float:
-        """Return the change in K, since the start, of the true temperature at the place of the machine's
-        thermometer.
+        """Return the change in K, since the start of the simulation, of the true temperature at the place of the
+        machine's thermometer.
         """
         s = self._settings
         return self._change_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
 
     def column_change_k(self, now_s: float) -> float:
-        """Return the change in K, since the start, of the temperature difference between the two sides of the column.
+        """Return the change in K, since the start of the simulation, of the temperature difference between the two
+        sides of the column.
 
         The temperature difference lags behind the temperature at the machine's thermometer, by an additional time
         constant.
@@ -55,9 +56,10 @@ class ThermalState:
         return self._change_k(now_s, lag_h, s.machine_k_per_h)
 
     def artefact_lag_k(self, now_s: float) -> float:
-        """Return the temperature rise of the ambient minus that of the artefact, both since the start, in K.
+        """Return the temperature rise of the ambient air minus that of the artefact, both since the start of the
+        simulation, in K.
 
-        Returns 0 if the artefact does not follow the ambient.
+        Returns 0 if the artefact does not follow the ambient temperature.
         """
         s = self._settings
         if s.artefact_time_constant_h is None:
@@ -76,10 +78,11 @@ class ThermalState:
 
 
 def first_order_response(hours: float, source_h: float, follower_h: float) -> float:
-    """Return the response of a body with a first-order lag to an ambient change, as a fraction of the final change.
+    """Return the temperature change of a body that follows an ambient change with a first-order lag, as a fraction of
+    the final change.
 
-    The ambient change after t hours is 1 - exp(-t / `source_h`). `source_h` and `follower_h` are the time constants of
-    the ambient and of the body in hours; a time constant of 0 means no lag.
+    After t hours the ambient itself has completed the fraction 1 - exp(-t / `source_h`) of its change. `source_h` and
+    `follower_h` are the time constants of the ambient and of the body in hours; a time constant of 0 means no lag.
     """
     if hours <= 0.0:
         return 0.0

@@ -1,4 +1,6 @@
-"""Trip of a touch-trigger probe: pretravel, lobing (dependence of the pretravel on the touch direction), and noise."""
+"""Trip of a touch-trigger probe: pretravel (tip travel between contact and trip), lobing (its dependence on the touch
+direction), and noise.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,8 @@ LOBES = 3
 
 
 class Trigger:
-    """Model of the tip travel between contact and trip, as a function of the touch direction. The probe points along
-    +Y.
+    """Model of a touch-trigger probe: the tip travel between contact and trip, as a function of the touch direction.
+    The probe points along +Y.
     """
 
     def __init__(self, settings: TriggerSettings, seed: int) -> None:
@@ -25,8 +27,8 @@ class Trigger:
         self.overtravel_mm = settings.overtravel_mm
 
     def travel_mm(self, direction: Point, touch: int) -> float:
-        """Return the tip travel between contact and trip in mm. The noise of the travel depends only on the number
-        `touch`.
+        """Return the tip travel between contact and trip in mm for a touch in `direction`. The noise of the travel
+        depends only on the number `touch` of the touch.
         """
         travel = self._pretravel_mm
         if self._lobing_mm:

@@ -17,9 +17,10 @@ from twin.machine.volumetric import evaluation_grid, volumetric_error
 class MachineTruth:
     """True error of the machine at its present temperature.
 
-    `banks` maps bank numbers to tables; it is shared with the controller and not copied. `warm_field` is a function
-    that returns the present thermal field. The thermal growth of spindle and ram is excluded: it shifts the whole field
-    like a new zero point, and a table need not correct such a shift.
+    `banks` maps the numbers of the controller's banks to their compensation tables; it is shared with the controller
+    and not copied. `warm_field` is a function that returns the present thermal change of the deviation field, or None.
+    The thermal growth of spindle and ram is excluded: it shifts the tip equally at all positions, like a new zero
+    point, and a compensation table need not correct such a shift.
     """
 
     def __init__(
@@ -35,7 +36,8 @@ class MachineTruth:
         self._grid = evaluation_grid(nominal.ranges_mm)
 
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """Return the true rms error in µm with the table of `bank`, on a grid of 60×20×20 points in the workspace.
+        """Return two rms lengths of the true error in µm with the compensation table of `bank`, on a grid of 60×20×20
+        points in the workspace.
 
         The first value is the raw error, and the second is the aligned error, which remains after the best-fitting
         rigid motion is removed. If `bank` is None or 0, both values are errors without a table. Raises InputError if

@@ -1,7 +1,7 @@
 """Conservative test for collisions during a turn of a mount.
 
-The test uses spheres that enclose all turning bodies. A passed test proves that there is no collision. A failed test
-proves nothing, and the caller must then check the bodies themselves.
+The test uses spheres that enclose all bodies that turn with the mount. A passed test proves that there is no collision.
+A failed test proves nothing, and the caller must then check the bodies themselves.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ def is_turn_clear(workpiece: Workpiece, tip: Point, start_s: float, end_s: float
     """Return True if the turning artefact certainly stays clear of the probe between the instants `start_s` and
     `end_s`.
 
-    During the turn the tip rests at `tip`. The bodies that do not turn (pedestal and table) are checked only once.
+    During the turn the centre of the stylus tip rests at `tip`, in mm. The bodies that do not turn (pedestal and table)
+    are checked only once.
     """
     cover = workpiece.cover
     if cover is None:

@@ -1,6 +1,6 @@
 """Collisions while a mount turns.
 
-The bodies are checked at successive instants, because the swept volume of a turning bar has no simple shape.
+The bodies are checked at successive instants, because the volume that a turning bar sweeps has no simple shape.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class TurnCrash:
 def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: float, end_s: float) -> TurnCrash | None:
     """Return the first collision of probe or ram with the turning artefact between the instants `start_s` and `end_s`.
 
-    Returns None if there is no collision. The forecast assumes that no other command or fault occurs before `end_s`.
+    Returns None if there is no collision. The result is a forecast, which assumes that no other command or fault occurs
+    before `end_s`.
     """
     if _stays_outside(workpiece, controller, start_s):
         return None
@@ -57,10 +58,11 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
 
 
 def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
-    """Return the first collision between the bodies on `turning` and the bodies on `other`, or None if there is none.
+    """Return the first collision between the bodies of two workpieces (mounts with artefacts), `turning` and `other`,
+    between the instants `start_s` and `end_s`, or None.
 
-    The workpiece `other` may turn too. Between two checks the fastest parts move at most by the present gap between the
-    bodies, or by `STEP_MM` if the gap is smaller than `STEP_MM`.
+    The workpiece `other` may turn too. The bodies are checked at successive instants; between two checks the fastest
+    parts move at most by the present gap between the bodies, or by the constant `STEP_MM` if the gap is smaller.
     """
     apart = np.hypot(*(turning.location_mm - other.location_mm)[:2])
     if apart > turning.sweep_radius_mm + other.sweep_radius_mm:

@@ -25,10 +25,11 @@ from twin.collision.swept_volume import SphereCover, cover_turning_bodies
 
 @dataclass(frozen=True, eq=False)
 class WorkpieceSnapshot:
-    """State of the workpiece at one instant: the true ball centres, the names of the balls, and all bodies around them.
+    """State of a workpiece (mount and artefact) at one instant: the true ball centres, the names of the balls, and all
+    bodies around them.
 
     `pose` is the pose of the artefact; if there are several artefacts, it is the pose of the first. `allowed_contacts`
-    are the pairs of bodies that may touch.
+    are the pairs of stylus tip and ball, which may touch.
     """
 
     pose: Pose
@@ -45,9 +46,9 @@ class WorkpieceSnapshot:
 class Workpiece:
     """Mount and true artefact at one station, with the pose of the artefact for given mount angles and temperature.
 
-    The pose is recomputed only if a mount angle changes or if the temperature changes by at least 1 mK (17 nm of
-    expansion on a long bar). If there are several workpieces, `name_suffix` is appended to the names of the bodies of
-    this workpiece.
+    The pose and the ball centres are recomputed only if a mount angle changes or if the temperature changes by at least
+    1 mK (17 nm of expansion on a long bar). If there are several workpieces, `name_suffix` is appended to the names of
+    the bodies of this workpiece.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class Workpiece:
 
     @property
     def location_mm(self) -> Array:
-        """Point on the azimuth axis at the height of the middle of the bar, shape (3,), in mm in the
+        """Point on the azimuth axis of the mount at the height of the middle of the ball bar, shape (3,), in mm in the
         workpiece frame.
         """
         return self._location_mm
@@ -121,7 +122,7 @@ class Workpiece:
         return self._cover
 
     def true_angles_rad(self, instant_s: float) -> tuple[float, float]:
-        """Return the true azimuth and elevation of the bar in rad at `instant_s`.
+        """Return the true azimuth and elevation of the ball bar in rad at `instant_s`.
 
         The azimuth includes the small rotation of the mount that results from its placement by the operator.
         """
@@ -132,8 +133,8 @@ class Workpiece:
         return self._thermal_state.artefact_c(now_s)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
-        """Return the artefact's pose, the true ball centres in the workpiece frame, and the collision scene at instant
-        `now_s`.
+        """Return the artefact's pose, the true ball centres in the workpiece frame, and the bodies that can collide
+        (the scene) at instant `now_s`.
         """
         bow = round(artefact_bow_mm(self._temperatures, self._thermal_state, now_s), 5)
         key = (*self.mount.angles_deg(now_s), round(self.temperature_c(now_s), 3), bow)
@@ -166,7 +167,8 @@ class Workpiece:
 
 
 def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: str = "artefact") -> Artefact:
-    """Return a true artefact whose deviations from its certificate are drawn at random from the stated uncertainties.
+    """Return a true artefact whose deviations from its certificate are drawn at random from the uncertainties that the
+    certificate states, multiplied by the factors in `settings`.
 
     `name` selects the random numbers; each name gives a different artefact.
     """

@@ -1,4 +1,4 @@
-"""All workpieces on the table.
+"""All workpieces (mounts and their artefacts) on the machine table.
 
 There is either one mount that is moved with its artefact, or one mount at every station.
 """
@@ -16,7 +16,9 @@ from twin.collision.collision import Scene
 
 
 class Worktable:
-    """Workpieces on the table: one workpiece at each station or, if there is only one mount, a single workpiece."""
+    """Workpieces (mounts and their artefacts) on the machine table: one workpiece at each station or, if there is only
+    one mount, a single workpiece.
+    """
 
     def __init__(self, scenario: Scenario, mounts: list[MountPhysics]) -> None:
         self._scenario = scenario
@@ -59,7 +61,7 @@ class Worktable:
         return self.workpiece.artefact.ball_radius_mm
 
     def place_artefact(self, station: int) -> None:
-        """Move the artefact to `station`, as the operator does.
+        """Move the artefact to the station number `station`, as the operator does.
 
         Raises CommandRejected if the station does not exist or if every station has its own artefact.
         """
@@ -77,9 +79,9 @@ class Worktable:
         self._place(piece, station)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
-        """Return all balls and bodies on the table at the instant `now_s`.
+        """Return all balls and bodies on the machine table at the instant `now_s`.
 
-        The result is cached while no workpiece turns, moves or changes its temperature.
+        The result is cached while no workpiece (mount with its artefact) turns, moves or changes its temperature.
         """
         if len(self._pieces) == 1:
             return self._pieces[0].snapshot(now_s)

@@ -68,7 +68,9 @@ class World:
         self._looked_ahead = True
 
     def advance_to(self, instant_s: float) -> None:
-        """Advance everything to `instant_s`. If the world has already reached that instant, the method does nothing."""
+        """Advance the whole simulation to machine time `instant_s`. If it has already reached that instant, the method
+        does nothing.
+        """
         if instant_s <= self.now:
             return
         crash = self.turn_crash
@@ -80,8 +82,8 @@ class World:
     def turn_crash(self) -> TurnCrash | None:
         """First collision of a turning mount if no further command intervenes, or None if there is no collision.
 
-        The collision is computed when the property is first read after a change. Two motions that begin at the same
-        instant, such as the motions of both axes of a mount, are therefore considered together.
+        The collision is computed when the property is first read after a motion has begun or changed. Two motions that
+        begin at the same instant, such as the motions of both axes of a mount, are therefore considered together.
         """
         if not self._looked_ahead:
             self._turn_crash, self._looked_ahead = self._look_ahead(), True
@@ -103,7 +105,7 @@ class World:
         return self.mounts[mount_name(station)]
 
     def place_artefact(self, station: int) -> None:
-        """Move the artefact to `station`, counted from 1, as the operator does.
+        """Move the artefact to the station number `station`, counted from 1, as the operator does.
 
         Raises CommandRejected if the station does not exist or if every station has its own artefact.
         """
@@ -161,7 +163,9 @@ class World:
 
 
 def true_machine(scenario: Scenario) -> TrueMachine:
-    """Return the true machine of `scenario`. All worlds of the same scenario have the same machine."""
+    """Return the true machine of `scenario`, whose errors are drawn at random unless the scenario is ideal. All worlds
+    of one scenario have the same machine.
+    """
     settings, truth = scenario.settings, scenario.settings.truth
     if settings.ideal:
         return perfect_machine(scenario.machine, settings.tool)

@@ -1,8 +1,10 @@
-"""Simulated controller that punches and reads its parameters in tape format, written from the manufacturer's manuals.
+"""Simulated machine controller (CNC) that sends (punches) and receives (reads) its parameters in paper tape format over
+a serial line, written from the manufacturer's manuals.
 
-The controller reads characters into a small buffer, at the speed of its serial line. It sends DC3 when the buffer is
-nearly full, and DC1 again when the buffer is nearly empty. Characters are transferred as machine time passes. The
-methods `press_read` and `press_punch` correspond to keys that the operator presses.
+The controller reads characters into a small buffer, at the speed of its serial line. To the sending computer it sends
+the control character DC3 (stop) when the buffer is nearly full, and DC1 (continue) when the buffer is nearly empty.
+Characters are transferred as machine time passes. The methods `press_read` and `press_punch` correspond to keys that
+the operator presses.
 
 Sources: FANUC B-63503EN/02 (Series 0i connection manual), section 5.3: DC1 starts and DC3 stops a reader, DC2 switches
 a punch on and DC4 switches it off, and each character of eight bits contains one even parity bit. FANUC B-63950EN/02,
@@ -39,7 +41,7 @@ def with_parity(character: str) -> int:
 
 
 class TapeCnc:
-    """CNC with a tape interface.
+    """Simulated CNC that sends and receives its parameters in paper tape format over a serial line.
 
     `parameters` maps each parameter number to the text that follows the number on the tape, for example ``P00001100``
     or ``A1P10A2P20``.
@@ -78,14 +80,14 @@ class TapeCnc:
         self._send(DC1)
 
     def press_punch(self, leader: str = "") -> None:
-        """Start to punch the parameters. `leader` is human-readable text at the beginning of the tape."""
+        """Start to send (punch) all parameters. `leader` is human-readable text that is sent before the parameters."""
         self.mode = Mode.PUNCHING
         blocks = [f"N{number:05d}Q1{values}" for number, values in sorted(self.parameters.items())]
         text = leader + "%\n" + "\n".join(blocks) + "\n%\n"
         self._outgoing = deque([DC2, 0, 0, *(with_parity(character) for character in text), DC4])
 
     def press_reset(self) -> None:
-        """Interrupt any punching or reading."""
+        """Interrupt any sending (punching) or receiving (reading) of parameters."""
         self.mode = Mode.READY
         self._outgoing.clear()
 
