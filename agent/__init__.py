@@ -1,3 +1,4 @@
-"""Agent that calibrates a machine tool. Its packages contain the settings, the execution of steps, probing, planning,
-studies, results, history, reports, runs, the service and the command line.
+"""Agent that calibrates a machine tool. Its packages contain the settings, the execution of measuring steps, the
+probing of balls, the planning of runs, simulation studies, results, the history of all runs, reports, the control of
+runs, the service and the command line.
 """

@@ -1,3 +1,3 @@
-"""Command line of the agent, with one module per command. The module `agent.cli.errors` prints the errors of all
-commands.
+"""Command line `volcal` of the calibration agent, with one module per command. The module `agent.cli.errors` prints the
+errors of all commands.
 """

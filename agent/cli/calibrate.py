@@ -61,10 +61,11 @@ def calibration_here() -> RunRequest:
 
 
 def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: float | None = None) -> RunResult:
-    """Carry out `request` in this process with a progress bar on stderr, and return the result of the run.
+    """Carry out the run that `request` asks for, in this process and with a progress bar on stderr. Return the result
+    of the run. `base` is the directory to which relative paths in the settings refer.
 
     Ctrl-C and SIGTERM abort the run. `nights` is the number of nights since the last run whose result was accepted as
-    reference. If `nights` is None, the number is computed from the calendar.
+    the reference for later runs. If `nights` is None, the number is computed from the calendar.
     """
     job = job_of(request, settings, base)
     kind = kind_of(request, slot_minutes=request.slot_minutes, nights=nights)
@@ -74,7 +75,7 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
 
 @contextmanager
 def interruptible() -> Iterator[list[Supervisor]]:
-    """Yield an empty list to which the caller can add supervisors.
+    """Yield an empty list to which the caller can add supervisors, the objects that receive requests to stop a run.
 
     During the block, Ctrl-C and SIGTERM send an abort request to every supervisor in the list.
     """
@@ -93,9 +94,9 @@ def interruptible() -> Iterator[list[Supervisor]]:
 
 
 def conclude(ended: RunResult) -> None:
-    """Return without a value if the new table is active and was verified.
+    """Return without a value if the new compensation table of the finished run is active and was verified.
 
-    Otherwise, print the error and exit with the exit code of the error.
+    Otherwise, print the error that describes the outcome, and end the program with the exit code of this error.
     """
     if ended.error is not None:
         raise fail(ended.error)
@@ -108,7 +109,7 @@ def conclude(ended: RunResult) -> None:
 def show_summary(outcome: Outcome) -> None:
     """Print the result of a run as text.
 
-    The path of the report is printed on a separate line and is never truncated.
+    The path of the run's report file is printed on a separate line and is never truncated.
     """
     console = results_console()
     console.print(facts_table(_rows(outcome), title=f"{outcome.run_id}: {outcome.state.value}"))

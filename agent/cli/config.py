@@ -41,5 +41,5 @@ def schema() -> None:
 
 
 def schema_text() -> str:
-    """Return the JSON schema of the settings as text."""
+    """Return the JSON schema of the agent's settings file as text."""
     return json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False) + "\n"

@@ -1,6 +1,6 @@
 """Command `volcal demo`, which calibrates a simulated machine over real communication links.
 
-The command compares the result with the true errors of the simulated machine.
+The command compares the result of the calibration with the true errors of the simulated machine.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from twin.formats.toml_reading import validate_document
 
 @dataclass(frozen=True)
 class Truth:
-    """True volumetric errors and number of collisions, as reported by the simulator.
+    """True volumetric errors of a simulated machine, and the number of its collisions, as reported by the simulator.
 
-    `before_um` and `after_um` are the true errors before and after the calibration, in µm, computed after the
-    best-fitting rigid motion has been removed. `after_um` and `collisions` are None if the simulator could no longer be
-    reached after the calibration.
+    `before_um` and `after_um` are the true volumetric errors before and after the calibration, in µm. The best-fitting
+    rigid motion of the workspace has been removed from them. `after_um` and `collisions` are None if the simulator
+    could no longer be reached after the calibration.
     """
 
     before_um: float

@@ -1,4 +1,4 @@
-"""Command `volcal design`, which chooses the positions to be measured. The command contacts no device."""
+"""Command `volcal design`, which chooses the positions of the artefact to be measured. It contacts no device."""
 
 from __future__ import annotations
 

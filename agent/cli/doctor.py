@@ -43,7 +43,8 @@ def doctor_command(config: Path, as_json: bool) -> None:
 
 
 def examine(settings: Settings, base: Path) -> dict[str, list[DiagnosticFinding]]:
-    """Test every device and return a mapping from the name of each device to its findings.
+    """Test every device and return a mapping from the name of each device to its findings. Each finding says whether
+    one property of the device is in order.
 
     If a device cannot be opened, one of its findings states this, and the other devices are still tested.
     """

@@ -30,7 +30,8 @@ R = TypeVar("R")
 
 
 def fail(error: VolcalError) -> SystemExit:
-    """Print `error` on stderr and return a SystemExit with the exit code of `error`.
+    """Print `error` on stderr and return a SystemExit exception with the exit code that belongs to the class of
+    `error`.
 
     The caller raises the returned exception, which ends the program.
     """
@@ -39,10 +40,10 @@ def fail(error: VolcalError) -> SystemExit:
 
 
 def reported(function: Callable[P, R]) -> Callable[P, R]:
-    """Wrap the function of a command.
+    """Wrap the function of a command so that its errors are printed as messages.
 
-    If the function raises a VolcalError, the error is printed as a message, and the program exits with the exit code of
-    the error.
+    If the function raises a VolcalError (the base class of all expected errors), the error is printed without a
+    traceback, and the program exits with the exit code of the error's class.
     """
 
     @wraps(function)
@@ -56,7 +57,7 @@ def reported(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class VolcalGroup(click.Group):
-    """Group of commands that prints an error as a message and exits with the exit code of the error.
+    """Group of commands that prints an error without a traceback and exits with the exit code of the error's class.
 
     If the name of a command is mistyped, the group suggests the most similar name.
     """

@@ -1,5 +1,5 @@
-"""Commands of the group `volcal history`, which list, export and update the runs of this machine and show trends of
-their results.
+"""Commands of the group `volcal history`, which list, export and update the runs of this machine and show how their
+results change over time.
 """
 
 from __future__ import annotations

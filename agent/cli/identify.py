@@ -1,4 +1,5 @@
-"""Command `volcal identify`, which computes an estimate, a table and a report from a file with ball centres.
+"""Command `volcal identify`, which computes an estimate of the machine's errors, a compensation table and a report from
+a file with measured ball centres.
 
 The command contacts no device.
 """

@@ -32,7 +32,7 @@ LONGEST_HELP = 200
 
 
 class OwnCommand(NamedTuple):
-    """Import path and help line of a command of this package.
+    """Import path and one-line help of a command that is part of the program `volcal` itself.
 
     `help` is the first sentence of the command's help text. It is repeated here so that the list of all commands can be
     shown without importing the commands.
@@ -137,7 +137,7 @@ OWN_COMMANDS = {
 
 
 class LazyGroup(VolcalGroup):
-    """Group of commands that imports the module of a command only when the command is called."""
+    """Group of click commands that imports the module of a command only when the command is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted({*OWN_COMMANDS, *_declared(COMMAND_GROUP).names})

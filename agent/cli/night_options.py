@@ -39,7 +39,12 @@ def night_options(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def run_night(config: Path, request: RunRequest, nights: float | None, *, as_json: bool) -> RunResult:
-    """Carry out the requested verify or nightly run in this process, print its outcome and return its result."""
+    """Carry out the verify or nightly run that `request` asks for, in this process. Print its outcome and return its
+    result.
+
+    `nights` is the number of nights since the last run whose result was accepted as reference; if it is None, the
+    number is computed from the calendar.
+    """
     settings = load_settings(config)
     with naming(config):
         ended = run_here(request, settings, config.resolve().parent, nights=nights)

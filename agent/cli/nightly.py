@@ -1,7 +1,8 @@
-"""Commands `volcal verify` and `volcal nightly`. Both compare the machine with the last accepted night, that is, with
-the last run whose result was accepted as reference.
+"""Commands `volcal verify` and `volcal nightly`. Both measure a few positions and compare the machine with the last
+accepted night, that is, with the last run whose result was accepted as reference.
 
-`verify` writes nothing to the controller. `nightly` uses the rest of its time slot to improve the compensation.
+`verify` writes nothing to the controller. `nightly` uses the rest of the machine time available to it to measure more
+and to improve the compensation table.
 """
 
 from __future__ import annotations

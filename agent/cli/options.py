@@ -42,12 +42,16 @@ def config_option(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options of `measured_options` and the option `--formulation` of the identification to a command."""
+    """Add to a command the options `--config`, `--position-set`, `--stations` and `--formulation` (the formulation of
+    the identification: ball centres or distances).
+    """
     return measured_options(click.option("--formulation", type=click.Choice(["centres", "distances"]))(command))
 
 
 def measured_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the options `--config`, `--position-set` and `--stations` to a command."""
+    """Add to a command the options `--config` (settings file), `--position-set` and `--stations` (the positions and
+    stations of the artefact that are measured).
+    """
     for option in (
         click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations at which to measure."),
         click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),

@@ -1,4 +1,5 @@
-"""Command `volcal plan`, which carries out the preflight of a whole run on a simulation of the machine.
+"""Command `volcal plan`, which carries out the preflight of a run, that is, executes the whole run on a simulation of
+the machine.
 
 The command contacts no device.
 """

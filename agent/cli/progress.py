@@ -44,9 +44,10 @@ class _Watcher:
 
 @contextmanager
 def watching(console: Console) -> Iterator[Listener]:
-    """Yield a listener that prints the states and the progress of a run on `console`.
+    """Yield a function that prints the states and the progress of a run on `console`. The function is called with each
+    announcement of the run.
 
-    The display ends with the block.
+    The progress bar is closed at the end of the `with` block.
     """
     columns = (
         BarColumn(bar_width=20),

@@ -1,4 +1,5 @@
-"""Command `volcal rank`, which shows the errors that a set-up can determine and the errors that it cannot determine.
+"""Command `volcal rank`, which shows which errors of the machine a measuring set-up (machine, artefact, stations and
+positions) can determine and which it cannot.
 
 The command also shows changes of the set-up that would allow it to determine more errors.
 """

@@ -1,6 +1,7 @@
 """Command `volcal report`, which writes the report of a run.
 
-The report is rendered from the journal, even if a report of the run already exists.
+The report is written from the journal, the database in which all runs are recorded, even if a report of the run already
+exists.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Command `volcal resume`, which resumes or abandons the interrupted run."""
+"""Command `volcal resume`, which resumes or abandons a run that ended because its process ended."""
 
 from __future__ import annotations
 

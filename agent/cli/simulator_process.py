@@ -1,7 +1,9 @@
-"""Simulator that runs as a separate process, and requests to its control channel.
+"""Machine simulator that runs as a separate process, and requests to its control channel, a separate connection that
+answers questions about the simulated machine.
 
-This module starts `volcal simulate` and imports no part of the simulator. The interface consists of the simulator's
-command line, one line of JSON that the simulator prints when it is ready, and the JSON lines of the control channel.
+This module starts `volcal simulate` and imports no part of the simulator. The interface between the two programs
+consists of the simulator's command line, one line of JSON that the simulator prints when it is ready, and the JSON
+lines of the control channel.
 """
 
 from __future__ import annotations
@@ -21,9 +23,10 @@ END_WITHIN_S = 5.0
 
 
 class SimulatorProcess:
-    """Context manager that runs the simulator as a separate process.
+    """Context manager that runs the machine simulator as a separate process.
 
-    The simulator ends when its standard input is closed. It therefore never outlives this program.
+    The simulator ends when its standard input is closed. It therefore never runs longer than the program that started
+    it.
     """
 
     def __init__(self, scenario: Path, *, can: str, log: Path, modbus_rtu: str | None = None) -> None:
@@ -90,7 +93,8 @@ class SimulatorProcess:
             process.wait()
 
     def ask(self, request: str) -> dict[str, Any]:
-        """Send the request ``truth``, ``collisions`` or ``status`` to the control channel and return the answer.
+        """Send the request ``truth`` (the true errors), ``collisions`` (their number) or ``status`` to the simulator's
+        control channel, and return the answer.
 
         Raises LinkLost if the control channel can no longer be used, and ProtocolError if the simulator refuses the
         request.

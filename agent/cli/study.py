@@ -1,6 +1,6 @@
-"""Command `volcal study`, which carries out one study of the calibration procedure.
+"""Command `volcal study`, which carries out one simulation study of the calibration procedure, without a machine.
 
-The result of the study is written as a figure and as numbers.
+The result of the study is written to files as a figure and as numbers.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Identification options given on the command line. An option that is None is taken from the settings."""
+    """Options of the identification (the estimation of the machine's errors) that were given on the command line. An
+    option that is None is taken from the settings.
+    """
 
     formulation: Literal["centres", "distances"] | None
     prior: Literal["on", "off"] | None
@@ -120,10 +122,10 @@ def study_command(
 
 @contextmanager
 def hired(workers: int | None, cluster: str | None) -> Iterator[Workers]:
-    """Yield the workers that compute a study, and stop them at the end of the block.
+    """Yield the workers, the processes that compute a study, and stop them at the end of the `with` block.
 
-    The workers are processes on this computer or, if `cluster` is given, processes on the cluster with this address.
-    Raises ConfigurationError if both `workers` and `cluster` are given.
+    There are `workers` processes on this computer or, if `cluster` is given, processes on the Dask cluster with this
+    address. Raises ConfigurationError if both `workers` and `cluster` are given.
     """
     if cluster is not None and workers is not None:
         raise ConfigurationError(
@@ -146,9 +148,10 @@ def _cluster(address: str) -> DaskWorkers:
 
 @contextmanager
 def progress_bars() -> Iterator[StudyProgress]:
-    """Yield a function that reports the progress of a task.
+    """Yield a function that shows the progress of the tasks of a study.
 
-    The function draws one progress bar per task on stderr.
+    The function draws one progress bar per task on stderr. Its arguments are the name of the task, the number of parts
+    done and the total number of parts.
     """
     columns = (
         TextColumn("{task.description}"),

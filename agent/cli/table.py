@@ -1,6 +1,6 @@
 """Commands `volcal table show`, `volcal table export` and `volcal table restore`.
 
-The commands use the compensation tables in the controller and the tables stored by runs.
+The commands use the compensation tables in the controller and the tables that earlier runs stored in the journal.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Command `volcal table export`, which writes a table to neutral files or in the format of a controller.
+"""Command `volcal table export`, which writes a compensation table to neutral CSV and JSON files or in the format of a
+controller.
 
 For a controller's format, the command also states which part of the correction the format cannot represent.
 """
@@ -82,7 +83,9 @@ def _parsed(parse: Callable[[str], Any]) -> Callable[[click.Context, click.Param
 
 
 def options_of_formats(command: FC) -> FC:
-    """Add to a command all options that the table formats declare, in the order of the formats."""
+    """Add to a command all options that the supported controller table formats declare, in the order in which the
+    formats are listed.
+    """
     for option in reversed(all_options()):
         command = _click_option(option)(command)
     return command

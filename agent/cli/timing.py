@@ -1,6 +1,6 @@
-"""Command `volcal timing`, which compares the step times of a finished run with the prediction.
+"""Command `volcal timing`, which compares the times of the steps of a finished run with the predicted times.
 
-The command also suggests settings that fit the observed step times.
+The command also suggests values of the latencies in the settings that fit the observed times.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Construction of the rig and the clock of a machine from the settings. The settings name the driver of each device."""
+"""Construction of the rig (all devices of one machine) and of the clock of the machine from the settings. The settings
+name the driver of each device.
+"""
 
 from __future__ import annotations
 
@@ -50,9 +52,10 @@ def make_clock(settings: ClockSettings) -> Clock:
 
 
 def longest_wait_s(clock: Clock) -> float:
-    """Return the longest part of a wait on `clock` between two checks for hold and abort requests.
+    """Return the longest time that a wait on `clock` may last before it checks for requests to hold or abort the run. A
+    longer wait is divided into parts of this length.
 
-    The result is machine time in s.
+    The result is in s of machine time, the time that `clock` shows.
     """
     match clock:
         case LockstepClock():
@@ -65,9 +68,10 @@ def longest_wait_s(clock: Clock) -> float:
 
 @contextmanager
 def closing_clock(clock: Clock) -> Iterator[Clock]:
-    """Yield `clock` and close it at the end of the block.
+    """Yield `clock` and close it at the end of the `with` block.
 
-    Only a lockstep clock has to be closed, because it is connected to a simulator's time server.
+    Only a lockstep clock has to be closed. Such a clock shows the time of a simulator and is connected to the
+    simulator's time server.
     """
     try:
         yield clock
@@ -77,7 +81,7 @@ def closing_clock(clock: Clock) -> Iterator[Clock]:
 
 
 def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
-    """Return the rig of the real or simulated machine described by `settings`. No device is opened yet.
+    """Return the rig (all devices) of the real or simulated machine described by `settings`. No device is opened yet.
 
     `base` is the directory to which relative paths in the settings refer.
     """
@@ -111,15 +115,16 @@ def mount_at_station(devices: Mapping[str, Device], name: str, station: int, key
 
 
 def stations_of(stations: StationSettings) -> range:
-    """Return the numbers of the stations, counted from 1."""
+    """Return the numbers of the stations described by the settings `stations`, counted from 1."""
     return range(1, len(stations.places_mm) + 1)
 
 
 @dataclass(frozen=True)
 class Devices:
-    """Functions that create the rig and the clock of a machine.
+    """Pair of functions that create the rig (all devices) and the clock of a machine from the settings.
 
-    A caller passes other functions if its machine already exists, as in a test.
+    By default, both are created as the settings describe. A test, whose machine already exists, passes functions that
+    return the existing rig and clock.
     """
 
     assemble: Callable[[Settings, Clock, Path], Rig] = assemble

@@ -29,8 +29,8 @@ def encode_result(result: object) -> str | None:
 def decode_result(kind: str, text: str | None) -> Any:
     """Return the result of a step from the JSON text that `encode_result` wrote.
 
-    `kind` is the name of the step's class. If the result was a table, only its shape and digest were written, and the
-    mapping ``{"shape": …, "crc32": …}`` is returned.
+    `kind` is the name of the step's class. If the result was a compensation table, only its shape and its CRC-32
+    checksum were written, and the mapping ``{"shape": …, "crc32": …}`` is returned.
     """
     value: Any = None if text is None else json.loads(text)
     if kind == TouchTowards.__name__:
@@ -45,16 +45,19 @@ def to_json(value: object) -> str:
 
 
 def table_digest(table: TableImage) -> int:
-    """Return the CRC-32 of the corrections of a table, in the byte order in which they are sent to the controller.
+    """Return the CRC-32 checksum of the corrections of a compensation table. It is computed from the bytes as they are
+    sent to the controller.
 
-    The corrections are big-endian 32-bit integers. The index of x varies slowest; the corrections dx, dy and dz of a
-    node follow one another.
+    The corrections are big-endian 32-bit integers. The grid nodes are ordered with the index along X varying slowest;
+    the corrections dx, dy and dz of a node follow one another.
     """
     return zlib.crc32(table.counts.astype(">i4").tobytes())
 
 
 def decode_table(origin_mm: str, step_mm: str, resolution_mm: float, shape: str, counts: bytes) -> TableImage:
-    """Return a compensation table from the columns of a row of the database table `tables`."""
+    """Return the compensation table that is stored in one row of the journal's database table `tables`. The arguments
+    are columns of this row.
+    """
     values = np.frombuffer(counts, ">i4").astype(np.int32).reshape(*json.loads(shape), 3)
     return TableImage(_triple(json.loads(origin_mm)), _triple(json.loads(step_mm)), resolution_mm, values)
 

@@ -1,11 +1,11 @@
-"""Engine that carries out the steps of a plan.
+"""Engine that carries out the steps of a plan. A plan is a generator that yields steps and receives their results.
 
 The engine takes a step from the plan, carries it out, writes its result to the journal, and sends the result to the
 plan. A step that moves or changes something is also written to the journal before it is carried out.
 
 The engine is a short synchronous loop on one thread. It depends neither on the meaning of a step nor on the devices. An
-action, which is found by the type of the step, carries out the step. A `StepJournal` records the step, and an observer
-is informed of it.
+action, which is found by the type of the step, carries out the step. A `StepJournal` records the step, and an observer,
+a function given to the engine, is called with the step and its result.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ Observer = Callable[[Step, object], None]
 
 
 class StepJournal(Protocol):
-    """Interface of the journal as the engine uses it. Every method returns only when its record is durable."""
+    """Methods that the engine needs of the journal, the database that records the steps of a run. A method that writes
+    a record returns only when the record is safely on the disk.
+    """
 
     def begin(self, step: Step) -> None: ...
 
@@ -32,7 +34,8 @@ class StepJournal(Protocol):
     def fail(self, step: Step, error: BaseException) -> None: ...
 
     def aside(self) -> StepJournal:
-        """Return a journal for steps that are not part of the procedure.
+        """Return a journal for steps that are not part of the procedure of the run. A replay of the run skips such
+        steps.
 
         For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
         if the run is resumed.
@@ -41,9 +44,9 @@ class StepJournal(Protocol):
 
 
 class Engine:
-    """Engine that runs plans.
+    """Engine that runs plans. A plan is a generator that yields steps and receives their results.
 
-    `actions` maps each type of step to the action that carries it out. `journal` records the steps, and `observer` is
+    `actions` maps each type of step to the function that carries it out. `journal` records the steps, and `observer` is
     called with each step and its result; both may be None.
     """
 
@@ -60,16 +63,16 @@ class Engine:
     def without_journal(self) -> Engine:
         """Return an engine with the same actions and the same observer but without a journal.
 
-        This engine withdraws the probe if the journal can no longer be written.
+        The run uses this engine to withdraw the probe if the journal can no longer be written.
         """
         return Engine(self._actions, None, self._observer)
 
     def aside(self) -> Engine:
-        """Return an engine with the same actions for steps that are not part of the procedure.
+        """Return an engine with the same actions, for steps that are not part of the procedure of the run.
 
         For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
-        if the run is resumed. Such steps are journaled, but a replay skips them. They are not passed to the observer
-        and are therefore not counted.
+        if the run is resumed. Such steps are journaled, but when a resumed run replays its journal, it skips them. They
+        are not passed to the observer and are therefore not counted.
         """
         return Engine(self._actions, None if self._journal is None else self._journal.aside())
 

@@ -1,10 +1,10 @@
-"""Writer of the journal, which is one SQLite database in the state directory and the only source of truth about runs.
+"""Writer of the journal, which is one SQLite database in the state directory and the only authoritative record of runs.
 
 The database uses a write-ahead log (WAL) with ``synchronous=FULL``: the data of a commit are on the disk when the
 commit returns. With ``synchronous=NORMAL``, a power cut can lose commits although the integrity check still reports ok.
 
 A step that moves or changes something is recorded durably before it begins. Its result is recorded durably before the
-next step is requested.
+plan is asked for its next step.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _DISK_HINT = "check the disk under `state_directory`"
 
 
 class Journal:
-    """Database of all runs. The database is created if it does not exist.
+    """Database of all runs, a file in the state directory `directory`. It is created if it does not exist.
 
     There is one writer at a time. Pages and reports may read the database at the same time.
 
@@ -56,7 +56,9 @@ class Journal:
         self._connection.close()
 
     def start_run(self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock) -> RunJournal:
-        """Create a run in the state IDLE and return its writer. Raises Busy if there is already a run `run_id`."""
+        """Create a run in the state IDLE and return an object that writes its records. Raises Busy if there is already
+        a run `run_id`.
+        """
         try:
             cursor = self._connection.execute(
                 "INSERT INTO runs (run_id, kind, started, state, software, settings) VALUES (?,?,?,?,?,?)",
@@ -68,16 +70,18 @@ class Journal:
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
 
     def continue_run(self, run: int, run_id: str, clock: Clock) -> tuple[RunJournal, ReplayLog]:
-        """Return a writer that continues an interrupted run, and the log of the records already written for the run.
+        """Return a writer that continues an interrupted run, and a replay log of the records already written for the
+        run.
 
-        If the replay produces an entry that is already in the log, the entry is removed from the log and is not written
-        again.
+        The resumed run first replays its procedure with the recorded results. If the replay produces an entry that is
+        already in the log, the entry is removed from the log and is not written again.
         """
         recorded = read_replay_log(JournalReader(self._connection), run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
     def close_unresumable(self, before_run: int, reason: str) -> None:
-        """Set the state of every unfinished run with a number below `before_run` to FAULTED and add `reason`.
+        """Set the state of every unfinished run with a number below `before_run` to FAULTED, and add `reason` to its
+        stored reason.
 
         Such a run can no longer be resumed.
         """
@@ -88,10 +92,10 @@ class Journal:
         )
 
     def acknowledge(self, run_id: str) -> None:
-        """Record durably that the end of a run has been acknowledged.
+        """Record durably that a person has acknowledged the end of the run `run_id`.
 
-        The event is not part of the procedure, so the run can still be resumed. Raises JournalFailed if the event
-        cannot be written.
+        The acknowledgement is stored as an event that is not part of the procedure, so the run can still be resumed.
+        Raises JournalFailed if the event cannot be written.
         """
         try:
             self._connection.execute(
@@ -128,7 +132,8 @@ class RunJournal:
         self._aside = 0
 
     def aside(self) -> Self:
-        """Return a writer for rows of steps that are not part of the procedure. Replays skip these rows.
+        """Return a writer for rows of steps that are not part of the procedure of the run. A replay of the run skips
+        these rows.
 
         For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
         if the run is resumed.
@@ -142,11 +147,13 @@ class RunJournal:
         return self._count.ordinal
 
     def origin(self, record: Mapping[str, Any]) -> None:
-        """Store everything needed to rebuild the run."""
+        """Store `record`, which contains everything needed to rebuild the plan of the run."""
         self._execute("INSERT INTO origins (run, record) VALUES (?,?)", (self._run, to_json(record)))
 
     def begun(self) -> None:
-        """Record the end of the preflight. From then on, the run can be resumed."""
+        """Record that the preflight (the simulated execution of the plan) has ended. From then on, the run can be
+        resumed.
+        """
         self._execute(
             "UPDATE origins SET begun_s = ?, begun_at = ? WHERE run = ?",
             (self._clock.now(), utc_timestamp(), self._run),
@@ -199,15 +206,16 @@ class RunJournal:
             self._execute("INSERT INTO decisions VALUES (?,?,?,?,?)", values)
 
     def estimate(self, record: str) -> None:
-        """Store an estimate. `record` is the JSON text of the estimate file."""
+        """Store an estimate of the machine's errors. `record` is the JSON text of the estimate file."""
         if not self._recorded.consume("estimates", comparable_estimate(record)):
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
-        """Store a whole table that belongs to `bank`. `image` is None if the bank is empty.
+        """Store a whole compensation table, `image`, that belongs to the controller's table memory number `bank`.
+        `image` is None if the bank is empty.
 
-        `role` is ``backup`` if the table was read before anything was written; otherwise it is ``staged`` or
-        ``restored``.
+        `role` is ``backup`` if the table was read from the controller before anything was written, ``staged`` if the
+        run wrote it to the controller, and ``restored`` if the run made it active again.
         """
         if self._recorded.consume("tables", role, str(bank), "" if image is None else str(table_digest(image))):
             return
@@ -227,7 +235,7 @@ class RunJournal:
         )
 
     def stored_table(self, crc32: int) -> TableImage | None:
-        """Return the table with the checksum `crc32` that this run stored; None if there is none."""
+        """Return the compensation table with the checksum `crc32` that this run stored; None if there is none."""
         try:
             return JournalReader(self._connection).image_with_digest(self._run, crc32)
         except sqlite3.Error as error:

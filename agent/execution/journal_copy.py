@@ -1,6 +1,7 @@
-"""Consistent copy of a journal with edited settings, for passing the journal on to other people.
+"""Consistent copy of a journal, the database of all runs, with edited settings. The copy can be passed on to other
+people.
 
-The copy is made in this module because only the modules of the journal may contain SQL.
+The copy is made in a module of the journal because only these modules may contain SQL.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ def copy_journal(directory: Path, target: Path, edit_settings: Callable[[Any], A
     """Copy the journal of a state directory into the existing directory `target` and return the path of the copy.
 
     A run may write to the journal during the copy. `edit_settings` is called with the settings document of each run and
-    returns the document to be stored in the copy. The original settings do not remain in unused pages of the copy.
+    returns the document to be stored in the copy. The original settings do not remain in unused pages of the copied
+    database file.
 
     Raises JournalFailed if the journal cannot be read or the copy cannot be written.
     """

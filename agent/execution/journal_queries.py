@@ -1,10 +1,11 @@
-"""SQL statements used by the reader of the journal.
+"""SQL statements used by the reader of the journal, the database of all runs.
 
 Each statement selects the columns of one row type in the order of the fields of that type.
 
-The statements are separate from the reader so that a change of the database tables affects only this module and
-`journal_schema.sql`. A list of kinds is passed as one JSON parameter; every statement is therefore constant. The reader
-replaces `{aside}` by a condition that excludes rows that are not part of the procedure, or by an empty text.
+The statements are in a module of their own, apart from the reader, so that a change of the database tables affects only
+this module and `journal_schema.sql`. A list of kinds of rows, such as kinds of events, is passed as one JSON parameter;
+every statement is therefore constant. The reader replaces the text `{aside}` in a statement by a condition that
+excludes rows that are not part of the procedure, or by an empty text.
 """
 
 # ruff: noqa: S608  every statement is put together from constants of this module

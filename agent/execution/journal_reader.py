@@ -1,8 +1,8 @@
-"""Reader of the journal. It returns typed rows, changes nothing and never delays the writer.
+"""Reader of the journal, the database of all runs. It returns typed rows, changes nothing and never delays the writer.
 
 A method with the parameter `run` expects the number of a run in the journal (`RunRow.run`). The reader can read a
-journal of an older version without migrating it. Only the method `origin` and the argument `procedure_only` need data
-that a journal of version 1 lacks.
+journal of an older version without migrating it. Only the method `origin` (the data stored at the start of a run) and
+the argument `procedure_only` (which omits steps outside the procedure) need data that a journal of version 1 lacks.
 
 Some rows record steps that are not part of the procedure. For example, steps withdraw the probe and restore the table
 if a run ends early, and steps move the probe back if the run is resumed.
@@ -51,9 +51,11 @@ def has_journal(directory: Path) -> bool:
 
 @contextmanager
 def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> Iterator[JournalReader]:
-    """Yield a reader of the journal in a state directory. The journal is open during the block and is not changed.
+    """Yield a reader of the journal in a state directory. The journal is open during the `with` block and is not
+    changed.
 
-    Raises `failure` if there is no journal, or if the journal cannot be read at the start or later in the block.
+    Raises an error of the class `failure` if there is no journal, or if the journal cannot be read at the start or
+    later in the block.
     """
     path = directory / FILE_NAME
     try:
@@ -67,8 +69,8 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
 class JournalReader:
     """Reader of a journal through an SQLite connection that the caller opens and closes.
 
-    The connection may be that of the writer, or a connection to a database in memory. `path` is used only in error
-    messages.
+    The connection may be that of the object that writes the journal, or a connection to a database in memory. `path` is
+    used only in error messages.
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path = Path(FILE_NAME)) -> None:
@@ -80,7 +82,7 @@ class JournalReader:
         return self._rows(str, "SELECT run_id FROM runs ORDER BY run")
 
     def runs(self) -> tuple[RunRow, ...]:
-        """Return all runs in the order in which they started."""
+        """Return the rows of all runs in the order in which the runs started."""
         return self._rows(RunRow, queries.RUN + "ORDER BY run")
 
     def run(self, run_id: str) -> RunRow | None:
@@ -102,11 +104,14 @@ class JournalReader:
         return self._first(RunRow, queries.RUN + "ORDER BY run DESC LIMIT 1")
 
     def last_working_run(self) -> RunRow | None:
-        """Return the last run that recorded a step or passed its preflight; None if there is none."""
+        """Return the last run that recorded a step or passed its preflight (the simulated execution of its plan); None
+        if there is none.
+        """
         return self._first(RunRow, queries.LAST_WORKING_RUN if self.has_origins() else queries.LAST_RUN_WITH_STEPS)
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
-        """Return at most `limit` runs, the latest first, each with its numbers of balls and touches.
+        """Return at most `limit` runs, the latest first, each with the number of its measured balls and the number of
+        its touches.
 
         Only runs with a number below `before_run` are returned.
         """
@@ -116,13 +121,13 @@ class JournalReader:
         return tuple(RunCounts(RunRow(*run), balls, touches) for *run, balls, touches in rows)
 
     def settings_text(self, run: int) -> str:
-        """Return the settings document with which the run was started, as JSON text."""
+        """Return the settings with which the run number `run` was started, as JSON text."""
         return str(self._value("SELECT settings FROM runs WHERE run = :run", run=run))
 
     def has_origins(self) -> bool:
-        """Return True if the journal stores how each run started.
+        """Return True if the journal stores for each run the data from which the run can be rebuilt (its origin).
 
-        A journal of version 1 does not store this, so the result is False.
+        A journal of version 1 does not store these data, so the result is False.
         """
         return self._one("SELECT 1 FROM sqlite_master WHERE name = 'origins'") is not None
 
@@ -132,8 +137,9 @@ class JournalReader:
     def steps(self, run: int, kind: str | None = None, *, procedure_only: bool = False) -> tuple[StepRow, ...]:
         """Return the steps of a run in the order in which they were recorded.
 
-        If `kind` is given, only steps of the class with this name are returned. If `procedure_only` is True, steps that
-        are not part of the procedure are omitted, for example steps that withdraw the probe at the end of a run.
+        If `kind` is given, only steps whose class has this name are returned, such as ``TouchTowards``. If
+        `procedure_only` is True, steps that are not part of the procedure are omitted, for example steps that withdraw
+        the probe at the end of a run.
         """
         query = queries.STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
         return self._rows(StepRow, _restricted(query, procedure_only), run=run, kind=kind)
@@ -142,12 +148,12 @@ class JournalReader:
         return int(self._value("SELECT count(*) FROM steps WHERE run = :run", run=run))
 
     def last_step_key(self, run: int) -> str | None:
-        """Return the key of the last step that began; None if no step has begun."""
+        """Return the key of the step that began last in the run; None if no step has begun."""
         return self._first(str, "SELECT key FROM steps WHERE run = :run ORDER BY ordinal DESC LIMIT 1", run=run)
 
     def time_span_s(self, run: int) -> tuple[float, float] | None:
-        """Return the machine times in s at which the first step began and the last step ended; None if there is no
-        step.
+        """Return a pair of machine times in s: the time at which the run's first step began, and the time at which its
+        last step ended. Return None if there is no step.
 
         If a step did not end, the time at which it began is used instead.
         """
@@ -167,7 +173,7 @@ class JournalReader:
         return self._rows(TouchRow, query, run=run)
 
     def count_touches(self, run: int) -> int:
-        """Return the number of rows that `touches` returns."""
+        """Return the number of touches of a run that have a result and are part of the procedure."""
         return int(self._value("SELECT count(*) FROM touches WHERE run = :run", run=run))
 
     def balls(self, run: int) -> tuple[BallRow, ...]:
@@ -212,7 +218,7 @@ class JournalReader:
         return self._one(query, run=run, kinds=_listed(kinds)) is not None
 
     def last_decision(self, kind: str, before_run: int = ANY_RUN) -> DecisionRow | None:
-        """Return the last decision of the kind `kind`; None if there is none.
+        """Return the last decision of the kind `kind` that any run recorded; None if there is none.
 
         Only decisions of runs with a number below `before_run` are considered.
         """
@@ -222,7 +228,7 @@ class JournalReader:
         return self._first(DecisionRow, query, kind=kind, before=before_run)
 
     def estimates(self, run: int) -> tuple[str, ...]:
-        """Return the JSON texts of the run's estimates in the order written."""
+        """Return the JSON texts of the run's estimates of the machine's errors, in the order written."""
         return self._rows(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid", run=run)
 
     def last_estimate(self, run: int) -> str | None:
@@ -230,12 +236,14 @@ class JournalReader:
         return self._first(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid DESC LIMIT 1", run=run)
 
     def tables(self, run: int, *, procedure_only: bool = False) -> tuple[TableRow, ...]:
-        """Return the tables stored by a run in the order written."""
+        """Return the rows of the compensation tables that a run stored, in the order written."""
         query = queries.TABLE + "WHERE run = :run{aside} ORDER BY tables.rowid"
         return self._rows(TableRow, _restricted(query, procedure_only), run=run)
 
     def latest_tables(self, limit: int) -> tuple[TableRow, ...]:
-        """Return the latest tables stored by any run, at most `limit` of them, the latest first."""
+        """Return the rows of the latest compensation tables stored by any run, at most `limit` of them, the latest
+        first.
+        """
         return self._rows(TableRow, queries.TABLE + "ORDER BY tables.rowid DESC LIMIT :limit", limit=limit)
 
     def last_table(self, run: int, role: str) -> TableRow | None:
@@ -243,27 +251,34 @@ class JournalReader:
         return self._first(TableRow, query, run=run, role=role)
 
     def last_backup(self, run: int | None = None) -> TableRow | None:
-        """Return the backup table stored by `run`; None if there is none.
+        """Return the row of the backup table stored by the run number `run`, that is, of the compensation table read
+        from the controller before anything was written. Return None if there is none.
 
-        If `run` is None, return the backup table of the last run that stored a backup.
+        If `run` is None, the backup of the last run that stored one is returned.
         """
         query = queries.TABLE + "WHERE role = 'backup' AND run = coalesce(:run, run) ORDER BY run DESC LIMIT 1"
         return self._first(TableRow, query, run=run)
 
     def last_active_table(self, accepting: Collection[str]) -> TableRow | None:
-        """Return the latest stored table that should be active in the controller; None if there is none.
+        """Return the row of the latest stored compensation table that should be active in the controller; None if there
+        is none.
 
-        A table should be active if it is a backup or a restored table. A staged table should be active if its run has a
-        decision of one of the kinds `accepting`.
+        A table should be active if it is a backup (read before anything was written) or a restored table (made active
+        again by its run). A staged table, that is, one that its run wrote to the controller, should be active if its
+        run has a decision of one of the kinds `accepting`.
         """
         return self._first(TableRow, queries.ACTIVE_TABLE, kinds=_listed(accepting))
 
     def image(self, table: TableRow) -> TableImage | None:
-        """Return the whole compensation table of the row `table`; None if the row describes an empty bank."""
+        """Return the whole compensation table that the row `table` describes; None if the row describes an empty table
+        memory of the controller.
+        """
         return self._image("rowid = :number", number=table.number)
 
     def image_with_digest(self, run: int, crc32: int) -> TableImage | None:
-        """Return the table with the checksum `crc32` that `run` stored; None if there is none."""
+        """Return the compensation table with the checksum `crc32` that the run number `run` stored; None if there is
+        none.
+        """
         return self._image("run = :run AND crc32 = :crc32 AND counts IS NOT NULL", run=run, crc32=crc32)
 
     def copy_to(self, path: Path) -> None:

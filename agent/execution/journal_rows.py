@@ -1,7 +1,7 @@
 """Typed rows of the journal, as `agent.execution.journal_reader` returns them.
 
-A field whose name ends in `_text` holds JSON text exactly as written. Some rows also have a property with the same name
-without this ending. The property decodes the text when it is first read.
+A field whose name ends in `_text` holds JSON text exactly as written. Some rows also have a property whose name lacks
+this ending. The property contains the decoded text, which is decoded when the property is first read.
 
 `run` is the number of a run, counted in the order in which the runs started. `number` is the number of a row in its
 database table, counted in the order in which the rows were written.
@@ -30,8 +30,8 @@ class _Recorded:
 class RunRow:
     """Run in the journal, without its steps and results.
 
-    `started` and `ended` are UTC times in ISO 8601; `ended` is None before the end of the run. `state` is the value of
-    a `RunState`.
+    `started` and `ended` are UTC times in ISO 8601; `ended` is None before the end of the run. `state` is the text of a
+    `RunState`, such as ``measuring``.
     """
 
     run: int
@@ -57,8 +57,8 @@ class RunCounts:
 class OriginRow(_Recorded):
     """Data stored at the start of a run, from which the run can be rebuilt.
 
-    `begun_s` is the machine time in s, and `begun_at` the UTC time, at which the preflight ended. Both are None until
-    the preflight has ended.
+    `begun_s` is the machine time in s, and `begun_at` the UTC time, at which the preflight (the simulated execution of
+    the plan) ended. Both are None until then.
     """
 
     run: int
@@ -96,7 +96,9 @@ class StepRow:
 
 @dataclass(frozen=True)
 class TouchRow:
-    """Touch of the procedure that has a result. `at_s` is the machine time in s at which the touch ended."""
+    """Touch that is part of the procedure of a run and has a result. `at_s` is the machine time in s at which the touch
+    ended.
+    """
 
     ordinal: int
     key: str
@@ -106,7 +108,7 @@ class TouchRow:
 
 @dataclass(frozen=True)
 class BallRow(_Recorded):
-    """Measured ball centre of a run."""
+    """Measured ball centre of a run. `ordinal` is its sequence number in the run, and `key` names the measurement."""
 
     ordinal: int
     key: str
@@ -115,7 +117,7 @@ class BallRow(_Recorded):
 
 @dataclass(frozen=True)
 class TemperatureRow(_Recorded):
-    """Reading of all temperature sensors. The record maps the name of each sensor to its temperature in °C.
+    """Reading of all temperature sensors. `record` maps the name of each sensor to its temperature in °C.
 
     `minutes` is the machine time in minutes after the start of the first step of the run.
     """
@@ -136,7 +138,7 @@ class EventRow(_Recorded):
 
 @dataclass(frozen=True)
 class DecisionRow(_Recorded):
-    """Decision of a run. `at` is the UTC time of the decision in ISO 8601."""
+    """Decision of a run, such as the acceptance of a table. `at` is the UTC time of the decision in ISO 8601."""
 
     run: int
     run_id: str
@@ -148,7 +150,9 @@ class DecisionRow(_Recorded):
 
 @dataclass(frozen=True)
 class TableRow:
-    """Stored compensation table without its corrections. `role` is ``backup``, ``staged`` or ``restored``.
+    """Stored compensation table without its corrections. `role` is ``backup`` (read before anything was written),
+    ``staged`` (written to the controller by the run) or ``restored`` (made active again by the run). `bank` is the
+    number of the table memory of the controller.
 
     If the bank was empty, `crc32` and the fields after it are None. `origin_mm_text`, `step_mm_text` and `shape_text`
     are JSON lists exactly as written.

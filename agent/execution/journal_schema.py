@@ -1,4 +1,6 @@
-"""Creation of the database tables of the journal, and migration of a journal of an older version."""
+"""Creation of the database tables of the journal, which records all runs, and migration of a journal of an older
+version.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ _TOUCHES = """CREATE VIEW touches AS
 def prepare(connection: sqlite3.Connection) -> None:
     """Create or migrate the database tables of the journal in one transaction.
 
-    After a power cut, the journal has either the old tables or the new ones. If the tables already have the current
-    version, they are not changed.
+    After a power cut, the journal has either the old tables or the new ones. If the tables already have the structure
+    of the current version, they are not changed.
     """
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")

@@ -1,4 +1,6 @@
-"""Journal records of a resumed run, in the order written."""
+"""Journal records of a resumed run, in the order written. The run replays its procedure and compares what it does with
+these records.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ _UNREPLAYED_DECISIONS = frozenset({"inputs", "outcome"})
 
 @dataclass(frozen=True, slots=True)
 class RecordedStep:
-    """Step read from the journal, with its decoded result.
+    """Step of a run read from the journal, with its decoded result.
+
+    `ordinal` is the sequence number of the step in the run, `key` its unique key, `kind` the name of its class, and
+    `detail` the JSON text of its other fields.
 
     `finished_s` is the machine time in s at which the step ended; it is None if the step did not end.
     """
@@ -37,12 +42,13 @@ class RecordedStep:
 
 @dataclass
 class ReplayLog:
-    """Queues of the records of a resumed run. The replay removes each record from its queue instead of writing it
-    again.
+    """Queues of the journal records of a resumed run. When the run replays its procedure, it removes each record from
+    its queue instead of writing it again.
 
-    `unfinished` is the last step if it began but did not end, else None. `entries` maps the name of each database table
-    to the entries of that table, each of which is compared as a whole. `ordinal` is the last sequence number assigned
-    in the run. `resumptions` is the number of times that the run has been resumed.
+    `steps` contains the steps that ended, and `states` the states of the run. `unfinished` is the last step if it began
+    but did not end, else None. `entries` maps the name of each database table to the entries of that table, each of
+    which is compared as a whole. `ordinal` is the last sequence number assigned in the run. `resumptions` is the number
+    of times that the run has been resumed.
 
     Records that are not part of the procedure, such as steps that withdraw the probe, are not in the queues.
     """
@@ -55,7 +61,7 @@ class ReplayLog:
     resumptions: int = 0
 
     def consume(self, table: str, *entry: str) -> bool:
-        """Remove the next recorded entry of `table` and return True if it equals `entry`.
+        """Remove the next recorded entry of the database table `table` and return True if it equals `entry`.
 
         Return False if no entry is left. Raises PlanDiverged if the next entry differs from `entry`.
         """
@@ -72,7 +78,7 @@ class ReplayLog:
 
 
 def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
-    """Return the records of `run`. A replay compares the rebuilt plan with these records."""
+    """Return the journal records of the run number `run`, with which a resumed run compares its rebuilt plan."""
     steps = [_recorded(step) for step in reader.steps(run, procedure_only=True)]
     states = reader.events(run, ("state",))
     return ReplayLog(
@@ -88,7 +94,7 @@ def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
 def comparable_estimate(estimate: str) -> str:
     """Return the JSON text of an estimate without the time at which the estimate was written.
 
-    Two estimates with the same content then have the same text.
+    The texts of two estimates are then equal if the estimates differ only in this time.
     """
     document: dict[str, Any] = json.loads(estimate)
     provenance: Mapping[str, Any] = document.get("provenance", {})

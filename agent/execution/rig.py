@@ -1,6 +1,7 @@
-"""Devices of one machine in their roles, together called the rig.
+"""Devices of one machine, together called the rig. Each device has one or more roles, such as machine, probe or
+thermometer.
 
-The rig also provides the action that carries out each type of step.
+The rig also provides the function that carries out each type of step of a plan.
 """
 
 from __future__ import annotations
@@ -56,9 +57,11 @@ STANDSTILL_POLL_S = 0.05
 
 @dataclass
 class Rig:
-    """Devices of one machine, which are opened, closed and stopped together.
+    """Devices of one machine, which are opened, closed and stopped together. `devices` contains all of them by name;
+    the fields from `machine` to `operator` contain them by role.
 
-    `mounts` maps the number of each station to the mount of that station.
+    `mounts` maps the number of each station to the rotary mount that holds the artefact at that station. `store` is the
+    device that holds the compensation tables.
     """
 
     devices: Mapping[str, Device]
@@ -112,7 +115,7 @@ class Rig:
     def await_standstill(self) -> None:
         """Wait until the axes stand still.
 
-        While the axes brake, a controller accepts neither a move nor the activation of another bank.
+        While the axes brake, a controller accepts neither a move nor the activation of another compensation table.
         """
         deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
         while self.machine.status().state is MotionState.MOVING:
@@ -120,11 +123,11 @@ class Rig:
             self.clock.sleep(STANDSTILL_POLL_S)
 
     def actions(self, run: int | None = None) -> dict[type, Action]:
-        """Return a mapping from each type of step to the action that carries it out, for use by the engine.
+        """Return a mapping from each type of step to the function that carries it out, for use by the engine.
 
-        `run` is the number of the run in the journal. Before each moving step, every device that traces steps receives
-        the tag of the step, which `step_tag` computes from the run number and the step key. If `run` is None, no tags
-        are sent.
+        `run` is the number of the run in the journal. Before each step that moves the axes, every device that can
+        display or log the current step receives the tag of the step, a number that `step_tag` computes from the run
+        number and the step key. If `run` is None, no tags are sent.
         """
         announce = _announce_nothing if run is None else self._step_announcer(run)
 
@@ -227,7 +230,7 @@ class Rig:
 
 
 def step_tag(run: int, key: str) -> int:
-    """Return the tag of a step. A controller can display and log this number for the step.
+    """Return the tag of a step, a number by which a controller can display and log the step.
 
     The tag is the CRC-32 of the text ``RUN/KEY``, made of the run number and the step key. If the CRC-32 is 0, the tag
     is 1.
@@ -240,7 +243,8 @@ def _announce_nothing(_: str) -> None:
 
 
 def in_role(devices: Mapping[str, Device], name: str, role: type[Role], key: str) -> Role:
-    """Return the device `name` if it has the role `role`.
+    """Return the device called `name` from `devices` if it has the role `role`, that is, if it implements this
+    interface.
 
     Raises ConfigurationError, which names the settings key `key`, if there is no such device or if the device does not
     have the role.

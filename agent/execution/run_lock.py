@@ -19,7 +19,8 @@ FILE_NAME = "run.lock"
 
 @contextmanager
 def run_lock(directory: Path, run_id: str) -> Iterator[None]:
-    """Own the machine for the run `run_id` during the block.
+    """Lock the machine for the run `run_id` during the `with` block. The lock is a file in the state directory
+    `directory`.
 
     Raises Busy, which names the present owner, if the machine is already owned.
     """
@@ -29,10 +30,11 @@ def run_lock(directory: Path, run_id: str) -> Iterator[None]:
 
 @contextmanager
 def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
-    """Own the machine during the block, which may contain several runs.
+    """Lock the machine during the `with` block, which may contain several runs. The lock is a file in the state
+    directory `directory`.
 
-    `owner` describes the new owner in words. Raises Busy, which names the present owner, if the machine is already
-    owned.
+    `owner` describes in words who holds the lock. Raises Busy, which names the present owner, if the machine is already
+    locked.
     """
     with _open_lock_file(directory) as handle:
         try:
@@ -60,9 +62,9 @@ class Ownership:
 
     @contextmanager
     def for_run(self, _: Path, run_id: str) -> Iterator[None]:
-        """Name the run `run_id` as owner during the block.
+        """Name the run `run_id` as owner of the machine in the lock file during the `with` block.
 
-        A caller that already has the lock uses this method instead of `run_lock`.
+        A caller that already holds the lock calls this method instead of the function `run_lock`.
         """
         self.set_owner(f"run {run_id}")
         try:

@@ -1,4 +1,4 @@
-"""Complete record of a run, read from the journal for the history and for reports.
+"""Complete record of a run, read from the journal for the history database and for reports.
 
 The functions of this module do not change the journal.
 """
@@ -25,8 +25,8 @@ class OperatorQuestion:
     """Question that a run asked the operator.
 
     `minute` is the machine time of the question, in minutes after the start of the first step. `answered` is True if
-    the answer was yes. `error` is the text of the error with which the question ended; it is empty if there was no
-    error.
+    the answer was yes. `text` is the wording of the question. `error` is the text of the error with which the step that
+    asked it ended; it is empty if there was no error.
     """
 
     minute: float
@@ -39,9 +39,9 @@ class OperatorQuestion:
 class RunRecord:
     """Complete record of a run.
 
-    `ordinal` is the number of the run in this journal. `settings_text` is the JSON text of the settings exactly as
-    stored. `estimate` is the JSON text of the last estimate, or None if there is none. `balls` and `touches` are the
-    numbers of measured balls and touches.
+    `ordinal` is the number of the run in its journal, counted in the order in which the runs started. `settings_text`
+    is the JSON text of the settings exactly as stored. `estimate` is the JSON text of the run's last estimate of the
+    machine's errors, or None if there is none. `balls` and `touches` are the numbers of measured balls and touches.
 
     Each entry of `temperatures` contains a machine time in minutes after the start of the first step, and a mapping
     from sensor names to temperatures in °C. `minutes` is the machine time in minutes from the start of the first step
@@ -73,21 +73,23 @@ class RunRecord:
         return document
 
     def decision(self, kind: str) -> Mapping[str, Any] | None:
-        """Return the content of the last decision of the kind `kind`; None if there is none."""
+        """Return the content of the run's last decision of the kind `kind`; None if there is none."""
         return next((row.record for row in reversed(self.decisions) if row.kind == kind), None)
 
     def event(self, kind: str) -> Mapping[str, Any] | None:
-        """Return the content of the last event of the kind `kind`; None if there is none."""
+        """Return the content of the run's last event of the kind `kind`; None if there is none."""
         return next((row.record for row in reversed(self.events) if row.kind == kind), None)
 
     def table(self, role: str) -> TableRow | None:
-        """Return the last table stored with the role `role`; None if there is none."""
+        """Return the row of the last compensation table that the run stored with the role `role` (backup, staged or
+        restored); None if there is none.
+        """
         return next((row for row in reversed(self.tables) if row.role == role), None)
 
 
 @dataclass(frozen=True)
 class RunHead:
-    """Row of a run and the text of its settings, without the steps and results of the run."""
+    """Journal row of a run and the JSON text of its settings, without the steps and results of the run."""
 
     row: RunRow
     settings_text: str
@@ -107,7 +109,8 @@ class RunSteps:
 
 
 def run_ids(directory: Path) -> tuple[str, ...]:
-    """Return the identities of all runs of the journal, in the order in which the runs started.
+    """Return the identities of all runs of the journal in the state directory `directory`, in the order in which the
+    runs started.
 
     Raises InputError if there is no journal or if it cannot be read.
     """
@@ -117,7 +120,8 @@ def run_ids(directory: Path) -> tuple[str, ...]:
 
 
 def run_heads(directory: Path) -> tuple[RunHead, ...]:
-    """Return the heads of all runs of the journal, in the order in which the runs started.
+    """Return the heads of all runs of the journal in the state directory `directory`, in the order in which the runs
+    started. A head is the row of a run and its settings.
 
     Raises InputError if there is no journal or if it cannot be read.
     """
@@ -127,7 +131,7 @@ def run_heads(directory: Path) -> tuple[RunHead, ...]:
 
 
 def read_record(directory: Path, run_id: str) -> RunRecord:
-    """Return the record of the run `run_id`.
+    """Return the complete record of the run `run_id` from the journal in the state directory `directory`.
 
     Raises InputError if there is no journal, if the journal cannot be read, or if it has no such run.
     """
@@ -137,7 +141,8 @@ def read_record(directory: Path, run_id: str) -> RunRecord:
 
 
 def read_steps(directory: Path, run_id: str) -> RunSteps:
-    """Return the steps of the run `run_id` and the settings with which it was started.
+    """Return the steps of the run `run_id` and the settings with which it was started. They are read from the journal
+    in the state directory `directory`.
 
     Raises InputError if there is no journal, if the journal cannot be read, or if it has no such run.
     """

@@ -1,4 +1,6 @@
-"""State of a run. Each change of the state is checked against the permitted changes, then journaled, then announced."""
+"""State of a run. Each change of the state is checked against the permitted changes, then written to the journal, then
+announced to the caller of the run.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from agent.execution.states import FINAL, RunState, may_follow
 
 @dataclass(frozen=True)
 class Announcement:
-    """Message from a run to its caller. `kind` is ``state``, ``progress`` or ``note``."""
+    """Message from a run to its caller. `kind` is ``state``, ``progress`` or ``note``, `text` is the message in words,
+    and `data` contains its values by name.
+    """
 
     kind: str
     text: str
@@ -24,7 +28,9 @@ Listener = Callable[[Announcement], None]
 
 
 class RunStateTracker:
-    """State of one run. The methods journal and announce every change of the state."""
+    """State of one run. The methods write every change of the state to the journal and announce it to the caller of the
+    run.
+    """
 
     def __init__(self, journal: RunJournal, listener: Listener, replayed: deque[RunState] | None = None) -> None:
         """`replayed` contains the recorded states of a resumed run; they are not announced when the replay enters them
@@ -39,7 +45,7 @@ class RunStateTracker:
     def enter(self, state: RunState, reason: str = "") -> None:
         """Change the state of the run to `state`.
 
-        Raises ValueError if the table of states does not permit the change; this would be a defect of the agent.
+        Raises ValueError if this change is not among the permitted changes; this would be a defect of the agent.
         """
         if not may_follow(self.state, state):
             raise ValueError(f"no change from {self.state.value} to {state.value}")
@@ -51,7 +57,9 @@ class RunStateTracker:
         self._announce(reason)
 
     def announce_again(self) -> None:
-        """Announce the current state of a resumed run if the replay entered this state without announcing it."""
+        """Announce the current state of a resumed run if it has not been announced yet. A resumed run first replays its
+        recorded procedure, and the states entered during the replay are not announced.
+        """
         if self._silent:
             self._announce("resumed")
 
@@ -63,7 +71,9 @@ class RunStateTracker:
             self._listener(Announcement("state", reason or state.value, {"state": state.value}))
 
     def hold(self) -> None:
-        """Enter the state HELD if the table of states permits it; otherwise the state does not change."""
+        """Change to the state HELD if this change is permitted from the current state; otherwise the state does not
+        change.
+        """
         if may_follow(self.state, RunState.HELD):
             self._held_in = self.state
             self.enter(RunState.HELD)
@@ -74,19 +84,19 @@ class RunStateTracker:
             self.enter(self._held_in)
 
     def note(self, text: str, **data: object) -> None:
-        """Write a note to the journal and announce it. The state does not change."""
+        """Write a note to the journal and announce it to the caller of the run. The state does not change."""
         try:
             self._journal.event("note", {"text": text, **data})
         finally:
             self._listener(Announcement("note", text, data))
 
     def announce_note(self, text: str) -> None:
-        """Announce a note without journaling it.
+        """Announce the note `text` to the caller of the run without writing it to the journal.
 
-        The note is already in the journal, because it is part of a record of the plan.
+        The note is already in the journal, because it is part of a record that the plan has written there.
         """
         self._listener(Announcement("note", text, {}))
 
     def progress(self, text: str, **data: object) -> None:
-        """Announce the progress of the run without writing it to the journal."""
+        """Announce the progress of the run to its caller without writing it to the journal."""
         self._listener(Announcement("progress", text, data))

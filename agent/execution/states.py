@@ -1,6 +1,7 @@
 """States of a run, and the permitted changes from one state to another.
 
-For panels and gateways, each state also has a PackML name (ISA-TR88.00.02).
+For operator panels and gateways to other systems, each state also has its name in the standard state model PackML
+(ISA-TR88.00.02).
 """
 
 from __future__ import annotations
@@ -69,8 +70,8 @@ FINAL = frozenset({S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED})
 def may_follow(now: RunState, after: RunState) -> bool:
     """Return True if a run may change from the state `now` to the state `after`.
 
-    The change is permitted if `FORWARD` lists it. A change to ABORTING or FAULTED is permitted from every state that is
-    not final.
+    The change is permitted if the mapping `FORWARD` lists `after` among the states that may follow `now`. A change to
+    ABORTING or FAULTED is permitted from every state that is not final.
     """
     if now in FINAL:
         return False

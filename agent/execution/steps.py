@@ -1,8 +1,9 @@
-"""Steps that a plan can yield. A step is a frozen value with a key; the engine carries it out.
+"""Steps that a plan can yield. A step is an immutable value that asks for one action and has a key; the engine carries
+it out.
 
-The key names the point in the procedure (``station-1/az090-el045/ball-03/touch-2``) and is unique in a run. A plan that
-is rebuilt from the same settings and the same results has the same keys. A resumed run can therefore find its recorded
-steps by their keys.
+The key names the place of the step in the procedure (``station-1/az090-el045/ball-03/touch-2``) and is unique in a run.
+A plan that is rebuilt from the same settings and the same results has the same keys. A resumed run can therefore find
+its recorded steps by their keys.
 
 Positions are axis positions in mm as the controller displays them. They are plain tuples, which can be written to the
 journal unchanged.
@@ -21,9 +22,9 @@ Point: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MoveTo:
-    """Straight move of the axes to `target_mm`. If no feed is given, the move is a rapid move.
+    """Step: straight move of the axes to the axis positions `target_mm`. If no feed is given, the move is a rapid move.
 
-    A guarded move stops if the probe trips. Every move near the artefact is guarded.
+    A guarded move (`guarded` is True) stops if the probe trips. Every move near the artefact is guarded.
     """
 
     key: str
@@ -34,10 +35,11 @@ class MoveTo:
 
 @dataclass(frozen=True, slots=True)
 class Retrace:
-    """Guarded move that repeats the end of an earlier step. `of` is the key of the earlier step.
+    """Step: move to the axis positions `target_mm` that repeats the end of an earlier step. `of` is the key of the
+    earlier step. The move stops if the probe trips.
 
-    The move approaches `target_mm` from the same side as the earlier step, and therefore takes up the play of the axes
-    in the same direction.
+    The move approaches `target_mm` from the same side as the earlier step, and therefore takes up the play (backlash)
+    of the axes in the same direction.
     """
 
     key: str
@@ -48,9 +50,10 @@ class Retrace:
 
 @dataclass(frozen=True, slots=True)
 class TouchTowards:
-    """Probing move towards `target_mm`.
+    """Step: probing move towards the axis positions `target_mm`.
 
-    The result is a `Touch` if the probe trips on the way, and otherwise a `Miss`.
+    The result is a `Touch` (the axis positions latched at the trip) if the probe trips on the way, and otherwise a
+    `Miss`.
     """
 
     key: str
@@ -66,7 +69,7 @@ class HomeMount:
 
 @dataclass(frozen=True, slots=True)
 class OrientTo:
-    """Turn of the mount at `station` to the given angles.
+    """Step: turn of the rotary mount at `station` to the given azimuth and elevation.
 
     The result is the `Orientation` that the encoders of the mount report.
     """
@@ -79,14 +82,14 @@ class OrientTo:
 
 @dataclass(frozen=True, slots=True)
 class ReadTemperatures:
-    """Reading of all temperature sensors. The result maps sensor names to temperatures in °C."""
+    """Step: reading of all temperature sensors. The result maps sensor names to temperatures in °C."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class ReadClock:
-    """Reading of the clock of the run. The result is the machine time in s.
+    """Step: reading of the clock of the run. The result is the machine time in s.
 
     In a resumed run, the time continues as if the run had not been interrupted.
     """
@@ -96,35 +99,39 @@ class ReadClock:
 
 @dataclass(frozen=True, slots=True)
 class ReadPosition:
-    """Reading of the axis positions. The result is a `Point`; nothing moves."""
+    """Step: reading of the axis positions. The result is a `Point`, the tuple (x, y, z) in mm; nothing moves."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class CheckPermissions:
-    """Check of the permissions. It raises PermissionMissing if the controller does not permit motion."""
+    """Step: check of the permissions that the machine must grant before it may move. The step raises PermissionMissing
+    if one is missing or the controller is in a fault.
+    """
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class ResetFault:
-    """Reset of a controller fault whose cause no longer exists. Nothing moves."""
+    """Step: reset of a controller fault whose cause no longer exists. Nothing moves."""
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class CheckProbe:
-    """Check of the probe. It raises MeasurementFault if the probe is not loaded, is not healthy, or is deflected."""
+    """Step: check of the touch probe. The step raises MeasurementFault if the probe is not loaded, is not healthy, or
+    is deflected.
+    """
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class AskOperator:
-    """Question to the operator. The step raises Aborted if the answer is no."""
+    """Step: yes-or-no question to the operator. The step raises Aborted if the answer is no."""
 
     key: str
     request: OperatorRequest
@@ -138,7 +145,8 @@ class Dwell:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Conclusion that the plan has reached and passes to the journal and the observers. Nothing moves.
+    """Step: passing of a conclusion of the plan, such as a measured ball centre, to the journal and to the observer of
+    the engine. Nothing moves.
 
     `kind` is one of the journal's record kinds ``ball``, ``event`` and ``decision``.
     """
@@ -150,14 +158,16 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class ReadActiveBank:
-    """Reading of the number of the active bank. The result is an int."""
+    """Step: reading of the number of the active bank, the controller's table memory whose compensation table is in use.
+    The result is an int; 0 means no compensation.
+    """
 
     key: str
 
 
 @dataclass(frozen=True, slots=True)
 class AwaitActive:
-    """Check of the activation of `bank`.
+    """Step: check that `bank`, a table memory of the controller, has become active.
 
     The step raises NotActiveYet if the controller has accepted the request to activate the bank but has not yet
     activated it.
@@ -169,7 +179,9 @@ class AwaitActive:
 
 @dataclass(frozen=True, slots=True)
 class ReadTable:
-    """Reading of the table in `bank`. The result is a `TableImage`, or None if the bank is empty."""
+    """Step: reading of the compensation table in `bank`, a table memory of the controller. The result is a `TableImage`
+    (the grid and its corrections), or None if the bank is empty.
+    """
 
     key: str
     bank: int

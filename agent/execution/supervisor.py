@@ -1,7 +1,7 @@
 """Requests to hold or abort a run. Any thread may make a request.
 
-A request takes effect on the thread of the run, either during a wait of the clock or in a computation that checks for
-requests.
+A request takes effect on the thread of the run, either while this thread waits on the clock or in a computation that
+checks for requests.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ class Supervisor:
     """Receiver of requests to hold, resume or end a run. Any thread may make a request; the thread of the run responds
     to it.
 
-    An `InterruptibleClock` calls `check` during its waits. `on_hold` starts the machine's feed hold, and `on_resume`
-    ends it. Both are called on the thread of the run, between two waits of a driver and never during a transaction.
+    The clock of the run (an `InterruptibleClock`) calls the method `check` during its waits. The callback `on_hold`
+    starts the machine's feed hold, and `on_resume` ends it. Both are called on the thread of the run, between two waits
+    of a driver and never during a transaction.
 
-    `heartbeat` is called at every check and repeatedly during a hold. From these calls, a watchdog can see that the
-    thread of the run does not hang.
+    The callback `heartbeat` is called at every check and repeatedly during a hold. From these calls, a watchdog can see
+    that the thread of the run does not hang.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -67,8 +68,8 @@ class Supervisor:
         """Raise `Aborted` or `Interrupted` if the end of the run has been requested. If a hold has been requested, wait
         until the run is resumed.
 
-        Requests are ignored if the supervisor is shielded, or if this method is called during a hold. The heartbeat is
-        called in every case.
+        Requests are ignored after a call of `shield`, or if this method is called during a hold. The callback
+        `heartbeat` is called in every case.
         """
         self.heartbeat()
         if self._shielded or self._holding:
@@ -81,7 +82,7 @@ class Supervisor:
         """Raise `Aborted` or `Interrupted` if the end of the run has been requested, and ignore a request to hold.
 
         Computations call this method, because the machine does not move during a computation and need not be held.
-        Requests are ignored if the supervisor is shielded.
+        Requests are ignored after a call of `shield`.
         """
         self.heartbeat()
         if not self._shielded:

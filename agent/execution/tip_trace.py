@@ -1,4 +1,4 @@
-"""Record of the last motion of the tip. It determines how the probe is withdrawn after a fault."""
+"""Record of the last motion of the stylus tip. It determines how the probe is withdrawn after a fault."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOUCH_LINE_TOLERANCE_MM = 2.0
 
 @dataclass
 class LastMotion:
-    """Record of the last motion, in axis positions in mm.
+    """Record of the last motion of the stylus tip, in axis positions in mm.
 
     The caller calls `begin` when a motion begins, and `end` only if the motion ended as intended.
     """
@@ -48,8 +48,8 @@ class LastMotion:
         After a touch, the result is the position at the start of the touch. This is also the result if the motion away
         from the surface was interrupted, because a move back along the path of that motion would lead onto the surface.
 
-        After any other interrupted motion, the result is a point on the path, at most `WITHDRAWAL_MM` back from `here`.
-        If the stylus cannot be touching anything, the result is `here`.
+        After any other interrupted motion, the result is a point on the path of this motion, at most `WITHDRAWAL_MM` (3
+        mm) back from `here`. If the stylus cannot be touching anything, the result is `here`.
         """
         if self._touch is not None:
             start, target = (np.array(end) for end in self._touch)

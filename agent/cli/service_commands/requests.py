@@ -1,6 +1,6 @@
 """Commands `volcal hold`, `volcal abort`, `volcal reset` and `volcal answer`.
 
-Each command sends one request to the service.
+Each command sends one request to the service, the process that owns the machine.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def answer_command(number: int, said: str, config: Path) -> None:
 
 
 def resumed_by_service(settings: Settings) -> bool:
-    """Request the service to resume the held or interrupted run.
+    """Request the service to resume the run that is held or was interrupted.
 
     Return True if the request was sent, and False if no service is running.
     """

@@ -1,4 +1,6 @@
-"""Command `volcal serve`, which runs the service process. It is started by systemd or in a terminal."""
+"""Command `volcal serve`, which runs the service, the process that owns the machine. The command is started by systemd
+or in a terminal.
+"""
 
 from __future__ import annotations
 

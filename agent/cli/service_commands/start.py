@@ -1,4 +1,6 @@
-"""Command `volcal start`, which requests the service to start a run. The systemd timer runs the same command."""
+"""Command `volcal start`, which requests the service (the process of `volcal serve`) to start a run. A systemd timer
+runs the same command.
+"""
 
 from __future__ import annotations
 
@@ -71,10 +73,11 @@ def start_command(
 
 
 def begun(client: Client, body: Mapping[str, object]) -> str:
-    """Request the service to start the run described by `body`, and return the identity of the run.
+    """Request the service to start the run described by `body`, the fields of the request. Return the identity of the
+    run.
 
-    Exit with the code DECLINED if the service refuses the start because of the time of day, the warm-up, a missing
-    permission or another run.
+    End the program with the exit code DECLINED (6) if the service refuses the start because of the time of day, the
+    warm-up, a missing permission or another run.
     """
     try:
         return str(client.post("/api/start", body)["run_id"])
@@ -84,9 +87,9 @@ def begun(client: Client, body: Mapping[str, object]) -> str:
 
 
 def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
-    """Wait for the end of the run `run_id` and return its status after the end.
+    """Wait for the end of the run `run_id` and return the status of the run as the service then reports it.
 
-    If the service cannot be reached, try again for at most GONE_FOR_S seconds, then raise LinkError.
+    If the service cannot be reached, try again for at most GONE_FOR_S (90) seconds, then raise LinkError.
     """
     console = Console(stderr=True)
     said = ""
@@ -101,9 +104,10 @@ def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
 
 
 def conclude(client: Client, status: Mapping[str, Any]) -> None:
-    """Return without a value if the run is complete and any table that it wrote was verified.
+    """Return without a value if the run that `status` describes is complete and any compensation table that it wrote
+    was verified.
 
-    Otherwise, print the error and exit with the exit code of the error.
+    Otherwise, print the error that describes the outcome, and end the program with the exit code of this error.
     """
     state = RunState(status["state"])
     if status["alarms"]:

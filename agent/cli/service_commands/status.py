@@ -1,4 +1,6 @@
-"""Command `volcal status`, which shows the current state of the machine and of its run."""
+"""Command `volcal status`, which shows the current state of the machine and of the run in progress, as the service
+reports it.
+"""
 
 from __future__ import annotations
 
