@@ -28,12 +28,12 @@ _HALF_BALL_PITCH_MM = 75.0
 class Anchor:
     """Anchor of a compensation table: six constraints on its corrections.
 
-    The measurement of an artefact in unknown poses cannot reveal a rigid motion of the whole workspace. The six
-    constraints determine this rigid motion. At the axis position `point_mm` (3,), the three components of the
-    correction are zero (three constraints). On the line through this point along the `primary` axis, the straight line
-    fitted to the corrections has zero slope in both perpendicular directions (two constraints). On the line through the
-    point along the `secondary` axis, the straight line fitted to the corrections has zero slope in the direction
-    perpendicular to both axes (one constraint).
+    The measurement of an artefact (calibrated body with balls) in unknown poses cannot reveal a rigid motion of the
+    whole workspace. The six constraints determine this rigid motion. At the axis position `point_mm` (3,), the three
+    components of the correction are zero (three constraints). On the line through this point along the `primary` axis,
+    the straight line fitted to the corrections has zero slope in both perpendicular directions (two constraints). On
+    the line through the point along the `secondary` axis, the straight line fitted to the corrections has zero slope in
+    the direction perpendicular to both axes (one constraint).
     """
 
     point_mm: Array
@@ -55,8 +55,10 @@ class CompensationTable:
 
     `x`, `y` and `z` contain the node positions of the three axes in mm. `corrections` (nx, ny, nz, 3) contains the
     corrections in mm, which are ADDED to the commanded axis position. The table is valid only for the tool offset
-    `tool_offset` (3,) in mm. `extrapolated` (nx, ny, nz) is True for nodes outside the measured region. Raises
-    DataError if an array has the wrong shape, if node positions are not in ascending order or if a value is not finite.
+    `tool_offset` (3,) in mm (vector from the reference point of the ram to the stylus centre). `anchor` contains the
+    six constraints that fix the rigid motion contained in the corrections. `extrapolated` (nx, ny, nz) is True for
+    nodes outside the region in which the machine was measured. Raises DataError if an array has the wrong shape, if
+    node positions are not in ascending order or if a value is not finite.
     """
 
     x: Array
@@ -113,7 +115,7 @@ class MeasuredRegion:
         """Return the region around measured axis positions (n, 3) in mm.
 
         The region is the convex hull of the axis positions or, if they are coplanar, their bounding box. Axis positions
-        up to `margin_mm` beyond its walls also count as inside.
+        up to `margin_mm` beyond the walls of the hull or box also count as inside.
         """
         points = as_points(axis_positions, "measured axis positions")
         try:
@@ -131,8 +133,8 @@ class MeasuredRegion:
 
 
 def regular_nodes(ranges_mm: Ranges, step_mm: tuple[float, float, float]) -> Nodes:
-    """Return the node positions of each axis in mm. The nodes are spaced evenly over the axis range, include both ends
-    of the range, and are at most `step_mm` apart."""
+    """Return, for each axis, the node positions in mm of a regular grid. The nodes of an axis are spaced evenly over
+    its range in `ranges_mm`, include both ends of the range, and are at most its value in `step_mm` apart."""
     nodes = []
     for axis, (low, high), step in zip(AXES, ranges_mm, step_mm, strict=True):
         if not step > 0.0:
@@ -151,11 +153,12 @@ def build_table(
     anchor: Anchor,
     measured: MeasuredRegion | ArrayLike,
 ) -> CompensationTable:
-    """Build the compensation table of a model with the parameters (p,) for a tool offset (3,) in mm.
+    """Build the compensation table of an error model with the values `parameters` (p,) of its p parameters for a tool
+    offset (3,) in mm.
 
-    At every node X, the correction c and the deviation d of the model satisfy c(X) + d(X + c(X)) = r(X) to 1e-12 mm.
-    Here r is the small rigid motion that the anchor determines. The compensated model therefore deviates from its
-    nominal positions only by r.
+    At every node X of the grid `nodes`, the correction c and the deviation d of the model satisfy c(X) + d(X + c(X)) =
+    r(X) to 1e-12 mm. Here r is the small rigid motion that `anchor` determines. The compensated model therefore
+    deviates from its nominal positions only by r.
 
     Let two tables be built from the same estimate with different anchors. The two compensated machines then differ only
     by a small rigid motion that is linear in its rotation angle φ. A true rotation differs from this linear motion by

@@ -2,8 +2,9 @@
 
 The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and one row for each node of the grid. In the sequence
 of rows, z varies fastest and x slowest. The corrections in the last three columns are ADDED to the commanded position.
-The side file contains the grid, the tool offset, the anchor, the extrapolated nodes, and the CRC-32 checksum (IEEE
-802.3, as in zlib) of the bytes of the CSV file.
+The side file contains the grid, the tool offset, the anchor (axis positions at which the correction is zero, with two
+directions that fix its rotation), the nodes outside the measured region, and the CRC-32 checksum (IEEE 802.3, as in
+zlib) of the bytes of the CSV file.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ class GridSection(StrictModel):
 class SideFile(StrictModel):
     """JSON side file of a compensation table.
 
-    `extrapolated_nodes` contains the indices of the nodes outside the measured region. Nodes are counted from 0 in the
-    order of the CSV rows.
+    `extrapolated_nodes` contains the indices of the nodes outside the region in which the machine was measured. Nodes
+    are counted from 0 in the order of the rows of the table's CSV file.
     """
 
     format: Literal["volcal compensation table 1"]
@@ -97,8 +98,8 @@ def checksum(text: str) -> str:
 def parse_table(text: str, side_text: str, source: str, side_source: str) -> CompensationTable:
     """Parse a table from the texts of its CSV file and its side file.
 
-    The CRC-32 checksum is compared before the CSV rows are read. Raises FormatError, which names the file and the row,
-    column or key, if the checksum differs or a text is invalid.
+    The CRC-32 checksum of the CSV text is compared with the checksum in the side file before the CSV rows are read.
+    Raises FormatError, which names the file and the row, column or key, if the checksum differs or a text is invalid.
     """
     side = read_json(side_text, side_source, SideFile)
     found = checksum(text)

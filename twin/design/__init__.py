@@ -1,2 +1,2 @@
-"""Optimal design: choice of positions for the smallest expected error after compensation within the available machine
-time."""
+"""Optimal design of a measurement: choice of the artefact positions to be measured, so that the expected error after
+compensation is smallest within the available machine time."""

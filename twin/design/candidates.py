@@ -1,4 +1,5 @@
-"""Candidate positions, each reduced to the information that it gives about the unknowns shared by all positions."""
+"""Candidate positions of the artefact, each reduced to the information that its measurement gives about the unknowns
+(errors of the machine and of the artefact) shared by all positions."""
 
 from __future__ import annotations
 
@@ -28,12 +29,14 @@ _MIN_INFORMATION = 1e-13  # of the largest information of a position: below it t
 
 @dataclass(frozen=True, eq=False)
 class CandidatePositions:
-    """N candidate positions, sorted by station, azimuth, elevation and tool.
+    """N candidate positions of the artefact, sorted by station (place of the artefact's mount), azimuth, elevation and
+    tool.
 
     `balls` (N,) is the number of measurable balls of each candidate. The vector z contains the P unknowns that all
     positions share. `factors` (N, r, P) contains one matrix W (r, P) for each candidate. The product WᵀW is the
-    information about z that the candidate gives after its pose has been projected out. `precision` (P, P) is the prior
-    precision of z, and `form` is the design criterion.
+    information about z that the candidate gives after its pose (the unknown rigid motion of the artefact) has been
+    eliminated by projection. `precision` (P, P) is the prior precision of z, and `form` is the design criterion: the
+    expected mean square of the error that remains after compensation, as a quadratic form of z.
     """
 
     positions: tuple[Position, ...]
@@ -54,9 +57,11 @@ class CandidatePositions:
         return np.asarray(0.5 * (inverse + inverse.T))
 
     def vce(self, chosen: Sequence[int] | Indices) -> VolumetricRms:
-        """Return the expected volumetric compensated error after the `chosen` candidates have been measured.
+        """Return the expected volumetric compensated error (VCE, the error that remains after compensation) if the
+        `chosen` candidates have been measured.
 
-        If no candidate is chosen, the value is the error expected from the prior alone.
+        The result contains the VCE before and after removal of the best-fitting rigid motion. If no candidate is
+        chosen, it is the VCE expected from the prior alone.
         """
         return self.form.expected(self.covariance(chosen))
 
@@ -65,9 +70,10 @@ def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
     """Return all pairs (azimuth, elevation) in degrees on a grid with the step `step_deg`. Azimuths cover the full
     circle; elevations run from -90° to 90°.
 
-    No two pairs describe the same placement of the artefact. If the bar is rotated by 180° in azimuth and the sign of
-    its elevation is changed, it lies along the same line. Its balls are then on the other side of the mount, because
-    the ball holders make the artefact asymmetric. Raise DataError if 90° is not a multiple of the step.
+    No two pairs describe the same placement of the artefact. If a bar with balls (the artefact) is rotated by 180° in
+    azimuth and the sign of its elevation is changed, it lies along the same line. Its balls are then on the other side
+    of the mount, because the ball holders make the artefact asymmetric. Raise DataError if 90° is not a multiple of the
+    step.
     """
     steps = 90.0 / step_deg if step_deg > 0.0 else 0.0
     if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
@@ -90,12 +96,13 @@ def build_candidates(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> CandidatePositions:
-    """Return the candidates among `positions`. Duplicates and positions with fewer than three measurable balls are
-    omitted.
+    """Return the candidates of a design: the measurable positions among `positions`. Duplicates and positions with
+    fewer than three measurable balls are omitted.
 
-    `grid` (n, 3) in mm and `tool_offset` (3,) in mm define the error field to be minimised. The formulation and the
-    scales in `options` have no effect: the equations are always those of the ball centres, and noise, prior and misfit
-    always have their stated standard deviations. Raise DataError if no position can be measured.
+    `grid` (n, 3) in mm and `tool_offset` (3,) in mm define the error field to be minimised. The entries `formulation`
+    and `estimate_scales` of `options` have no effect: each ball centre always gives three equations, and the noise, the
+    prior and the misfit (errors that the model cannot represent) always have their stated standard deviations. Raise
+    DataError if no position can be measured.
     """
     planned = procedure.plan(sorted(set(positions), key=_order))
     problem = build_problem(family, planned.observations, procedure.artefact, options)

@@ -1,5 +1,5 @@
-"""Design criterion: expected mean square of the error field that remains after compensation. It is a quadratic form of
-the unknowns z that all positions share."""
+"""Design criterion: expected mean square of the error field that remains after compensation. The criterion is a
+quadratic form of the unknowns z that all measured positions of the artefact share."""
 
 from __future__ import annotations
 
@@ -21,13 +21,15 @@ _CROSS_DEGREE = 3
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """Design criterion as two quadratic forms, `raw` and `aligned`, each (P, P) in mm², of the P shared unknowns z.
+    """Design criterion as two quadratic forms, `raw` and `aligned`, each (P, P) in mm², of the P unknowns z that all
+    measured positions share.
 
-    Let the error of z have mean zero and the covariance C. The expected mean square of the error field over a grid is
-    then trace(`raw` · C). The form `aligned` gives the expected mean square after the best-fitting rigid motion has
-    been removed from the field. The unknowns of the certificate and of the thermal strain do not contribute to the
-    field. `unresolved_mm2` is the mean square of the part of the misfit whose wavelength is too short for the modes;
-    this part is the same for every position set.
+    Let the error of z have mean zero and the covariance C. The expected mean square, over a grid, of the error field
+    that remains after compensation is then trace(`raw` · C). The form `aligned` gives the expected mean square after
+    the best-fitting rigid motion has been removed from the field. The unknowns of the certificate and of the thermal
+    strain do not contribute to the field. `unresolved_mm2` is the mean square of the part of the misfit (errors that
+    the error model cannot represent) whose wavelength is too short for the modes that represent the misfit; this part
+    is the same for every position set.
     """
 
     raw: Array
@@ -60,8 +62,9 @@ class Criterion:
         )
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Return the raw and the aligned error in mm if the error of the unknowns z has `covariance` (P, P). Each value
-        is the root of the expected mean square, including the unresolved misfit."""
+        """Return the expected error in mm before (raw) and after (aligned) removal of the best-fitting rigid motion, if
+        the error of the unknowns z has `covariance` (P, P). Each value is the root of the expected mean square of the
+        error field, including `unresolved_mm2`."""
         raw, aligned = (float(np.vdot(form, covariance)) + self.unresolved_mm2 for form in (self.raw, self.aligned))
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 

@@ -1,4 +1,5 @@
-"""Goals of a design: a number of positions, a limit of machine time, or a limit of the volumetric compensated error."""
+"""Goals of a design (choice of the artefact positions to be measured): a number of positions, a limit of machine time,
+or a limit of the volumetric compensated error, which remains after compensation."""
 
 from __future__ import annotations
 
@@ -18,8 +19,8 @@ MIN_POSITIONS = 2
 
 @dataclass(frozen=True)
 class PositionCountGoal:
-    """Goal of selecting `count` positions, whatever machine time they take. Raises DataError if `count` is less than
-    two."""
+    """Goal of selecting `count` positions of the artefact, whatever machine time they take. Raises DataError if `count`
+    is less than two."""
 
     count: int
 
@@ -32,8 +33,8 @@ class PositionCountGoal:
             )
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the selected candidates. Raise DataError if fewer than `count` candidates can be
-        measured."""
+        """Return the indices of the candidate positions selected by `search`. Raise DataError if fewer than `count`
+        candidates can be measured."""
         if self.count > search.candidates.count:
             raise _too_few(search.candidates.count, self.count)
         room = _count_limit(self.count, search.candidates.count)
@@ -45,14 +46,15 @@ class PositionCountGoal:
 
 @dataclass(frozen=True)
 class TimeSlotGoal:
-    """Goal of reaching the smallest expected VCE within `minutes` of machine time."""
+    """Goal of reaching the smallest expected volumetric compensated error (VCE) within `minutes` of machine time."""
 
     minutes: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the selected candidates.
+        """Return the indices of the candidate positions selected by `search`.
 
-        Raise DataError if `minutes` is too short for any two positions. The message states the shortest possible time.
+        Raise DataError if `minutes` is too short for any two positions. The message states the shortest time in which
+        two positions can be measured.
         """
         shortest = search.costs.cheapest_pairs()
         if self.minutes < shortest.min():
@@ -73,16 +75,16 @@ class TimeSlotGoal:
 
 @dataclass(frozen=True)
 class TargetErrorGoal:
-    """Goal of reaching an expected VCE of at most `vce_mm` in the shortest machine time. The VCE is taken after the
-    best-fitting rigid motion has been removed."""
+    """Goal of reaching an expected volumetric compensated error (VCE) of at most `vce_mm` in the shortest machine time.
+    The VCE is taken after the best-fitting rigid motion has been removed."""
 
     vce_mm: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Return the indices of the selected candidates.
+        """Return the indices of the candidate positions selected by `search`.
 
-        Raise DataError if even all candidates together do not reach the target. The message states the smallest
-        possible VCE.
+        Raise DataError if even all candidates together do not reach an expected volumetric compensated error (VCE) of
+        `vce_mm`. The message states the smallest possible VCE.
         """
         candidates = search.candidates
         wanted = self.vce_mm**2 - candidates.form.unresolved_mm2

@@ -1,10 +1,12 @@
-"""Selection of held-out positions for the verification: positions whose measurement would improve the estimate most.
+"""Selection of held-out positions of the artefact: positions that are measured to verify the estimate of the machine's
+errors, but are not used for it. Positions whose measurement would improve the estimate most are selected.
 
-A verification must be able to reveal a wrong estimate. Assume that a position set leaves a part of the error field
-uncertain and that this part matters for the volumetric error. A wrong estimate then shows most clearly at the position
-whose measurement would lower the expected VCE² most. Held-out positions are therefore selected by the same criterion as
-the position set itself. The gain of a group of positions is computed as if all positions selected before had been
-measured, including the groups already held out. Two groups therefore do not test the same error.
+A verification must be able to reveal a wrong estimate. Assume that the positions used for the estimate (the position
+set) leave a part of the error field uncertain and that this part matters for the volumetric error. A wrong estimate
+then shows most clearly at the position whose measurement would lower the expected square of the volumetric compensated
+error most. Held-out positions are therefore selected by the same criterion as the position set itself. The gain of a
+group of positions is computed as if all positions selected before had been measured, including the groups already held
+out. Two groups therefore do not test the same error.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ from twin.errors import DataError
 def most_informative_groups(
     candidates: CandidatePositions, chosen: Sequence[int], groups: Sequence[Sequence[int]], count: int
 ) -> list[list[int]]:
-    """Return the `count` groups among `groups` whose measurement would improve the estimate most. The groups are
-    selected one after another.
+    """Return the `count` groups among `groups` whose measurement would improve the estimate of the machine's errors
+    most. The groups are selected one after another.
 
     A group contains the indices of candidates that are measured together, such as one orientation at all stations. A
     group is skipped if it contains a candidate of the position set `chosen`. Raise DataError if fewer than `count`

@@ -1,13 +1,14 @@
-"""Identifiability of a machine by a planned set-up, and the part of the error field that remains hidden from this
-set-up.
+"""Identifiability of the error parameters of a machine by a planned set-up (tools, artefact and positions), and the
+part of the machine's error field that remains hidden from this set-up.
 
-The vector z contains the p parameters in units of their prior standard deviations. A priori, z has mean zero and the
-unit matrix as covariance. Let C (p, p) be the posterior covariance of z, marginal over certificate, thermal strain and
-misfit. For a machine with the parameters z, the mean of the estimate over all noise is (1 - C) z. The remaining part C
-z is missing from the estimate, either because the measurements do not depend on this part or because noise hides it.
-The part of z in the null space of the measurements remains missing, no matter how often the measurements are repeated.
-Let the columns of a matrix N be an orthonormal basis of this null space. The first missing part causes the unseen
-field, and the second causes the blind field. Over machines drawn from the prior, the two parts have these covariances:
+The vector z contains the p parameters of the error model in units of their prior standard deviations. A priori, z has
+mean zero and the unit matrix as covariance. Let C (p, p) be the posterior covariance of z, including the uncertainty
+due to the artefact certificate, the thermal strain and the misfit (errors that the model cannot represent). For a
+machine with the parameters z, the mean of the estimate over all noise is (1 - C) z. The remaining part C z is missing
+from the estimate, either because the measurements do not depend on this part or because noise hides it. The part of z
+in the null space of the measurements remains missing, no matter how often the measurements are repeated. Let the
+columns of a matrix N be an orthonormal basis of this null space. The missing part C z causes the unseen field, and the
+part in the null space causes the blind field. Over machines drawn from the prior, the two parts have these covariances:
 
     unseen field   covariance C C,     tends to the blind field as the noise tends to zero
     blind field    covariance N Nᵀ
@@ -34,8 +35,8 @@ from twin.machine.volumetric import QuadraticForm
 class EvaluatedTool:
     """Tool for which the error field over a grid is evaluated.
 
-    `form` is the quadratic form that gives the mean square of the error field for this tool. `measured` is True if the
-    position set is measured with this tool.
+    `form` is the quadratic form of the model parameters that gives the mean square of the error field for this tool.
+    `measured` is True if the position set is measured with this tool.
     """
 
     name: str
@@ -49,9 +50,10 @@ class UnseenField:
     removed.
 
     `tool_offset` (3,) is the offset of the tool in mm; `measured` is True if the position set is measured with this
-    tool. `prior_mm` is the rms of the error field of the family of machines without compensation. `unseen_mm` is the
-    rms of the part of the field that is missing from the estimate. `blind_mm` is the rms of the part of the field that
-    no repetition of the measurements can reveal.
+    tool. `prior_mm` is the rms of the error field, without compensation, of machines drawn from the prior population
+    (the family). `unseen_mm` is the rms of the part of the field that is missing from the estimate of the machine's
+    errors, because the measurements do not show it or because noise hides it. `blind_mm` is the rms of the part of the
+    field that no repetition of the measurements can reveal.
     """
 
     tool: str
@@ -64,11 +66,13 @@ class UnseenField:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Identifiability of the p parameters by a set-up.
+    """Identifiability of the p parameters of an error model by a measuring set-up.
 
-    `rank`, `null_directions` and `conditioning` describe the measurements alone, without the prior. `prior_sigma` (p,)
-    and `posterior_sigma` (p,) are the standard deviations of the parameters, in mm or rad, before and after the
-    measurement. `fields` contains the unseen field of each evaluated tool.
+    `rank`, `null_directions` and `conditioning` describe the measurements alone, without the prior: the number of
+    parameter combinations that they determine, the combinations that they do not determine, and the ratio of the
+    largest to the smallest singular value of the determined ones. `prior_sigma` (p,) and `posterior_sigma` (p,) are the
+    standard deviations of the parameters, in mm or rad, before and after the measurement. `fields` contains, for each
+    evaluated tool, the rms of the error field that remains hidden.
     """
 
     model: ErrorModel
@@ -81,26 +85,31 @@ class Identifiability:
 
     @property
     def null_summary(self) -> tuple[str, ...]:
-        """Description of the null directions, with one line for each kind of null direction."""
+        """Description of the null directions (parameter combinations that the measurements do not determine), with one
+        line for each kind of null direction."""
         return summary(self.null_directions)
 
     @property
     def unseen_mm(self) -> float:
-        """Rms of the unseen field over the workspace and the evaluated tools, in mm."""
+        """Rms in mm, over the workspace and the evaluated tools, of the part of the error field that is missing from
+        the estimate (the unseen field)."""
         return float(np.sqrt(np.mean([at.unseen_mm**2 for at in self.fields])))
 
     @property
     def blind_mm(self) -> float:
-        """Rms of the blind field over the workspace and the evaluated tools, in mm."""
+        """Rms in mm, over the workspace and the evaluated tools, of the part of the error field that no repetition of
+        the measurements can reveal (the blind field)."""
         return float(np.sqrt(np.mean([at.blind_mm**2 for at in self.fields])))
 
 
 def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedTool]) -> Identifiability:
     """Return the identifiability of the parameters by the measurements from which `estimate` was computed. The result
-    depends on the axis positions at which balls were measured, but not on the measured errors.
+    depends on the axis positions at which balls were measured, but not on the measured errors. The error fields are
+    evaluated for the tools in `viewpoints`.
 
-    The result is valid only if the estimate has full weights and the family as prior. Only then is the covariance of
-    the estimate the posterior covariance.
+    The result is valid only if the observations in the estimate are weighted by their covariances (full weights) and
+    the prior is the prior population of machines (the family). Only then is the covariance of the estimate the
+    posterior covariance.
     """
     return Identifiability(
         model=estimate.model,
@@ -114,8 +123,9 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
 
 
 def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
-    """Return the covariance (p, p), in mm and rad, of the part of the parameters that is missing from the estimate. The
-    covariance is taken over random machines of the family.
+    """Return the covariance (p, p), in mm and rad, of the part of the parameters that is missing from the estimate,
+    because the measurements do not show it or because noise hides it. The covariance is taken over random machines of
+    the prior population (the family).
 
     `covariance` (p, p) is the posterior covariance of the parameters. If C is this covariance in units of `prior_scale`
     (p,), the result in the same units is the product C C. A parameter that the family holds at zero does not
@@ -129,7 +139,7 @@ def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
 
 def blind_covariance(information: Array, prior_scale: Array) -> Array:
     """Return the covariance (p, p), in mm and rad, of the part of the parameters that lies in the null space of the
-    measurements. The covariance is taken over random machines of the family.
+    measurements. The covariance is taken over random machines of the prior population (the family).
 
     `information` (p, p) is the information matrix of the measurements for parameters in units of `prior_scale` (p,).
     """

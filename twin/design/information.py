@@ -1,7 +1,9 @@
-"""Information after some positions have been measured, and the gain of each further position.
+"""Information about the unknowns of an identification after some positions of the artefact have been measured, and the
+gain (decrease of the expected error) of each further position.
 
-Let C be the covariance of the unknowns, Q the quadratic form of the design criterion, and W the information factor of a
-position (WᵀW is the information that the position gives). Measuring this position lowers trace(Q C) by
+Let C be the covariance of the unknowns, Q the quadratic form of the design criterion (trace(Q C) is the expected mean
+square error after compensation), and W the information factor of a position (WᵀW is the information that the position
+gives). Measuring this position lowers trace(Q C) by
 
     trace((1 + W C Wᵀ)⁻¹ W C Q C Wᵀ)
 
@@ -23,14 +25,14 @@ from twin.design.candidates import Indices
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """Covariance of the unknowns after a selection of positions has been measured, and the quantities from which the
-    gain of each candidate follows.
+    """Covariance of the P unknowns of an identification after a selection of positions has been measured, and the
+    quantities from which the gain (decrease of the expected error) of each candidate position follows.
 
-    `factors` (n, r, P) contains the information factor W of each of the n candidates considered; WᵀW is the information
-    that the candidate gives. `form` (P, P) is the quadratic form Q of the design criterion in mm², and `covariance` (P,
-    P) is the covariance C of the unknowns. `spread` (n, r, r) contains the matrix W C Wᵀ of each candidate, and
-    `weight` (n, r, r) contains the matrix W C Q C Wᵀ of each candidate. `value` is trace(Q C), the expected mean square
-    error in mm².
+    `factors` (n, r, P) contains the information factor W (r, P) of each of the n candidates considered; WᵀW is the
+    information that the candidate gives. `form` (P, P) is the quadratic form Q of the design criterion in mm², and
+    `covariance` (P, P) is the covariance C of the unknowns. `spread` (n, r, r) contains the matrix W C Wᵀ of each
+    candidate, and `weight` (n, r, r) contains the matrix W C Q C Wᵀ of each candidate. `value` is trace(Q C), the
+    expected mean square error after compensation in mm².
     """
 
     factors: Array
@@ -53,29 +55,29 @@ class InformationState:
         )
 
     def restricted_to(self, candidates: Indices) -> InformationState:
-        """Return the same state for a subset of the candidates."""
+        """Return the same state for a subset of the candidates, given by their indices."""
         return replace(
             self, factors=self.factors[candidates], spread=self.spread[candidates], weight=self.weight[candidates]
         )
 
     def gains(self) -> Array:
-        """Return the gain (n,) in mm² of each candidate: the decrease of `value` if the candidate is measured one more
-        time."""
+        """Return the gain (n,) in mm² of each candidate: the decrease of `value` (expected mean square error) if the
+        candidate is measured one more time."""
         return _ratios(np.eye(self.spread.shape[1]) + self.spread, self.weight)
 
     def losses(self, measured: Indices) -> Array:
-        """Return the loss (m,) in mm² of each of the m `measured` candidates: the increase of `value` if one
-        measurement of the candidate is removed."""
+        """Return the loss (m,) in mm² of each of the m `measured` candidates: the increase of `value` (expected mean
+        square error) if one measurement of the candidate is removed."""
         return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
 
     def after_adding(self, factor: Array) -> InformationState:
-        """Return the state after one more position has been measured. The information factor of this position is
-        `factor` (r, P)."""
+        """Return the state after one more position has been measured. The information that this position gives about
+        the P unknowns is WᵀW, where W is the matrix `factor` (r, P)."""
         return self._changed(factor, -1.0)
 
     def after_removing(self, factor: Array) -> InformationState:
-        """Return the state after a measured position has been removed. The information factor of this position is
-        `factor` (r, P)."""
+        """Return the state after a measured position has been removed. The information that this position gives about
+        the P unknowns is WᵀW, where W is the matrix `factor` (r, P)."""
         return self._changed(factor, 1.0)
 
     def _changed(self, factor: Array, sign: float) -> InformationState:

@@ -23,10 +23,11 @@ AS_STATED = Options(estimate_scales=False, outliers="none")
 
 @dataclass(frozen=True, eq=False)
 class SetUp:
-    """Planned measurement of a machine.
+    """Planned measurement of a machine. `procedure` contains the tools and the location of the artefact for each tool,
+    and `family` is the prior population of machines.
 
     Each position in `positions` names its tool. If the name is None, the position is measured with the first tool of
-    the procedure.
+    `procedure`.
     """
 
     model: ErrorModel
@@ -41,8 +42,8 @@ class SetUp:
 
     @property
     def tool_axis(self) -> int:
-        """Index of the machine axis along which the offset of the first tool is largest. If this offset is zero, the
-        result is the index of the axis that carries the tool."""
+        """Index of the machine axis along which the offset of the first tool of the set-up is largest. If this offset
+        is zero, the result is the index of the axis that carries the tool."""
         offset = np.abs(self.procedure.layout().tool_offset_mm)
         if offset.any():
             return int(offset.argmax())
@@ -56,12 +57,13 @@ class SetUp:
         """Return the estimate that would follow from the planned ball centres on a machine without errors. Its
         covariance predicts the covariance of the estimate from the real measurement.
 
-        Raise DataError if no position can be measured, and SingularSet if the position set determines nothing.
+        Raise DataError if no position can be measured, and SingularSet if the measurements do not determine the
+        parameters.
         """
         return identify(self.model, self.plan().observations, self.procedure.artefact, self.family, self.options)
 
     def first_positions(self) -> tuple[Position, ...]:
-        """Return the positions measured with the first tool."""
+        """Return the positions measured with the first tool of the set-up."""
         return tuple(p for p in self.positions if p.tool in (None, self.first_tool))
 
     def with_positions(self, positions: Iterable[Position]) -> SetUp:
@@ -69,16 +71,18 @@ class SetUp:
         return replace(self, positions=(*self.positions, *positions))
 
     def with_tool(self, name: str, tool_offset: Array) -> SetUp:
-        """Return a set-up that has a further tool called `name` and measures the positions of the first tool again with
-        this tool. The measuring layout of the further tool is planned for its offset `tool_offset` (3,) in mm."""
+        """Return a set-up that has a further tool called `name` and measures the positions of its first tool again with
+        this further tool. The measuring layout (artefact locations and probe dimensions) of the further tool is planned
+        for its offset `tool_offset` (3,) in mm."""
         layouts = {**self.procedure.layouts, name: layout_for(self.procedure.layout(), tool_offset, self.tool_axis)}
         procedure = replace(self.procedure, layouts=layouts)
         return replace(self, procedure=procedure).with_positions(replace(p, tool=name) for p in self.first_positions())
 
 
 def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:
-    """Return the measuring layout for another tool with the offset `tool_offset` (3,) in mm. The length of the probe
-    changes by the difference of the two tool offsets along the tool axis.
+    """Return the measuring layout (artefact locations and probe dimensions) for another tool than that of `layout`,
+    with the offset `tool_offset` (3,) in mm. The length of the probe changes by the difference of the two tool offsets
+    along the machine axis with the index `tool_axis`.
 
     The collision check assumes a straight probe. The length of this probe is at least the stem length plus the body
     diameter of the probe in `layout`.

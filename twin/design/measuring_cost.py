@@ -1,4 +1,5 @@
-"""Cost of measuring in machine minutes: the time for each position and for moving the mount between stations."""
+"""Cost of measuring in machine minutes: the time for each position of the artefact, and for moving its mount between
+stations (places of the mount)."""
 
 from __future__ import annotations
 
@@ -14,11 +15,11 @@ from twin.errors import DataError
 
 @dataclass(frozen=True, eq=False)
 class MeasuringCosts:
-    """Measuring time of N candidates.
+    """Measuring time of N candidate positions of an artefact that is held by a mount.
 
-    `minutes` (N,) is the time to measure each candidate if the mount is already at its station. `stations` (N,) is the
-    station of each candidate. `carry_minutes` is the time to move the mount to another station. `standing_at` is the
-    initial station of the mount, or None if the mount is at no station.
+    `minutes` (N,) is the time to measure each candidate if the mount is already at the station (place) of the
+    candidate. `stations` (N,) is this station of each candidate. `carry_minutes` is the time to move the mount to
+    another station. `standing_at` is the initial station of the mount, or None if the mount is at no station.
 
     A position set is measured station by station. The mount is therefore moved once for each station of the set, except
     for the initial station.
@@ -37,7 +38,7 @@ class MeasuringCosts:
 
     def total(self, chosen: Sequence[int]) -> float:
         """Return the minutes needed to measure the candidates with the indices `chosen`, including the moves of the
-        mount."""
+        mount between stations."""
         carries = {int(self.stations[index]) for index in chosen} - {self.standing_at}
         return float(self.minutes[list(chosen)].sum()) + self.carry_minutes * len(carries)
 

@@ -1,4 +1,5 @@
-"""Planned measuring procedure: the balls measured in a set of positions, and the covariance of the ball centres."""
+"""Planned measuring procedure: the balls measured in a set of positions of the artefact, and the covariance of the ball
+centres."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ MIN_BALLS = 3
 
 @dataclass(frozen=True, eq=False)
 class PlannedMeasurement:
-    """Measurement planned for a set of positions.
+    """Measurement planned for a set of positions of the artefact.
 
     `observations` contains the ball centres that an error-free machine would measure. For each ball centre,
     `observations.position` is the index of its position in `positions`. `left_out` contains the positions with fewer
@@ -39,10 +40,10 @@ class PlannedMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class Procedure:
-    """Tools and measuring layouts of a measurement.
+    """Tools of a measurement, and the measuring layout (artefact locations and probe dimensions) for each tool.
 
-    `layouts` contains the layout of each tool by the name of the tool. The first tool is the tool of the run.
-    `covariance_mm2` (3, 3) is the covariance of one ball centre.
+    `layouts` contains the layout of each tool by the name of the tool. The first tool measures all positions that name
+    no tool. `covariance_mm2` (3, 3) is the covariance of one measured ball centre.
     """
 
     layouts: Mapping[str, MeasuringLayout]
@@ -62,8 +63,8 @@ class Procedure:
         return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
 
     def layout(self, tool: str | None = None) -> MeasuringLayout:
-        """Return the measuring layout of `tool`, or the layout of the first tool if `tool` is None. Raise DataError if
-        the tool is unknown."""
+        """Return the measuring layout (artefact locations and probe dimensions) of `tool`, or the layout of the first
+        tool if `tool` is None. Raise DataError if the tool is unknown."""
         if tool is None:
             return next(iter(self.layouts.values()))
         if tool not in self.layouts:
@@ -71,20 +72,22 @@ class Procedure:
         return self.layouts[tool]
 
     def with_artefact(self, artefact: Artefact) -> Procedure:
-        """Return the procedure with another artefact. The new artefact is used at all stations."""
+        """Return the procedure with another artefact. The new artefact is used at all stations (places of its mount),
+        also at those that had their own artefact."""
         layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
         return replace(self, layouts=layouts)
 
     def balls_of(self, position: Position) -> tuple[IndexArray, Array]:
-        """Return the indices (m,) and the nominal axis positions (m, 3) in mm of the m balls that can be measured in a
-        position."""
+        """Return the indices (m,) and the nominal axis positions (m, 3) in mm of the m balls that can be measured in
+        the artefact position `position`."""
         layout = self.layout(position.tool)
         nominal = layout.nominal(position)
         balls = np.flatnonzero(layout.reachable(position, nominal))
         return balls + layout.first_ball(position.station), nominal[balls]
 
     def plan(self, positions: Sequence[Position]) -> PlannedMeasurement:
-        """Return the planned measurement of `positions`. Raise DataError if no position can be measured."""
+        """Return the planned measurement of the artefact positions `positions`. Raise DataError if no position can be
+        measured."""
         used: list[Position] = []
         found: list[tuple[IndexArray, Array]] = []
         left_out: list[Position] = []

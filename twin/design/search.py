@@ -1,9 +1,10 @@
-"""Greedy search for a position set. The search adds the best position repeatedly, and then exchanges positions as long
-as an exchange lowers the expected error.
+"""Greedy search for a set of artefact positions to be measured. The search adds the best position repeatedly, and then
+exchanges positions as long as an exchange lowers the expected error.
 
-Every gain is computed exactly at every step. Lazy evaluation, which reuses old gains as upper bounds, is not used. It
-assumes that gains can only fall, but under the trace criterion one position may increase the gain of another. Lazy
-evaluation would also save little time, because `InformationState` updates all gains at once.
+The gain of each position (decrease of the expected error) is computed exactly at every step. Lazy evaluation, which
+reuses old gains as upper bounds, is not used. It assumes that gains can only fall, but the expected error is a trace of
+the covariance, and for a trace one position may increase the gain of another. Lazy evaluation would also save little
+time, because `InformationState`, which stores the covariance, updates all gains at once.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _ALL_CANDIDATES = 200  # up to this number all candidates take part in an exchan
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Chosen candidates, and the information state after they have been measured."""
+    """Candidate positions chosen for measurement, and the covariance of the unknowns (`information`) after they have
+    been measured."""
 
     chosen: tuple[int, ...]
     information: InformationState
@@ -42,16 +44,17 @@ class Selection:
 
     @property
     def value(self) -> float:
-        """Expected mean square in mm² of the remaining error field, after the best-fitting rigid motion has been
-        removed.
+        """Expected mean square in mm² of the error field that remains after the chosen positions have been measured and
+        the machine has been compensated, after the best-fitting rigid motion has been removed.
 
-        The unresolved misfit is not included, since it is the same for all position sets.
+        Errors of the machine whose wavelength is too short for the model of the misfit are not included, since they are
+        the same for all position sets.
         """
         return self.information.value
 
     @property
     def free(self) -> Mask:
-        """Mask (N,) of the candidates that are not chosen."""
+        """Mask (N,) of the N candidates that is True for those that are not chosen."""
         free = np.ones(len(self.information.factors), dtype=bool)
         free[list(self.chosen)] = False
         return free
@@ -65,7 +68,7 @@ class Selection:
 
     def by_rising_loss(self) -> tuple[list[int], Array]:
         """Return the indices of the chosen candidates, sorted by rising loss, and the sorted losses. The loss of a
-        candidate is the increase of `value` in mm² if the candidate is removed."""
+        candidate is the increase of `value` (expected mean square error in mm²) if the candidate is removed."""
         losses = self.information.losses(np.array(self.chosen, dtype=np.intp))
         order = np.argsort(losses, kind="stable")
         return [self.chosen[rank] for rank in order], losses[order]
@@ -73,11 +76,13 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class ExchangeSearch:
-    """Greedy search with exchange over `candidates`.
+    """Search for the best artefact positions among `candidates`: greedy addition of positions, followed by exchange.
+    `costs` gives the machine time of each candidate.
 
     `is_measurable` is a function that takes the index of a candidate and returns True if the candidate can really be
     measured. The function is slow and is therefore called only for the best candidates. The exchange ends after a round
-    in which the value decreases by less than the fraction `min_improvement`.
+    in which the value of the selection (expected mean square error) decreases by less than the fraction
+    `min_improvement`.
     """
 
     candidates: CandidatePositions
@@ -86,11 +91,13 @@ class ExchangeSearch:
     min_improvement: float = 5e-3
 
     def grow(self, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Iterator[Selection]:
-        """Yield selections of growing size. Each selection has one more position than the previous selection.
+        """Yield selections of positions of growing size. Each selection has one more position than the previous
+        selection.
 
-        The added position is the feasible position with the largest gain or, if `per_minute` is True, with the largest
-        gain per minute. A position is feasible if the function `room` allows it and it can be measured. The search
-        stops if no feasible position has a gain.
+        The added position is the feasible position with the largest gain (decrease of the expected mean square error)
+        or, if `per_minute` is True, with the largest gain per minute. A position is feasible if it can be measured and
+        `room` allows it. The function `room` takes the chosen indices and returns a mask of the candidates that may
+        still be added. The search stops if no feasible position has a gain.
         """
         while True:
             worth = selection.information.gains()
@@ -103,10 +110,12 @@ class ExchangeSearch:
             yield selection
 
     def exchange(self, selection: Selection, room: FeasibleMask) -> Selection:
-        """Replace each chosen position by the best feasible candidate if the replacement lowers the value (Fedorov's
-        exchange).
+        """Replace each chosen position by the best feasible candidate if the replacement lowers the value of the
+        selection, the expected mean square error (Fedorov's exchange). A candidate is feasible if it can be measured
+        and the function `room` allows it.
 
-        Positions are tried in the order of rising loss. Each round considers only the most promising candidates.
+        Chosen positions are tried in the order of rising loss (increase of the value if the position is removed). Each
+        round considers only the most promising candidates.
         """
         for _ in range(_MAX_ROUNDS):
             before = selection.value

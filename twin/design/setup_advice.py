@@ -1,4 +1,4 @@
-"""Proposed changes of a set-up and their benefit, in words."""
+"""Proposed changes of a measuring set-up (tools, artefact and positions) and their benefit, in words."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ _NEGLIGIBLE_UM = 0.005
 
 
 def describe_trial(trial: SetUpTrial) -> str:
-    """Return the change that a trial proposes, in words such as `the positions again with a stylus 100 mm aside along
-    -Z`."""
+    """Return the change of the measuring set-up that a trial proposes, in words such as `the positions again with a
+    stylus 100 mm aside along -Z`."""
     tool = trial.tool
     if tool is not None and tool.lateral:
         sign = "+" if tool.by_mm > 0.0 else "-"
@@ -24,10 +24,11 @@ def describe_trial(trial: SetUpTrial) -> str:
 
 
 def describe_gain(gain: TrialGain) -> str:
-    """Return the benefit of a trial in words such as `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to
-    1.50 µm; 24 positions more`.
+    """Return the benefit of a trial (set-up with additional measurements) in words such as `15 more parameters, EBY and
+    EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24 positions more`.
 
-    Values in µm are rms values over the workspace and all evaluated tools.
+    The values in µm before and after the trial are the rms, over the workspace and all evaluated tools, of the part of
+    the error field that is missing from the estimate (unseen).
     """
     before, after = gain.before, gain.after
     parts = [_parameters(gain), f"unseen {_change(before.unseen_mm, after.unseen_mm)}"]

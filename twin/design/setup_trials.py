@@ -1,5 +1,5 @@
-"""Trial changes of a set-up: another probe length, a lateral stylus, more positions, or repetition of all positions.
-Each change could reveal further errors of the machine."""
+"""Trial changes of a measuring set-up: another probe length, a lateral stylus, more positions, or repetition of all
+positions. Each change could reveal further errors of the machine."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _SAME_TOOL_MM = 1.0
 class TrialTool:
     """Hypothetical tool with the offset `offset` (3,) in mm.
 
-    If `lateral` is False, the tool is `by_mm` longer than the first tool. If `lateral` is True, its tip is displaced
-    from the tip of the first tool by `by_mm` along the machine axis with the index `axis`.
+    If `lateral` is False, the tool is `by_mm` longer than the first tool of the set-up. If `lateral` is True, its tip
+    is displaced from the tip of this first tool by `by_mm` along the machine axis with the index `axis`.
     """
 
     offset: Array
@@ -42,9 +42,9 @@ class TrialTool:
 
 @dataclass(frozen=True, eq=False)
 class SetUpTrial:
-    """Set-up with additional measurements. If `tool` is given, the positions of the first tool are measured again with
-    `tool`. If `added` names a position set, the positions of this set are added. If neither is given, all positions are
-    measured again."""
+    """Set-up with additional measurements. If `tool` is given, the positions of the first tool of the set-up are
+    measured again with `tool`. If `added` names a position set, the positions of this set are added. If neither is
+    given, all positions are measured again."""
 
     set_up: SetUp
     tool: TrialTool | None = None
@@ -60,7 +60,8 @@ class SetUpTrial:
 
 @dataclass(frozen=True, eq=False)
 class TrialGain:
-    """Comparison of the identifiability before and after a trial.
+    """Comparison of the identifiability of a machine's parameters before and after a trial (a set-up with additional
+    measurements).
 
     `before` is the identifiability by the original set-up, and `after` is the identifiability by the set-up of the
     trial. `positions` is the number of added positions that can be measured.
@@ -73,25 +74,28 @@ class TrialGain:
 
     @property
     def rank(self) -> int:
-        """Number of additional parameter combinations that the measurements of the trial determine."""
+        """Number of parameter combinations that the measurements of the trial determine in addition to those that the
+        original set-up determines."""
         return self.after.rank - self.before.rank
 
     @property
     def revealed(self) -> tuple[str, ...]:
-        """Names of the errors (error motions, squareness, cross-effect) that take part in a null direction before the
-        trial, but in no null direction after it."""
+        """Names of the errors (error motions, squareness, cross-effect) that take part in a null direction (a parameter
+        combination that the measurements do not determine) before the trial, but in no null direction after it."""
         hidden = _hidden_errors(self.after)
         return tuple(name for name in _hidden_errors(self.before) if name not in hidden)
 
     @property
     def unseen_removed_mm(self) -> float:
-        """Decrease in mm of the rms of the unseen field over the workspace and the evaluated tools."""
+        """Decrease, by the trial, of the rms in mm of the unseen field (the part of the error field that is missing
+        from the estimate) over the workspace and the evaluated tools."""
         return self.before.unseen_mm - self.after.unseen_mm
 
 
 def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
-    """Return the hypothetical tools worth trying: probes of other lengths and lateral styli. A tool is omitted if the
-    set-up already has it. A probe is omitted if it is shorter than its stem and body together."""
+    """Return the hypothetical tools worth trying as an addition to `set_up`: probes of other lengths and lateral styli.
+    A tool is omitted if the set-up already has it. A probe is omitted if it is shorter than its stem and body together.
+    """
     axis = set_up.tool_axis
     lengths = [_trial_tool(set_up, axis, by_mm, lateral=False) for by_mm in LENGTHS_MM]
     across = [k for k in range(3) if k != axis]
@@ -107,7 +111,7 @@ def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
 
 
 def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
-    """Return the tools for which the error field is evaluated.
+    """Return the tools for which the error field over `grid` is evaluated.
 
     These are the tools of the set-up and some trial tools: the first trial tool of another length, and the first trial
     tool with a lateral stylus along each of the two machine axes perpendicular to the probe.
@@ -123,8 +127,8 @@ def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
 
 
 def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
-    """Yield all trials worth evaluating: each hypothetical tool, each position set with new positions, and repetition
-    of all positions."""
+    """Yield all trials (changes of `set_up`) worth evaluating: each hypothetical tool, each position set with new
+    positions, and repetition of all positions of the set-up."""
     for tool in other_tools(set_up):
         yield SetUpTrial(set_up.with_tool(tool.name, tool.offset), tool=tool)
     for name in POSITION_SETS:
@@ -135,8 +139,9 @@ def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
 
 
 def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[EvaluatedTool]) -> tuple[TrialGain, ...]:
-    """Return the gains of the trials, sorted by the decrease of the unseen field, the largest decrease first. Trials
-    that add no measurable position are omitted.
+    """Return the gains of all trial changes of `set_up`, sorted by the decrease of the unseen field (the part of the
+    error field that is missing from the estimate), the largest decrease first. Trials that add no measurable position
+    are omitted.
 
     `before` is the identifiability by the original set-up, evaluated for the tools `views`.
     """

@@ -1,4 +1,5 @@
-"""Valuation of a position set by one number, the expected reduction of the volumetric error."""
+"""Valuation of a set of artefact positions by one number, the expected reduction of the volumetric error of the
+machine."""
 
 from __future__ import annotations
 
@@ -21,10 +22,11 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Valuation:
-    """Expected volumetric error of the family of machines before and after compensation.
+    """Expected volumetric error of machines of the prior population (the family), before and after compensation with
+    the measurements of a position set.
 
-    `before` is the expected error without compensation, including the misfit. `after` is the expected volumetric
-    compensated error (VCE).
+    `before` is the expected error without compensation, including the misfit (errors that the model cannot represent).
+    `after` is the expected volumetric compensated error (VCE).
     """
 
     before: VolumetricRms
@@ -32,8 +34,8 @@ class Valuation:
 
     @property
     def percent(self) -> float:
-        """Expected reduction of the volumetric error in percent. Both errors are taken after the best-fitting rigid
-        motion has been removed.
+        """Expected reduction of the volumetric error by compensation, in percent. Both errors are taken after the
+        best-fitting rigid motion has been removed.
 
         The result is 0 for a position set without information, 100 if no error remains, and negative if compensation
         makes machines worse.
@@ -49,8 +51,9 @@ def valuation(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> Valuation:
-    """Return the valuation of a position set from its planned ball centres `observations`. The assumed identification
-    uses the prior and full weights, and all its scales are 1."""
+    """Return the valuation of a position set from its planned ball centres `observations`. The identification is
+    assumed to use the family as prior and to weight the ball centres by their covariances, with all standard deviations
+    as stated. The error is evaluated over `grid` for a tool with the offset `tool_offset`, both in mm."""
     problem = build_problem(family, observations, artefact, options)
     form = Criterion.build(problem.unknowns, grid, tool_offset)
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))
