@@ -2,9 +2,9 @@
 
 The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and one row for each node of the grid. In the sequence
 of rows, z varies fastest and x slowest. The corrections in the last three columns are ADDED to the commanded position.
-The side file contains the grid, the tool offset, the anchor (axis positions at which the correction is zero, with two
-directions that fix its rotation), the nodes outside the measured region, and the CRC-32 checksum (IEEE 802.3, as in
-zlib) of the bytes of the CSV file.
+The side file contains the grid, the tool offset, the anchor (point of zero correction, with a primary and a secondary
+axis), the nodes outside the measured region, and the CRC-32 checksum (IEEE 802.3, as in zlib) of the bytes of the CSV
+file.
 """
 
 from __future__ import annotations

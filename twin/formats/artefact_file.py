@@ -29,7 +29,8 @@ Coordinates = tuple[float, float, float]
 
 
 class BarSection(StrictModel):
-    """Equally spaced balls on a straight bar; see `twin.artefact.artefact.bar_balls`."""
+    """Section `[bar]` of an artefact file: equally spaced balls on a straight bar. The function
+    `twin.artefact.artefact.bar_balls` computes the ball centres from its values."""
 
     balls: Annotated[int, Field(ge=2, le=99)]
     length_mm: Annotated[float, Field(gt=0.0)]
@@ -66,8 +67,8 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
     """Return the artefact described by TOML text.
 
     Raise FormatError, which names `source` and the key, if the text is invalid. Raise DataError if a value is
-    impossible. If the text names a covariance file, the function `read_text` is called with its path and returns its
-    text.
+    impossible. If the text names a file with the covariance of the ball centres, the function `read_text` is called
+    with its path and returns its text.
     """
     document = read_toml(text, source, ArtefactDocument)
     balls, holder = _balls(document)

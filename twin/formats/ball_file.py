@@ -59,8 +59,8 @@ def parse_balls(
     """Return the contents of a ball file given as CSV text.
 
     `tools` maps the names of the machine's tools to their offsets (3,) in mm. If the cell of a standard uncertainty or
-    a temperature is empty, `default_sigma_um` or `default_temperature_c` is used. Raise FormatError, which names
-    `source`, the row and the column, if the text is invalid.
+    a temperature is empty in a row, `default_sigma_um` or `default_temperature_c` is used. Raise FormatError, which
+    names `source`, the row and the column, if the text is invalid.
     """
     rows = list(read_rows(text, source, COLUMNS))
     if not rows:

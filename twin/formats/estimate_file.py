@@ -1,4 +1,5 @@
-"""Estimate file (JSON): parameters by ISO name with their covariance, observability, and provenance.
+"""Estimate file (JSON): parameters of the error model by ISO 230-1 name with their covariance, the parameter
+combinations that were not determined, and the provenance of the estimate.
 
 The file also contains everything that is needed to use the estimate as the prior of the next estimate.
 """
@@ -72,8 +73,9 @@ class RejectedBallSection(StrictModel):
 
 
 class OrderSection(StrictModel):
-    """Evidence of one Legendre order in an estimate file. `relative_log_evidence` is the log evidence of this order
-    minus the log evidence of the likeliest order that was compared."""
+    """Evidence (marginal likelihood) of one Legendre order of the error model, as stored in an estimate file.
+    `relative_log_evidence` is the log evidence of this order minus the log evidence of the likeliest order that was
+    compared."""
 
     order: int
     relative_log_evidence: float
@@ -104,8 +106,8 @@ class EstimateFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class StoredEstimate:
-    """Estimate as stored in a file. Its content is sufficient for building a compensation table, for comparing
-    estimates, and for use as the prior of the next estimate."""
+    """Estimate of the errors of a machine as stored in a file. Its content is sufficient for building a compensation
+    table, for comparing estimates, and for use as the prior of the next estimate."""
 
     model: ErrorModel
     parameters: Array
@@ -117,13 +119,13 @@ class StoredEstimate:
     document: EstimateFile
 
     def carried_over(self) -> CarriedOverPrior:
-        """Return this estimate as the prior of a later estimate, without process noise. Raise DataError if the
-        covariance is singular."""
+        """Return this estimate as the prior of a later estimate, without process noise: the machine is assumed not to
+        have changed in between. Raise DataError if the covariance is singular."""
         return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, Scales(**self.document.scales.model_dump()))
 
 
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """Return the estimate as JSON text.
+    """Return the text (JSON) of an estimate file.
 
     `provenance` contains the software version, the time, and the names and checksums of the input files. All entries of
     `provenance` are stored unchanged.

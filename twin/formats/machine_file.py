@@ -48,8 +48,8 @@ class ToolSection(StrictModel):
 
 
 class FamilySection(StrictModel):
-    """Section of a machine file with the half-widths of the uniform distributions of the family of machines, by kind of
-    error.
+    """Section of a machine file with the half-widths of the uniform distributions of the parameters in the family of
+    machines (the prior population), by kind of error.
 
     A list gives one half-width for each Legendre order, starting with the lowest order of that kind of error. The
     defaults are the amplitudes of the simulated case study in the documentation.
@@ -77,8 +77,8 @@ class ModelSection(StrictModel):
 
 
 class DeflectionSection(StrictModel):
-    """Section of a machine file for the deflection of the machine. `grid` is the path of a CSV file, relative to the
-    machine file."""
+    """Section of a machine file for the gravity deflection of the machine. `grid` is the path of a CSV file with the
+    displacements of the tool point, relative to the machine file."""
 
     grid: Annotated[str, Field(min_length=1)]
 

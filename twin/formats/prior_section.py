@@ -1,7 +1,8 @@
 """Section of an estimate file with the data needed to use the estimate as a prior: the joint mean and covariance of all
 unknowns, and the meaning of each unknown.
 
-The misfit modes are stored explicitly, since another computer may compute the same modes with opposite signs.
+The modes of the misfit (errors that the model cannot represent) are stored explicitly, since another computer may
+compute the same modes with opposite signs.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ KEY = "carried_over"
 class ArtefactSection(StrictModel):
     """Identity of an artefact with N balls, and its uncertainties.
 
-    `certificate_mm` is a matrix L in mm with 3N rows; the covariance of the certificate is the product L Lᵀ.
+    `certificate_mm` is a matrix L in mm with 3N rows; the covariance of the calibrated ball centres is the product L
+    Lᵀ.
     """
 
     balls_mm: tuple[Triple, ...]
@@ -53,7 +55,8 @@ class MisfitSection(StrictModel):
 
 
 class CarriedOverSection(StrictModel):
-    """Posterior mean and covariance of all unknowns.
+    """Posterior mean and covariance of all unknowns of an identification, as stored in an estimate file for use as a
+    prior.
 
     `mean` and `covariance` are in units of the prior standard deviations. Only the lower triangle of the covariance is
     stored, row by row. `scale` contains the unit of each parameter in mm or rad.
@@ -98,8 +101,8 @@ def _misfit_document(modes: MisfitModes, rms_mm: float) -> dict[str, Any]:
 
 
 def read_unknowns(section: CarriedOverSection, model: ErrorModel, source: str) -> Unknowns:
-    """Return the unknowns that a section describes. Raise FormatError, which names `source` and the key, if the sizes
-    in the section do not match."""
+    """Return the unknowns that the section `section` of an estimate file describes. Raise FormatError, which names
+    `source` and the key, if the sizes in the section do not match."""
     artefact, misfit = section.artefact, section.misfit
     balls = len(artefact.balls_mm)
     width = len(artefact.certificate_mm[0]) if artefact.certificate_mm else 0
@@ -139,8 +142,8 @@ def _sizes(sizes: tuple[int, ...], count: int, source: str) -> tuple[int, ...]:
 
 
 def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[Array, Array]:
-    """Return the mean (P,) and the covariance (P, P) of the P unknowns from a section. `size` is the expected number P.
-    Raise FormatError if the stored sizes differ from P."""
+    """Return the mean (P,) and the covariance (P, P) of the P unknowns from a section of an estimate file. `size` is
+    the expected number P. Raise FormatError if the stored sizes differ from P."""
     mean = _array(section.mean, (size,), source, "mean")
     if [len(row) for row in section.covariance] != list(range(1, size + 1)):
         message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"

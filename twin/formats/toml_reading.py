@@ -64,7 +64,7 @@ def validate_document(document: dict[str, Any], source: str, kind: type[Section]
 
 def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
     """Return a copy of `document` in which former names of keys are replaced by the current names. The keys are those
-    of `kind` and of its sections.
+    of the model class `kind` and of its sections.
 
     The function is used for documents that an earlier version of this program stored. In a file written by a user, a
     former key is an error instead.

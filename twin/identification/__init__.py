@@ -1,4 +1,4 @@
-"""Identification of the compensation model from ball centres."""
+"""Identification of the error model that is used for compensation, from measured ball centres."""
 
 from twin.identification.drift import DriftEstimate, DriftPrior, MachineDrift
 from twin.identification.estimate import Estimate, Misfit

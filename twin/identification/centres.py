@@ -1,5 +1,5 @@
-"""Formulation `centres` of the identification: each ball centre gives three equations. Each position has a free pose,
-which is eliminated by projection.
+"""Formulation `centres` of the identification: each ball centre gives three equations. Each position of the artefact
+has a free pose, which is eliminated by projection.
 
 The three equations of a ball centre are whitened with the covariance of the centre. Small increments of the six pose
 parameters of a position change its whitened equations. All such changes form a space with the orthonormal basis Q, a
@@ -23,8 +23,8 @@ _POSITIONS = 16  # positions whitened at a time: few enough for the cache, enoug
 
 @dataclass(frozen=True, eq=False)
 class CentreEquations:
-    """Whitened equations of the ball centres of K positions. Each position has `width` slots for balls, and some slots
-    may be empty.
+    """Whitened equations of the ball centres of K positions of the artefact, for P unknowns. Each position has room for
+    `width` balls (the slots), and some slots may be empty.
 
     `weight` (K, width, 3, 3) contains the whitening matrix W of each slot, which is zero in empty slots. `parts` (K·6,
     P) contains QᵀWA, where A is the design matrix and Q is the orthonormal basis of the effects of pose increments. The
@@ -61,10 +61,11 @@ class CentreEquations:
         )
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Return the right side Aᵀy (P,) of the normal equations, the square |y|², and the best-fitting poses.
+        """Return three values: the right side Aᵀy (P,) of the normal equations for the P unknowns, the square |y|², and
+        the poses of the artefact that fit best.
 
         A is the whitened design matrix, and y is the whitened right side of the equations, linearised at the unknowns
-        z. `sides` contains both sides of the exact equations at z.
+        z. `sides` contains the left and the right side of the exact equations at z.
         """
         layout = self.problem.layout
         left, local = sides
@@ -81,21 +82,23 @@ class CentreEquations:
         return right, float(np.vdot(target, target) - parts @ parts), poses
 
     def remaining(self, sides: Sides, poses: Poses) -> Array:
-        """Return the whitened residuals (K, 3·width) after the effect of pose increments has been removed."""
+        """Return the whitened residuals (K, 3·width) of the K positions with up to `width` balls each, after the effect
+        of small changes of the artefact's poses has been removed."""
         left, local = sides
         white = self._whitened(left - poses.to_workpiece(self.problem.layout, local))
         return self.projector.remove(white[:, :, None])[:, :, 0]
 
     def projected(self, size: int) -> Array:
-        """Return the whitened design (n, 3, size) of the first `size` unknowns for all n rows, after the effect of pose
-        increments has been removed."""
+        """Return the whitened design (n, 3, size) of the first `size` unknowns for all n measured balls, after the
+        effect of small changes of the artefact's poses has been removed."""
         layout = self.problem.layout
         white = weighted(self.weight, self.problem.design[..., :size]).reshape(layout.positions, -1, size)
         white -= self.projector.q @ self.parts.reshape(layout.positions, 6, -1)[:, :, :size]
         return layout.unpad(white.reshape(*self.weight.shape[:3], size))
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """Return the product AᵀCA (size, size) and the trace of C.
+        """Return the product AᵀCA (size, size) and the trace of C, which propagate the noise to an estimate with other
+        weights.
 
         A is the whitened design matrix of the first `size` unknowns, and C is the noise covariance of the whitened
         equations.

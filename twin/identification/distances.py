@@ -1,5 +1,5 @@
-"""Formulation `distances` of the identification, the published method: the distances between all pairs of balls in a
-position are compared with the calibrated distances.
+"""Formulation `distances` of the identification, the published method on which this project is based: the distances
+between all pairs of balls in a position of the artefact are compared with the calibrated distances.
 
     |p_i - p_j| = |b_i(T) - b_j(T)|,   p = X + t + d(X; E)
 
@@ -30,10 +30,10 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class PositionPairs:
-    """The m ball pairs of one position.
+    """The m ball pairs of one position of the artefact.
 
-    `first` and `second` (m,) are the row indices of the two balls of each pair; rows are sorted by position.
-    `whitening` (r, m) is the matrix that converts the m distances into r whitened equations.
+    `first` and `second` (m,) are the row indices of the two balls of each pair; the rows (measured balls) are sorted by
+    position. `whitening` (r, m) is the matrix that converts the m distances into r whitened equations.
     """
 
     first: Rows
@@ -43,10 +43,10 @@ class PositionPairs:
 
 @dataclass(frozen=True, eq=False)
 class DistanceEquations:
-    """Whitened distance equations of all positions.
+    """Whitened equations of all positions of the artefact, which compare measured with calibrated distances of balls.
 
     `white` (M, P) is the design matrix of the M whitened equations for the P unknowns. `noise` contains the noise
-    covariance (r, r) of the r equations of each position.
+    covariance (r, r) of the r whitened equations of each position.
     """
 
     problem: IdentificationProblem
@@ -75,17 +75,19 @@ class DistanceEquations:
         return cls(problem, tuple(pairs), stacked, tuple(noise), stacked.T @ stacked, len(stacked))
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Return the right side Aᵀy (P,) of the normal equations, the square |y|², and the given `poses` unchanged.
+        """Return three values: the right side Aᵀy (P,) of the normal equations for the P unknowns, the square |y|², and
+        the given `poses` of the artefact unchanged.
 
         A is the whitened design matrix, and y is the whitened right side of the equations, linearised at the unknowns
-        z. `sides` contains both sides of the exact equations at z, from which the exact distances follow. Poses have no
-        effect on distances.
+        z. `sides` contains the left and the right side of the exact equations at z, from which the exact distances
+        follow. Poses have no effect on distances.
         """
         target = self.white @ z - self._remaining(sides)
         return self.white.T @ target, float(target @ target), poses
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """Return the product AᵀCA (size, size) and the trace of C.
+        """Return the product AᵀCA (size, size) and the trace of C, which propagate the noise to an estimate with other
+        weights.
 
         A is the whitened design matrix of the first `size` unknowns, and C is the noise covariance of the whitened
         equations.

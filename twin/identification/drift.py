@@ -11,8 +11,8 @@ The regressors are zero at the start. The prior of the machine (a family or an e
 the start. The estimate usually refers to a later state, most often the last one. Its parameters are the parameters at
 the start plus the drift until the later state, and their covariance includes the uncertainty of the drift.
 
-A rigid motion of the artefact or of the whole machine between two positions is absorbed by the poses. The drift of the
-tip is therefore observed only within a position.
+A rigid motion of the artefact or of the whole machine between two positions is absorbed by the estimated poses of the
+artefact. The drift of the tip is therefore observed only within a position.
 """
 
 from __future__ import annotations
@@ -52,11 +52,12 @@ class DriftPrior:
 
 @dataclass(frozen=True, eq=False)
 class MachineDrift:
-    """Drift unknowns of a machine.
+    """Drift unknowns of a machine: amplitudes of low-order error fields that are proportional to thermal regressors
+    (temperature changes in K).
 
     `parameter_indices` contains the indices of the f parameters that drift. `deviations` (f,) contains the prior
     standard deviations of their drift in mm/K or rad/K. `regressor_count` is the number of thermal regressors. Scales
-    and tip depend on the first regressor only.
+    and tip depend on the first regressor (the temperature rise) only.
     """
 
     names: tuple[str, ...]
@@ -69,7 +70,8 @@ class MachineDrift:
     def of(
         cls, model: ErrorModel, prior: DriftPrior, regressor_count: int, free: np.ndarray[Any, np.dtype[np.bool_]]
     ) -> MachineDrift:
-        """Return the drift unknowns of a model. The mask `free` (p,) marks the parameters that are not held at zero."""
+        """Return the drift unknowns of the error model `model` with p parameters. The mask `free` (p,) marks the
+        parameters that are not held at zero."""
         drifting = [(index, one) for index, one in enumerate(model.parameters) if _drifts(one) and free[index]]
         deviations = [_per_k(prior, one) * _lever_mm(model, one) for _, one in drifting]
         names, indices = tuple(one.name for _, one in drifting), tuple(index for index, _ in drifting)
@@ -77,12 +79,14 @@ class MachineDrift:
 
     @property
     def forms(self) -> int:
-        """Number of drift fields: one for each drifting parameter, and three for the directions of the tip."""
+        """Number of drift fields (error fields per kelvin): one for each drifting parameter, and three for the
+        directions of the tip."""
         return len(self.parameter_indices) + 3
 
     @property
     def bending(self) -> list[int]:
-        """Indices of the drift fields that depend on all regressors."""
+        """Indices of the drift fields (error fields per kelvin) that depend on all thermal regressors: all fields
+        except those of scale errors and of the tip."""
         return [number for number, name in enumerate(self.names) if not _is_scale(name)]
 
     @property
@@ -90,10 +94,11 @@ class MachineDrift:
         return self.forms + (self.regressor_count - 1) * len(self.bending)
 
     def columns(self, basis: Array, course: Array) -> Array:
-        """Return the design columns (n, 3, size) in mm per unit of the drift unknowns.
+        """Return the columns (n, 3, size) of the design matrix in mm per unit of the `size` drift unknowns, for n
+        measured balls (rows).
 
-        `basis` (n, 3, p) contains the fields of the model's parameters at the n rows. `course` (n, w) contains the
-        thermal regressors of the rows in K.
+        `basis` (n, 3, p) contains the derivative of the deviation with respect to the p model parameters at the n rows.
+        `course` (n, w) contains the w thermal regressors of the rows in K.
         """
         forms = np.empty((len(basis), 3, self.forms))
         forms[:, :, :-3] = basis[:, :, self.parameter_indices] * self.deviations
@@ -103,8 +108,9 @@ class MachineDrift:
         return np.concatenate((course[:, 0, None, None] * forms, *further), axis=2)
 
     def change_matrix(self, course: Array) -> Array:
-        """Return the matrix (f + 3, size) that, multiplied by the drift unknowns, gives the changes of the f drifting
-        parameters and of the three tip coordinates. The changes refer to the thermal regressors `course` (w,) in K."""
+        """Return the matrix (f + 3, size) that, multiplied by the `size` drift unknowns, gives the changes of the f
+        drifting parameters and of the three tip coordinates since the start. `course` (w,) contains the values in K of
+        the w thermal regressors for which the changes are computed; at the start all are zero."""
         units = np.diag(np.append(self.deviations, np.full(3, self.tip_mm_per_k)))
         further = [share * units[:, self.bending] for share in course[1:].tolist()]
         return np.concatenate((course[0] * units, *further), axis=1)
@@ -113,7 +119,8 @@ class MachineDrift:
         """Return the changes (f + 3,) of the f drifting parameters in mm or rad, followed by the changes of the three
         tip coordinates in mm.
 
-        `z` (size,) contains the drift unknowns, and `course` (w,) contains the w thermal regressors in K.
+        `z` (size,) contains the drift unknowns, and `course` (w,) contains the values in K of the w thermal regressors
+        for which the changes are computed.
         """
         return np.asarray(self.change_matrix(course) @ z)
 
@@ -128,7 +135,8 @@ class DriftEstimate:
 
     def change(self, course: Array) -> dict[str, tuple[float, float]]:
         """Return the change of each drifting parameter and tip coordinate with its standard uncertainty, both in mm or
-        rad. The changes refer to the thermal regressors `course` (w,) in K.
+        rad. The change is computed for the values `course` (w,) of the thermal regressors in K, which are zero at the
+        start.
 
         The keys are names such as ``EXX[1]`` and ``tip X``.
         """

@@ -23,12 +23,12 @@ from twin.machine.error_model import ErrorModel
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """Estimated misfit: fields that the model cannot represent.
+    """Estimated misfit: error fields that the error model cannot represent.
 
-    `coefficients` (q,) contains the coefficients of the q modes, and `covariance` (q, q) is their covariance.
-    `cross_covariance` (p, q) is the covariance of the p parameters with the coefficients. The misfit field in mm is the
-    sum of all modes, each multiplied by its coefficient and by `amplitude_mm`. `unresolved_mm2` is the variance per
-    direction, in mm², of the part of the misfit whose wavelength is too short for the modes.
+    `coefficients` (q,) contains the coefficients of the q fields `modes`, and `covariance` (q, q) is their covariance.
+    `cross_covariance` (p, q) is the covariance of the p parameters of the error model with the coefficients. The misfit
+    field in mm is the sum of all modes, each multiplied by its coefficient and by `amplitude_mm`. `unresolved_mm2` is
+    the variance per direction, in mm², of the part of the misfit whose wavelength is too short for the modes.
     """
 
     modes: MisfitModes
@@ -48,15 +48,18 @@ class Estimate:
     """Estimated parameters (p,) of the compensation model in mm or rad, with their covariance (p, p).
 
     The covariance is marginal over poses, certificate, thermal strain, misfit and drift. `residuals_mm` (n, 3) contains
-    the residuals of all n rows, including rejected rows, in the order of the observations. `chi2_normalised` is the sum
-    of squared residuals in units of the stated noise, divided by the degrees of freedom. `rejected` contains the
-    position, the ball and the tool of each rejected row. `scales` are the estimated scales of noise, prior and misfit.
+    the residuals of all n rows (measured ball centres), including rejected rows, in the order of the observations.
+    `chi2_normalised` is the sum of squared residuals in units of the stated noise, divided by the degrees of freedom.
+    `rejected` contains the position, the ball and the tool of each rejected row. `scales` are the estimated scales
+    (factors on the standard deviations) of noise, prior and misfit.
 
-    `misfit` is None if the misfit was switched off. `information` (p, p) is the information matrix of the measurements
-    alone, for parameters in units of `prior_scale`. `z` (P,) and `z_covariance` (P, P) are the values and the
-    covariance of all `unknowns` together. `alternatives` contains results of equal weight for other scales that the
-    measurements allow. `order_evidence` contains the evidence of each Legendre order; it is empty if the order was
-    given. `drift` is the drift of the machine during the measurement, or None if drift was not estimated.
+    `misfit` contains the errors that the model cannot represent; it is None if they were not estimated. `information`
+    (p, p) is the information matrix of the measurements alone, for parameters in units of `prior_scale`. `z` (P,) and
+    `z_covariance` (P, P) are the values and the covariance of all P `unknowns` together, in units of their prior
+    standard deviations. `alternatives` contains results of equal weight for other scales that the measurements allow.
+    `order_evidence` contains the evidence (marginal likelihood) of each Legendre order that was compared; it is empty
+    if the order was given. `drift` is the drift of the machine during the measurement, or None if drift was not
+    estimated.
     """
 
     model: ErrorModel
@@ -94,8 +97,9 @@ class Estimate:
 
     @property
     def scales_at_bounds(self) -> tuple[str, ...]:
-        """Descriptions of the scales that reached a bound. If a scale is at a bound, the uncertainties that depend on
-        it are only a guess."""
+        """Descriptions of the scales (estimated factors on the standard deviations of noise, prior and misfit) that
+        reached a bound of their allowed range. If a scale is at a bound, the uncertainties that depend on it are only a
+        guess."""
         return scales_at_bounds(self.scales)
 
     @property
@@ -110,8 +114,8 @@ class Estimate:
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
-        """Directions in parameter space that the measurements do not determine. Their number is `model.size` minus
-        `rank`."""
+        """Directions in parameter space that the measurements do not determine. Their number is `model.size`, the
+        number of parameters, minus `rank`."""
         return self._seen.null_directions
 
     @property
@@ -122,7 +126,8 @@ class Estimate:
 
     @property
     def null_summary(self) -> tuple[str, ...]:
-        """Description of the null directions, with one line for each kind of null direction."""
+        """Description of the null directions (parameter combinations that the measurements do not determine), with one
+        line for each kind of null direction."""
         return summary(self.null_directions)
 
     @cached_property

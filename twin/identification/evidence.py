@@ -1,8 +1,8 @@
-"""Estimation of the scales of touch noise, prior and each kind of misfit by maximum marginal likelihood (empirical
-Bayes).
+"""Estimation of the scales (factors on the standard deviations) of touch noise, prior and each kind of misfit (errors
+that the model cannot represent) by maximum marginal likelihood (empirical Bayes).
 
-The equations are A z = y with the unknowns z, the design matrix A and the right side y. The poses have been projected
-out. After integration over z, twice the negative log marginal likelihood is
+The equations of the measurement are A z = y with the unknowns z, the design matrix A and the right side y. The poses of
+the artefact have been eliminated by projection. After integration over z, twice the negative log marginal likelihood is
 
     rows ln σ² + |y|²/σ² - rᵀ H⁻¹ r/σ⁴ + ln det H - ln det D,   H = N/σ² + D
 
@@ -29,10 +29,11 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True)
 class OrderEvidence:
-    """Evidence of a Legendre order.
+    """Evidence (marginal likelihood) of a Legendre order of the error model.
 
     `relative_log` is the log evidence of this order minus the log evidence of the likeliest order that was compared.
-    `scales` are the likeliest scales for this order.
+    `scales` are the likeliest factors on the standard deviations of noise, prior and misfit for this order. `chosen` is
+    True for the order of the estimate.
     """
 
     order: int
@@ -43,7 +44,7 @@ class OrderEvidence:
 
 @dataclass(frozen=True)
 class ScalePrior:
-    """Log-normal prior of a scale with median 1.
+    """Log-normal prior, with median 1, of a scale (factor on a standard deviation that the identification estimates).
 
     `factor` is its geometric standard deviation; `low` and `high` are the bounds of the scale.
     """
@@ -74,7 +75,8 @@ _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01
 
 
 def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
-    """Return the scales that maximise the product of the marginal likelihood and the priors of the scales."""
+    """Return the scales (factors on the standard deviations of noise, prior and misfit) that maximise the product of
+    the marginal likelihood and the priors of the scales."""
     free = free_scales(precision)
     log_start: Logs = np.log(start.values)[free]
     cost = _cost(normal, precision, start)
@@ -91,14 +93,16 @@ def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start
 
 
 def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> float:
-    """Return the logarithm of the product of the marginal likelihood and the priors of the scales. Terms that depend
-    only on the rows and their covariances are omitted."""
+    """Return the logarithm of the product of the marginal likelihood and the priors of `scales` (factors on the
+    standard deviations of noise, prior and misfit). Terms that depend only on the measured rows and their covariances
+    are omitted."""
     logs = np.log(scales.values)[free_scales(precision)]
     return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
 
 
 def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
-    """Return a description of each scale that reached its lower or upper bound."""
+    """Return a description of each scale (factor on the standard deviation of the noise, the prior or a kind of misfit)
+    that reached its lower or upper bound."""
     found = []
     for name, value, prior in zip(_NAMES, scales.values, SCALE_PRIORS, strict=True):
         for bound in (prior.low, prior.high):
@@ -108,17 +112,19 @@ def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
 
 
 def free_scales(precision: PriorPrecision) -> list[bool]:
-    """Return a flag for each scale, in the order of `Scales.values`. The flag is True if the scale can be estimated. It
-    is False if a carried-over prior fixes the scale, or if the scale applies to no unknown."""
+    """Return a flag for each scale (factor on a standard deviation), in the order of `Scales.values`: noise, parameter
+    prior, kinds of misfit. The flag is True if the scale can be estimated. It is False if a prior carried over from an
+    earlier estimate fixes the scale, or if the scale applies to no unknown."""
     found = [True, *(precision.has_free_scale(block) for block in scaled_blocks(precision.blocks))]
     return found + [False] * (len(SCALE_PRIORS) - len(found))
 
 
 def scaled_blocks(blocks: UnknownBlocks) -> tuple[slice, ...]:
-    """Return the blocks of the unknowns z to which a scale applies: the parameters, followed by each kind of misfit.
+    """Return the blocks of the unknowns z to which a scale (factor on the prior standard deviation) applies: the
+    parameters, followed by each kind of misfit.
 
-    The blocks are in the order of `Scales.values` without its first entry. The first entry is the scale of the noise,
-    which belongs to no block.
+    The blocks are in the order of `Scales.values` without its first entry, the scale of the noise, which belongs to no
+    block.
     """
     return blocks.parameters, *blocks.kinds
 
@@ -144,7 +150,8 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
 
 def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:
     """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (6,) with respect to the
-    logarithms of the six scales."""
+    logarithms of the six scales: the factors on the standard deviations of the touch noise, of the parameter prior and
+    of the four kinds of misfit."""
     blocks, variance = precision.blocks, scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.information_vector

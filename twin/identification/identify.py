@@ -1,4 +1,4 @@
-"""Identification of the compensation model from ball centres."""
+"""Identification of the error model that is used for compensation, from measured ball centres."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def identify(
 ) -> Estimate:
     """Estimate the parameters of `model` from ball centres measured on `artefact`.
 
-    `family` is the prior of the parameters. The identification uses its standard deviations as units of the parameters.
-    Raise SingularSet if the measurements do not determine the parameters, for example because there are too few
-    positions or too few different balls. Raise DataError if the family belongs to another model, or if a measured ball
-    is not on the artefact.
+    `family` (the prior population of machines) is the prior of the parameters. The identification uses its standard
+    deviations as units of the parameters. Raise SingularSet if the measurements do not determine the parameters, for
+    example because there are too few positions or too few different balls. Raise DataError if the family belongs to
+    another model, or if a measured ball is not on the artefact.
     """
     options = options or Options()
     if family.model != model:
@@ -62,7 +62,8 @@ def identify(
 
 
 def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
-    """Return a mask (n,) that is True for each ball centre that `identify` would accept."""
+    """Return a mask (n,) that is True for each ball centre that `identify` would accept, and False for each outlier
+    that it would reject."""
     _check_set(observations)
     whole = build_problem(family, observations, artefact, options)
     accepted = np.empty(observations.size, dtype=bool)

@@ -1,4 +1,4 @@
-"""Misfit: smooth fields that the model cannot represent, with a Gaussian prior.
+"""Misfit: smooth error fields that the error model of a machine cannot represent, with a Gaussian prior.
 
 A machine has more errors than the 18 Legendre series and three squareness values of the model can describe. Gravity and
 heat bend the machine in ways that depend on several axes at once. This bending is represented by mixed terms: products
@@ -6,10 +6,10 @@ of Legendre polynomials of low total degree. The rails of each axis undulate bet
 represented by waves: Legendre polynomials of higher orders than those of the model, alone or multiplied by the position
 of another axis.
 
-The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale,
-because a machine that bends strongly need not have wavy rails, and one bad rail does not make the other rails bad.
-Within a kind, the prior standard deviations fall with increasing order, as the prior standard deviations of a family
-do.
+The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale
+(estimated factor on its prior standard deviation), because a machine that bends strongly need not have wavy rails, and
+one bad rail does not make the other rails bad. Within a kind, the prior standard deviations fall with increasing order,
+as the prior standard deviations of the model parameters do.
 
 The part of the misfit that the model or a rigid motion can represent is removed by least squares over the workspace. An
 error that the model can explain is therefore not also explained by the misfit. The rest is condensed to its leading
@@ -50,13 +50,14 @@ Weights = dict[Degrees, float]
 
 @dataclass(frozen=True, eq=False)
 class MisfitModes:
-    """Modes of the misfit. A priori, the coefficients of the modes are independent, with mean zero and variance 1.
+    """Modes of the misfit (error fields that the error model cannot represent). A priori, the coefficients of the modes
+    are independent, with mean zero and variance 1.
 
-    Each of the q modes is a combination of c candidates, which are products of Legendre polynomials. `degrees` contains
-    the Legendre degrees of each candidate in x, y and z. `mixing` (3, c, q) contains, for each direction, the amplitude
-    in mm of each candidate in each mode. From each mode, the part that the p parameters of the model or the six rigid
-    motions can represent is subtracted. `removed` (p, q) and `rigid` (6, q) contain the amplitudes of the subtracted
-    parts.
+    Each of the q modes is a combination of c candidate fields, which are products of Legendre polynomials. `degrees`
+    contains the Legendre degrees of each candidate in x, y and z. `mixing` (3, c, q) contains, for each direction, the
+    amplitude in mm of each candidate in each mode. From each mode, the part that the p parameters of the model or the
+    six rigid motions can represent is subtracted. `removed` (p, q) and `rigid` (6, q) contain the amplitudes of the
+    subtracted parts.
 
     `sizes` contains the number of modes of each kind; the modes of a kind form a consecutive block. `left_out` (kinds,)
     is the variance per direction that the modes of each kind leave out, as a mean over the workspace. Modes and
@@ -77,8 +78,9 @@ class MisfitModes:
         return int(self.mixing.shape[2])
 
     def at(self, axis_positions: Array, basis: Array | None = None) -> Array:
-        """Return the modes (n, 3, q) in mm at axis positions (n, 3) in mm. `basis` (n, 3, p) is the deviation basis of
-        the model at these positions for the tool of the modes, if it has already been computed."""
+        """Return the values (n, 3, q) in mm of the q modes at axis positions (n, 3) in mm. `basis` (n, 3, p) is the
+        derivative of the deviation with respect to the p model parameters at these positions, for a tool with the
+        offset `tool_offset`, if it has already been computed."""
         if basis is None:
             basis = deviation_basis(self.model, axis_positions, self.tool_offset)
         candidates = _candidates(self.degrees, self.model.ranges_mm, axis_positions)
@@ -91,8 +93,8 @@ class MisfitModes:
 
 @lru_cache(maxsize=16)
 def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> MisfitModes:
-    """Return the misfit modes for `model`. From each mode, the part that the model can represent for a tool with the
-    offset `tool_offset` in mm is removed."""
+    """Return the modes of the misfit (error fields that `model` cannot represent). From each mode, the part that the
+    model can represent for a tool with the offset `tool_offset` in mm is removed."""
     offset = np.array(tool_offset)
     kinds = _kinds(model)
     degrees = tuple(degree for kind in kinds for degree in kind)
