@@ -1,7 +1,7 @@
 """Clocks, which are passed as arguments to the code that uses them. No other module of the project imports `time`.
 
-The step engine and the drivers wait only by `clock.sleep` under a `Deadline`. `clock.sleep` detects holds and aborts,
-so every wait reacts to them.
+The step engine (which carries out the steps of a run) and the drivers wait only by `clock.sleep` under a `Deadline`.
+`clock.sleep` detects requests to hold or abort the run, so every wait reacts to them.
 """
 
 from __future__ import annotations
@@ -139,8 +139,8 @@ class LockstepClock:
 class InterruptibleClock:
     """Clock that splits every sleep into slices and calls `check` at least every `slice_s` of machine time.
 
-    `check` raises an exception to abort the run, and blocks while the run is held. The time of a hold is not counted:
-    deadlines on this clock do not expire during a hold.
+    `check` raises an exception to abort the run, and blocks while the run is held (paused). The time of a hold is not
+    counted: deadlines on this clock do not expire during a hold.
     """
 
     def __init__(self, inner: Clock, check: Callable[[], None], slice_s: float = INTERRUPT_SLICE_S) -> None:
@@ -172,10 +172,11 @@ class InterruptibleClock:
 
 
 def without_interrupts(clock: Clock) -> Clock:
-    """Return the inner clock of an `InterruptibleClock`; return any other clock unchanged.
+    """Return the inner clock of an `InterruptibleClock` (whose sleeps can be interrupted), or any other clock
+    unchanged.
 
-    Use the returned clock for waits between a request and its answer. These waits must not be interrupted, because the
-    commands hold and stop also send requests while the run is interrupted.
+    Use the returned clock for waits between a request to a device and its answer. These waits must not be interrupted,
+    because the commands for hold and stop also send requests while the run is interrupted.
     """
     return clock.inner if isinstance(clock, InterruptibleClock) else clock
 

@@ -1,1 +1,1 @@
-"""Rotary mount with two CiA 402 drives on a CAN bus."""
+"""Rotary mount with two drives on a CAN bus; the drives follow the CANopen drive profile CiA 402."""

@@ -22,7 +22,9 @@ Line = tuple[bool, str]
 
 
 def diagnose_drive(drive: Drive) -> list[DiagnosticFinding]:
-    """Return findings on latency, identity, versions, state, supply, position, units, limits and monitoring.
+    """Diagnose a drive by reading only, and return the findings.
+
+    The findings concern latency, identity, versions, state, supply, position, units, limits and monitoring.
 
     If the drive does not answer or refuses a query, the list ends with the error of this query.
     """

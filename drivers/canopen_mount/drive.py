@@ -38,10 +38,10 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class Drive:
-    """Drive of one axis; all angles are angles of the mount in degrees.
+    """Drive of one axis of the rotary mount; all angles are angles of the mount in degrees.
 
-    Every wait has a time limit. If an exception occurs, this class does not stop its drive. The mount stops both drives
-    instead.
+    Every wait has a time limit. If an exception occurs, this class does not stop its drive. Its caller, the mount,
+    stops the drives of both axes instead.
     """
 
     def __init__(
@@ -74,8 +74,8 @@ class Drive:
     def verify(self) -> None:
         """Verify that the drive's identity and units match the settings, and store its software limits.
 
-        Raises ProtocolError if the identity differs, and ConfigurationError if the units differ. If `units.write` is
-        set, differing units are first written to the drive; otherwise nothing is written.
+        Raises ProtocolError if the identity differs, and ConfigurationError if the units differ. If the setting
+        `units.write` is true, differing units are first written to the drive; otherwise nothing is written.
         """
         verify_identity(self.node, self.settings)
         verify_factors(self.node, self.settings)
@@ -92,7 +92,8 @@ class Drive:
         return self.state_of(self.node.read(objects.STATUSWORD))
 
     def require_within_limits(self, angle_deg: float) -> None:
-        """Raise CommandRejected if the angle is outside the limits of the settings or the software limits of the drive.
+        """Raise CommandRejected if the target angle is outside the limits of the settings or the software limits of the
+        drive.
 
         Nothing is sent to the drive.
         """
@@ -122,10 +123,10 @@ class Drive:
             )
 
     def prepare(self) -> None:
-        """Set the heartbeat time of the node and switch the node to the state *operational*. The drive does not move.
+        """Set the heartbeat time of the drive's CAN node and switch the node to the state *operational*.
 
-        The state is switched by network management (NMT). A call is necessary when the mount opens, and again after a
-        restart of the node.
+        The drive does not move. The state is switched by a command of the network management (NMT). A call is necessary
+        when the connection to the mount is opened, and again after a restart of the node.
         """
         self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)
         self.node.start()
@@ -135,10 +136,10 @@ class Drive:
         self._monitor.arm()
 
     def enable(self) -> None:
-        """Bring the drive to the state *operation enabled* by the transitions in `ENABLE_TRANSITIONS`.
+        """Bring the drive to the state *operation enabled* by the transitions of the CiA 402 state machine.
 
-        If the drive is already enabled at the first query, it is stopped before it is enabled again. A fault that is
-        found during the transitions is reset.
+        The transitions are listed in `ENABLE_TRANSITIONS`. If the drive is already enabled at the first query of its
+        state, it is stopped before it is enabled again. A fault that is found during the transitions is reset.
         """
         if not self._prepared:
             self.prepare()
@@ -169,7 +170,7 @@ class Drive:
     def start_turn(self, angle_deg: float) -> float:
         """Start a turn to the given angle and return its predicted duration in s.
 
-        The caller must have checked the limits before.
+        The caller must have checked before that the angle is within the limits.
         """
         self._enter_profile_position()
         self._limit_logged = False
@@ -191,14 +192,14 @@ class Drive:
         )
 
     def turn_ended(self) -> bool:
-        """Poll the drive once and return True if the target is reached.
+        """Poll the drive once and return True if the target of the turn is reached.
 
         Raises MotionFault if the drive reports a fault or a following error, or has left the state *operation enabled*.
         """
         return bool(self._statusword_in_motion() & states.TARGET_REACHED)
 
     def describe_unreached_target(self) -> str:
-        """Return a text that explains why the target was not reached.
+        """Return a text that explains why a turn has not reached its target.
 
         The text gives the position, the limit that blocks the turn (if there is one), and the following error.
         """
@@ -214,9 +215,9 @@ class Drive:
         self.node.write(objects.CONTROLWORD, states.START_HOMING)
 
     def homing_ended(self) -> bool:
-        """Poll the drive once and return True if homing is attained (bit 12) and the axis is at rest (bit 10).
+        """Poll the drive once and return True if homing is attained and the axis is at rest (bits 12 and 10).
 
-        Raises MotionFault if the drive reports a homing error.
+        The bits are those of the statusword. Raises MotionFault if the drive reports a homing error.
         """
         status = self._statusword_in_motion()
         done = bool(status & states.SET_POINT_ACKNOWLEDGE and status & states.TARGET_REACHED)
@@ -252,10 +253,10 @@ class Drive:
         return emergency_text(self.node.read(objects.ERROR_CODE))
 
     def check(self) -> list[int]:
-        """Return the error codes of the emergency messages received since the last call.
+        """Return the error codes of the drive's emergency messages that were received since the last call.
 
-        Raises MotionFault if the node has restarted or left the NMT state *operational*. Raises LinkTimeout or LinkLost
-        if the node no longer answers.
+        Raises MotionFault if the drive's CAN node has restarted or left the network state (NMT state) *operational*.
+        Raises LinkTimeout or LinkLost if the node no longer answers.
         """
         try:
             return self._monitor.check()
@@ -265,9 +266,7 @@ class Drive:
             raise
 
     def check_in_motion(self) -> None:
-        """Call `check`, and raise MotionFault if an emergency message has an error code that the settings do not
-        tolerate.
-        """
+        """Call `check`; raise MotionFault if it returns an emergency error code that the settings do not tolerate."""
         self._require_no_emergency(self.check())
 
     def _require_no_emergency(self, codes: list[int]) -> None:

@@ -1,6 +1,6 @@
 """Texts of the error codes in emergency messages (EMCY) and in object 0x603F (CiA 301 table 26, CiA 402-2 annex).
 
-A code that is not in the table gets the text of the most specific error class to which it belongs.
+A code that is not in the table of this module gets the text of the most specific error class to which it belongs.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Comparison of the factors stored in a drive (0x608F, 0x6091, 0x6092, 0x607E, 0x60A8) with the settings.
+"""Comparison of the conversion factors and units stored in a drive with the settings.
+
+They are stored in the objects 0x608F, 0x6091, 0x6092, 0x607E and 0x60A8.
 
 A drive whose factors differ from the settings turns the mount by a wrong angle without any fault. Therefore these
-objects are read when the mount opens. If a factor differs, opening fails before anything moves. An object that the
-drive does not have is skipped, since CiA 402 requires none of these objects.
+objects are read when the connection to the mount is opened. If a factor differs, opening fails before anything moves.
+An object that the drive does not have is skipped, since CiA 402 requires none of these objects.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ _log = structlog.get_logger("canopen_mount")
 
 @dataclass(frozen=True)
 class Factor:
-    """Factor that the drive must have: one object, or a ratio stored in two sub-indexes of an object.
+    """Conversion factor or unit that a drive must have: one object, or a ratio stored in two sub-indexes of an object.
 
-    `values` contains the expected value or ratio. `key` is the key of the axis settings that gives it.
+    `values` contains the expected value or ratio. `key` is the key of the axis settings from which `values` is taken.
     """
 
     name: str
@@ -35,7 +37,7 @@ class Factor:
     key: str
 
     def agrees(self, found: tuple[int, ...]) -> bool:
-        """Return True if `found` equals the expected value.
+        """Return True if `found`, the value read from the drive, equals the expected value.
 
         Ratios are compared by their value, so 36:1 equals 72:2.
         """
@@ -71,16 +73,17 @@ def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
 
 
 def read_factor(node: DriveNode, factor: Factor) -> tuple[int, ...] | None:
-    """Return the value or the ratio stored in the drive; None if the drive does not have the object."""
+    """Return a factor stored in the drive, which may be a ratio; None if the drive does not have the object."""
     found = [node.read_optional(entry) for entry in factor.entries]
     return None if None in found else tuple(value for value in found if value is not None)
 
 
 def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
-    """Verify that the factors stored in the drive agree with the settings. The drive does not move.
+    """Verify that the conversion factors and units stored in the drive agree with the settings. The drive does not
+    move.
 
-    If `units.write` is set, differing factors are first written to the drive. Raises ConfigurationError if a factor
-    still differs; the error names the object and the key.
+    If the setting `units.write` is true, differing factors are first written to the drive. Raises ConfigurationError if
+    a factor still differs; the error names the object and the key of the setting.
     """
     for factor in expected_factors(settings):
         found = read_factor(node, factor)
@@ -94,9 +97,9 @@ def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
 
 
 def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
-    """Compare a factor with the drive, and return the result and a text for the diagnosis. Nothing is written.
+    """Compare an expected factor with the one stored in the drive; return the result and a text for the diagnosis.
 
-    The result is True if the factor agrees or if the drive does not have the object.
+    Nothing is written. The result is True if the factor agrees or if the drive does not have the object.
     """
     found = read_factor(node, factor)
     if found is None:

@@ -35,7 +35,7 @@ def read_soft_limits(node: DriveNode) -> SoftLimits | None:
 
 
 def active_switches(node: DriveNode) -> dict[int, str]:
-    """Return the names of the active limit switches, keyed by the direction in which each switch blocks motion.
+    """Return the names of a drive's active limit switches, keyed by the direction in which each switch blocks motion.
 
     The direction is 1 for increasing encoder counts and -1 for decreasing counts.
     """
@@ -44,7 +44,7 @@ def active_switches(node: DriveNode) -> dict[int, str]:
 
 
 def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
-    """Return a text that names the limit that blocks the turn to `target` counts; an empty string if no limit is known.
+    """Return a text that names the limit that blocks a turn to `target` counts; an empty string if no limit is known.
 
     `direction` is 1 for increasing encoder counts and -1 for decreasing counts.
     """
@@ -58,7 +58,7 @@ def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
 
 
 def describe_unreached_target(node: DriveNode, scale: AxisScale, target: int, direction: int) -> str:
-    """Return a text that explains why the target was not reached.
+    """Return a text that explains why a turn of a drive has not reached its target.
 
     The text gives the position, the limit that blocks the turn (if there is one), and the following error. `direction`
     is 1 for increasing encoder counts and -1 for decreasing counts.

@@ -86,7 +86,7 @@ class CanopenMount:
     def home(self) -> None:
         """Home the drives that need homing, one after the other.
 
-        A drive with an absolute encoder is only enabled.
+        A drive with an absolute encoder needs no homing; it is only enabled.
         """
         try:
             for drive in self._require_open():
@@ -97,7 +97,7 @@ class CanopenMount:
             raise
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
-        """Turn both axes together, wait until they are in position and settled, and return the encoder angles.
+        """Turn both axes together, wait until they are in position and settled, and return their encoder angles.
 
         Raises CommandRejected, before anything is sent, if a limit is exceeded or an axis is not homed. Raises
         MotionFault, DeadlineExpired or LinkError if the turn fails. If an exception ends the wait, both drives are

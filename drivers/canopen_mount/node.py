@@ -32,8 +32,8 @@ _log = structlog.get_logger("canopen_mount")
 class DriveNode:
     """CANopen node of a drive; `axis` is its name in error messages.
 
-    An SDO request that is not answered is repeated once, so it takes up to twice `sdo_timeout_s` of wall time. Write
-    requests may be repeated, too, because writing a value twice has no further effect: targets are absolute, and
+    An SDO request that is not answered is repeated once, so it takes up to twice `sdo_timeout_s` of wall time. Requests
+    that write are repeated, too, because writing a value twice has no further effect: targets are absolute, and
     commands in the controlword take effect on the rising edge of a bit.
     """
 
@@ -65,7 +65,7 @@ class DriveNode:
         return {"axis": self.axis, "node": str(self.node_id), "link": self._link.name}
 
     def read(self, entry: DriveObject) -> int:
-        """Read an object of the node.
+        """Read an object of the node from its object dictionary.
 
         Raises CommandRejected if the node refuses the request, for example because it has no such object. Raises
         LinkLost, LinkTimeout or ProtocolError if there is no valid answer.
@@ -103,15 +103,16 @@ class DriveNode:
         return bytes(self._transfer(str(entry), lambda: self._node.sdo.upload(entry.index, entry.subindex)))
 
     def write(self, entry: DriveObject, value: int) -> None:
-        """Write an object of the node.
+        """Write a value to an object of the node.
 
-        Raises the same errors as `read`. The text of CommandRejected contains the reason that the drive gives.
+        Raises the same errors as `read`. The text of the error CommandRejected contains the reason that the drive
+        gives.
         """
         data = entry.pack(value)
         self._transfer(str(entry), lambda: self._node.sdo.download(entry.index, entry.subindex, data))
 
     def start(self) -> None:
-        """Switch the node to the NMT state *operational*.
+        """Switch the node to the state *operational* by a command of the network management (NMT).
 
         The NMT command has no answer of its own. Therefore an object is read afterwards, whose answer shows that the
         node has processed the command.
@@ -135,7 +136,7 @@ class DriveNode:
         return seen
 
     def take_nmt_state(self) -> int | None:
-        """Return the NMT state that the node reported in its latest heartbeat.
+        """Return the network state (NMT state) that the node reported in its latest heartbeat.
 
         Return None if no heartbeat has arrived since the last call of this method.
         """

@@ -1,4 +1,4 @@
-"""Monitor of a CANopen node: it detects restarts, silence, emergencies and changes of the network state (NMT)."""
+"""Monitor of a CANopen node; it detects restarts, silence, emergency messages and changes of the network state."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class NodeMonitor:
-    """Monitor of one CANopen node; the driver calls `check` repeatedly during every wait.
+    """Monitor of one CANopen node; the driver calls `check` repeatedly during every wait for the drive.
 
     The age of the latest heartbeat is measured on the given clock. A heartbeat may seem late only because this process
     was busy. Therefore the node is queried by an SDO request before it is declared lost.
@@ -34,10 +34,10 @@ class NodeMonitor:
         self._last_s = self._clock.now()
 
     def check(self) -> list[int]:
-        """Log and return the error codes of the emergency messages received since the last call.
+        """Log and return the error codes of the emergency messages that the node has sent since the last call.
 
-        Raises MotionFault if the node has restarted or left the NMT state *operational*. Raises LinkTimeout or LinkLost
-        if the node no longer answers.
+        Raises MotionFault if the node has restarted or left the network state (NMT state) *operational*. Raises
+        LinkTimeout or LinkLost if the node no longer answers.
         """
         codes = [code for code in self._node.take_emergencies() if code]
         for code in codes:

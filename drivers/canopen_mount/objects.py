@@ -1,4 +1,4 @@
-"""Objects of CiA 301 and CiA 402 that the mount uses, with their data types."""
+"""Objects of CiA 301 and CiA 402 that the rotary mount uses, with their data types."""
 
 from __future__ import annotations
 

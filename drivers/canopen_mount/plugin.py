@@ -13,7 +13,7 @@ def create(settings: CanopenMountSettings, context: DeviceContext) -> CanopenMou
 
 
 def claims(settings: CanopenMountSettings) -> dict[str, str]:
-    """Return the resources that this mount claims: its node ids on the bus, each of which can have only one owner."""
+    """Return the resources that the mount claims: its node ids on the CAN bus; each can have only one owner."""
     bus = CanAddress.of(settings.interface, settings.channel, settings.options).name
     return {
         f"CANopen node {axis.node_id} on {bus}": f"{name}.node_id"

@@ -5,9 +5,9 @@
     counts = direction * (angle - offset) * counts_per_degree
     counts_per_degree = encoder counts per motor turn * motor turns / (shaft turns * 360)
 
-The product is computed with rational numbers from the exact binary values of the inputs. It is rounded once, half to
-even, so the count sent to the drive is the one nearest to the requested angle. A count that is converted to degrees and
-back to a count does not change.
+The counts are computed with rational numbers from the exact binary values of the inputs. The result is rounded once,
+half to even, so the count sent to the drive is the one nearest to the requested angle. A count that is converted to
+degrees and back to a count does not change.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ INT32_MAX = 2**31 - 1
 class AxisScale:
     """Scale of one axis: conversion between mount angles and encoder counts.
 
-    `counts_per_degree` is exact and positive; `direction` is 1 or -1.
+    `counts_per_degree` is an exact rational number and positive; `direction` is 1 or -1.
     """
 
     counts_per_degree: Fraction

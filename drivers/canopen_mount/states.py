@@ -1,8 +1,8 @@
 """Table of the state machine of a CiA 402 drive.
 
-Bits 0-3, 5 and 6 of the statusword give the state. `ENABLE_TRANSITIONS` contains, for each state, the next transition
-towards *operation enabled*: its controlwords, its target state and its time limit. A transition without a controlword
-occurs in the drive without a command.
+Bits 0-3, 5 and 6 of the drive's statusword give the state. `ENABLE_TRANSITIONS` contains, for each state, the next
+transition towards *operation enabled*: its controlwords, its target state and its time limit. A transition without a
+controlword occurs in the drive without a command.
 """
 
 from __future__ import annotations
@@ -58,9 +58,10 @@ START_HOMING = ENABLE_OPERATION | 0x0010
 
 @dataclass(frozen=True)
 class StateTransition:
-    """Transition of the state machine.
+    """Transition of the state machine of a CiA 402 drive.
 
-    `controlwords` are written in order. The drive must then reach the state `target` within `within_s` of machine time.
+    `controlwords` are written to the drive in order. The drive must then reach the state `target` within `within_s` of
+    machine time.
     """
 
     controlwords: tuple[int, ...]
@@ -84,7 +85,7 @@ The time limits of several seconds allow for power stages and brakes.
 
 
 def drive_state(statusword: int) -> DriveState | None:
-    """Return the state given by a statusword; None for a pattern that CiA 402 does not define."""
+    """Return the state of a CiA 402 drive given by its statusword; None for a pattern that CiA 402 does not define."""
     for mask, pattern, state in _PATTERNS:
         if statusword & mask == pattern:
             return state

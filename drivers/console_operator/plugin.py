@@ -1,6 +1,6 @@
 """Driver plugin `console-operator`, which asks an operator in a terminal.
 
-Questions are written to stderr and answers are read from stdin, so stdout remains free for results.
+Questions to the operator are written to stderr and answers are read from stdin, so stdout remains free for results.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class ConsoleOperatorSettings(DriverOptions):
 
 
 class ConsoleOperator:
-    """Operator at a terminal. If there is no terminal, a question raises an error immediately."""
+    """Operator at a terminal. If there is no terminal, `ask` raises an error immediately."""
 
     def __init__(self, settings: ConsoleOperatorSettings, name: str, source: TextIO, sink: TextIO) -> None:
         self._attempts = settings.attempts
@@ -39,7 +39,7 @@ class ConsoleOperator:
         self._sink = sink
 
     def open(self) -> None:
-        """Do nothing, because there is nothing to connect.
+        """Do nothing, because a terminal needs no connection.
 
         The terminal is checked when a question is asked.
         """

@@ -1,4 +1,8 @@
-"""Contract tests of `Machine`, `Probe` and `RotaryMount`. Each test uses the fixture `rig` (a `ContractRig`)."""
+"""Contract tests of the device roles `Machine`, `Probe` and `RotaryMount`.
+
+Every driver of such a role must pass them. Each test uses the fixture `rig`, a `ContractRig` with the device under
+test.
+"""
 # ruff: noqa: S101  contract tests assert
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ class StoppedError(Exception):
 
 @dataclass
 class Interrupt:
-    """Planned interruption of a wait: `check` raises `StoppedError` as soon as `clock` reaches `at_s`.
+    """Planned interruption of a wait of a driver: `check` raises `StoppedError` as soon as `clock` reaches `at_s`.
 
     Give the driver the clock ``InterruptibleClock(clock, interrupt.check)``; it calls `check` while it sleeps.
     """
@@ -36,10 +36,10 @@ class Interrupt:
 
 
 class ContractRig(ABC):
-    """Machine with one obstacle that the stylus tip can approach.
+    """Machine for contract tests of drivers, with one obstacle that the stylus tip can approach.
 
-    A subclass needs to provide only the devices whose roles are tested. `clock` is the clock of the driver and must
-    call `interrupt.check` while it sleeps. Positions are axis positions in mm.
+    A subclass needs to provide only the devices whose roles are tested. `clock` is the clock of the driver; it must
+    call `interrupt.check`, by which the tests interrupt waits, while it sleeps. Positions are axis positions in mm.
     """
 
     clock: Clock
@@ -67,7 +67,7 @@ class ContractRig(ABC):
 
     @abstractmethod
     def approach(self) -> Vector:
-        """Move the tip in front of the obstacle, and return a target inside the obstacle.
+        """Move the stylus tip in front of the obstacle, and return a target inside the obstacle.
 
         The target lies in the direction +Y from the tip. The path to the obstacle must be free over at least 5 mm; 25
         mm is usual.
@@ -82,7 +82,7 @@ class ContractRig(ABC):
         """
 
     def table(self, factor: int = 1) -> TableImage:
-        """Return a table that the store accepts. Each value of `factor` gives a different table."""
+        """Return a compensation table that the store under test accepts; each `factor` gives a different table."""
         limits = self.store.store_limits()
         counts = np.arange(3 * 2 * 4 * 3, dtype=np.int32).reshape(3, 2, 4, 3) * factor - 30
         return TableImage((0.0, 0.0, 0.0), (2000.0, 1300.0, 500.0), limits.resolution_mm, counts)

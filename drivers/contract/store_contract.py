@@ -1,4 +1,8 @@
-"""Contract tests of `CompensationStore` and `Thermometer`. Each test uses the fixture `rig` (a `ContractRig`)."""
+"""Contract tests of the device roles `CompensationStore` and `Thermometer`.
+
+Every driver of such a role must pass them. Each test uses the fixture `rig`, a `ContractRig` with the device under
+test.
+"""
 # ruff: noqa: S101  contract tests assert
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from drivers.roles import CompensationStore, TableImage, Thermometer
 
 
 class CompensationStoreContract:
-    """Contract tests of a compensation store.
+    """Contract tests, which every driver of a compensation store must pass.
 
     The store must activate tables immediately, and its banks must be empty at the start of each test.
     """

@@ -56,7 +56,7 @@ class CanAddress:
 
     @property
     def name(self) -> str:
-        """Name of the link in messages, for example ``socketcand:can0@127.0.0.1:29536``."""
+        """Name of the CAN bus in messages, for example ``socketcand:can0@127.0.0.1:29536``."""
         options = dict(self.options)
         host = f"@{options['host']}" if "host" in options else ""
         port = f":{options['port']}" if "port" in options else ""
@@ -140,7 +140,7 @@ class SlcanBus(slcanBus):
     def status_flags(self, within_s: float) -> int | None:
         """Query the status flags of the adapter and return them; None if the adapter does not answer within `within_s`.
 
-        The receiving thread must be running, because it reads the answer.
+        The thread that receives the frames must be running, because it reads the answer.
         """
         self._answered.clear()
         self._write("F")

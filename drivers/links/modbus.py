@@ -37,7 +37,7 @@ class _ExceptionResponse(Exception):
 
 
 class LatencyStatistics:
-    """Statistics of the round-trip times of requests, in seconds of the wall clock."""
+    """Statistics of the round-trip times of Modbus requests, in seconds of the wall clock."""
 
     def __init__(self, window: int = 1000) -> None:
         self.count = 0

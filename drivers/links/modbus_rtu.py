@@ -6,11 +6,11 @@ timeout.
 
 RTU frames have no transaction number. Before each request, received bytes are discarded. After a failed request, bytes
 are also read and discarded until the line is quiet. An answer that arrives even later is accepted as the answer to the
-next request if it has the right form. The register map contains numbers (sequence, block, latch) by which the caller
-detects such an outdated answer.
+next request if it has the right form. The register map of the controller contains numbers (sequence, block, latch) by
+which the caller detects such an outdated answer.
 
-On the clock of the device, a request takes at least its transmission time on a real cable. If the transfer itself is
-faster (pseudo-terminal, lockstep clock), the transport sleeps for the rest of that time.
+Measured on the clock that the transport is given, a request takes at least its transmission time on a real cable. If
+the transfer itself is faster (pseudo-terminal, lockstep clock), the transport sleeps for the rest of that time.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.
 
 @dataclass(frozen=True)
 class RtuEndpoint:
-    """Address of a unit on a serial line."""
+    """Address of a Modbus unit on a serial line."""
 
     line: SerialLine
     unit: int

@@ -27,7 +27,7 @@ logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 @dataclass(frozen=True)
 class TcpEndpoint:
-    """Address of a unit behind a Modbus TCP server."""
+    """Address of a Modbus unit behind a Modbus TCP server."""
 
     host: str
     port: int

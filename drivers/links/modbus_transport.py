@@ -11,7 +11,7 @@ EXCEPTION_BIT = 0x80
 
 
 class DamagedFrame(ProtocolError):
-    """Error for an answer that was truncated or garbled on the line.
+    """Error for an answer of a Modbus unit that was truncated or garbled on the line.
 
     The unit itself works, so a repeated request may succeed.
     """
@@ -20,7 +20,8 @@ class DamagedFrame(ProtocolError):
 class Transport(Protocol):
     """Connection to one Modbus unit.
 
-    An error names the device and the link; the calling `ModbusLink` adds the register.
+    An error that a transport raises names the device and the link; the `ModbusLink` that uses the transport adds the
+    register.
     """
 
     @property

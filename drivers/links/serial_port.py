@@ -1,6 +1,6 @@
 """Serial port for line-oriented text protocols, over pyserial.
 
-Waits use `select` instead of the timeout of pyserial, because changing that timeout reconfigures the port.
+Waits use `select` instead of the timeout of pyserial, because changing the timeout of pyserial reconfigures the port.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class SerialPort:
     def open(self) -> None:
         """Open the port for exclusive use.
 
-        A second program on the port would receive some of the answers.
+        Otherwise, a second program on the same port would receive some of the answers of the device.
         """
         self.close()
         address = self._address

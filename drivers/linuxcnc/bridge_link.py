@@ -36,7 +36,7 @@ class _Bridge(NamedTuple):
 
 
 class BridgeLink:
-    """Link to the bridge process; it implements the interface `Pins`.
+    """Link to the bridge process between volcal and LinuxCNC; it implements the interface `Pins` to HAL.
 
     Any thread may use the link; requests are sent one at a time. Waits use the wall clock.
     """
@@ -68,7 +68,7 @@ class BridgeLink:
         """Start the bridge process.
 
         Raises LinkLost if the bridge cannot be started or if LinuxCNC does not run, and ProtocolError if the version of
-        the bridge's protocol is wrong.
+        the bridge's protocol is not the expected one.
         """
         with self._lock:
             self.close()
@@ -134,7 +134,7 @@ class BridgeLink:
         return self.get_all([name])[0]
 
     def get_all(self, names: Sequence[str]) -> list[PinValue]:
-        """Return the values of several pins in one round trip."""
+        """Return the values of several HAL pins by a single request to the bridge."""
         values: list[PinValue] = self.ask("hal_get", names=list(names))["values"]
         return values
 

@@ -65,8 +65,8 @@ class LinuxCnc:
     def close(self) -> None:
         """Restore the modal codes if motions were made, and end the bridge process.
 
-        The modal codes are those in effect before the first motion; after their restoration, the controller is switched
-        to manual mode. Both steps are omitted if the machine is off.
+        The modal codes (G-codes that remain in effect until changed) are those in effect before the first motion; after
+        their restoration, the controller is switched to manual mode. Both steps are omitted if the machine is off.
         """
         parts, self._parts = self._parts, None
         try:

@@ -79,7 +79,7 @@ class LinuxCncMotion:
         """Tag of the step to which the motions belong. It is appended to the MDI line as a comment."""
 
     def run(self, kind: MdiMotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> LinuxCncMotionResult:
-        """Move along a straight line until the target is reached or, in a touch, until the probe trips.
+        """Move along a straight line until `target_mm` is reached or, in a touch, until the probe trips.
 
         Raises an error if the motion ends in any other way.
         """
@@ -95,7 +95,7 @@ class LinuxCncMotion:
         return LinuxCncMotionResult(before.position, ended)
 
     def stop(self) -> None:
-        """Stop the motion without waiting for standstill.
+        """Stop the motion in progress without waiting for standstill.
 
         The method must not wait, because it may be called while a sleep of the clock is being interrupted.
         """
@@ -105,18 +105,18 @@ class LinuxCncMotion:
     def reset(self) -> None:
         """Switch the machine on if it is off, and wait until LinuxCNC reports that it is idle.
 
-        Without this wait, LinuxCNC would refuse a motion for a few cycles after the machine is switched on.
+        Without the wait, LinuxCNC would refuse a motion for a few cycles after the machine is switched on.
         """
         if self._session.read_snapshot().task_state != ON:
             self._session.link.ask("on")
             self._await_rest(anyway=True)
 
     def require_idle(self) -> None:
-        """Raise CommandRejected if a motion is in progress or held."""
+        """Raise CommandRejected if a motion of the machine is in progress or paused (held)."""
         self._require_at_rest(self._session.read_snapshot())
 
     def restore_modes(self) -> None:
-        """Restore the modal codes in effect before the first motion, and switch to manual mode.
+        """Restore the modal G-codes that were in effect before the first motion, and switch to manual mode.
 
         The method has no effect if no motion was made or if the machine is off.
         """

@@ -20,11 +20,11 @@ class Pins(Protocol):
     """
 
     def get(self, name: str) -> PinValue:
-        """Return the value of a pin: a bit as bool, an s32 or u32 as int, a float as float."""
+        """Return the value of a HAL pin: a bit as bool, an s32 or u32 as int, a float as float."""
         ...
 
     def set(self, name: str, value: PinValue) -> None:
-        """Set a pin, as the command `halcmd setp` does.
+        """Set a HAL pin, as the command `halcmd setp` does.
 
         If the pin is linked to a signal that no other pin writes, set this signal, as the command `halcmd sets` does.
         """

@@ -1,6 +1,6 @@
 """Touches by the probing command G38.3 of LinuxCNC.
 
-The latched position is corrected for the delay between the trip of the probe and the latch.
+The latched position is corrected for the delay between the trip of the probe and the latching of the position.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 class LinuxCncProbing:
     """Touches by the probing command G38.3, which raises no alarm if the probe does not trip.
 
-    The field `tripped` of the snapshot distinguishes a touch from a miss.
+    The field `tripped` of the snapshot of LinuxCNC's state distinguishes a touch from a miss.
     """
 
     def __init__(self, session: LinuxCncSession, motion: LinuxCncMotion) -> None:

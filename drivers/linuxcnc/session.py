@@ -74,10 +74,11 @@ class LinuxCncSession:
         return parse_snapshot(self.link.ask("status", pins=self._pins), self.properties.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
-        """Return, for each permission, True if it is granted and False otherwise.
+        """Return, for each permission to move the machine, True if it is granted and False otherwise.
 
-        A permission follows from the state of LinuxCNC in `snapshot`. If a HAL pin is configured for the permission,
-        this pin must also be true.
+        A permission is a condition that must be met before the machine may move, for example closed doors. It follows
+        from the state of LinuxCNC in `snapshot`. If a HAL pin is configured for the permission, this pin must also be
+        true.
         """
         on = snapshot.task_state == ON
         given = dict.fromkeys(Permission, True) | {

@@ -63,7 +63,7 @@ class Snapshot:
 
     @property
     def fault(self) -> str:
-        """Reason why the machine is not on; an empty string while it is on."""
+        """Reason why the machine is not switched on; an empty string while it is on."""
         if self.task_state == ON:
             return ""
         text = "emergency stop" if self.task_state == "estop" else "machine is off"

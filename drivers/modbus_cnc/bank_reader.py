@@ -18,16 +18,17 @@ from drivers.roles import TableImage
 
 
 class BankReader:
-    """Reader of banks that contain a complete table.
+    """Reader of the banks of a controller that contain a complete compensation table.
 
-    Block 0 of a bank is the descriptor of the table; the further blocks contain its corrections.
+    Block 0 of a bank is the descriptor of the table (its grid and its CRC-32); the further blocks contain its
+    corrections.
     """
 
     def __init__(self, session: ModbusSession) -> None:
         self._session = session
 
     def read(self, bank: int) -> tuple[TableImage, TableDescriptor]:
-        """Read a complete bank, and return its table and its descriptor.
+        """Read a complete bank, and return its compensation table and the descriptor of this table.
 
         Raises ChecksumMismatch if the CRC-32 of the data read differs from the CRC-32 in the descriptor. Raises
         ProtocolError if a block is missing or the descriptor is invalid.

@@ -53,8 +53,9 @@ class GoneError(Exception):
 class Bridge:
     """Bridge to the running LinuxCNC; it carries out the requests.
 
-    The request "hello" sets `watch_s`, the longest time without a request during a motion that the bridge has started.
-    After a longer time, the bridge stops the motion. If `watch_s` is 0, the time is not monitored.
+    The request "hello", which volcal sends first, sets `watch_s`, the longest time without a request during a motion
+    that the bridge has started. After a longer time, the bridge stops the motion. If `watch_s` is 0, the time is not
+    monitored.
     """
 
     def __init__(self) -> None:
@@ -92,16 +93,16 @@ class Bridge:
         return action(request)
 
     def pause_s(self) -> float | None:
-        """Return the longest time in s that the main loop may wait for a request before it calls `watch`.
+        """Return the longest time in s that the main loop may wait for a request before it must call `watch`.
 
-        Return None if there is no limit.
+        The method `watch` stops a motion for which no request comes any more. Return None if there is no limit.
         """
         return 0.05 if self._watched() else None
 
     def watch(self) -> None:
-        """Stop the motion that the bridge has started if no request has come for `watch_s` seconds.
+        """Stop the motion that the bridge has started if no request has come for too long.
 
-        A paused motion is not stopped.
+        The time is `watch_s`, set by the request "hello". A paused motion is not stopped.
         """
         if self._watched() and time.monotonic() - self._heard_s > self._watch_s:
             self._poll()
@@ -114,7 +115,7 @@ class Bridge:
     def end(self) -> None:
         """Stop a motion that the bridge has started.
 
-        The main loop calls this method when standard input has ended.
+        The main loop calls this method when standard input has ended, since no further request can come.
         """
         self._poll()
         if self._begun is not None and self._under_way():

@@ -15,7 +15,7 @@ HALCMD_WITHIN_S = 2.0
 
 
 class NoSuchPinError(Exception):
-    """Error for a name that HAL does not have, or for a pin that cannot be set to the given value."""
+    """Error for a name that HAL does not have, or for a HAL pin that cannot be set to the given value."""
 
 
 class HalPins:
@@ -25,7 +25,7 @@ class HalPins:
     """
 
     def get(self, name: str) -> Value:
-        """Return the value of a pin: a bit as bool, an s32 or u32 as int, a float as float."""
+        """Return the value of a HAL pin: a bit as bool, an s32 or u32 as int, a float as float."""
         try:
             value: Value = hal.get_value(name)
             return value
@@ -36,7 +36,7 @@ class HalPins:
         return [self.get(name) for name in names]
 
     def set(self, name: str, value: Value) -> None:
-        """Set a pin, as the command `halcmd setp` does.
+        """Set a HAL pin, as the command `halcmd setp` does.
 
         If the pin is linked to a signal that no other pin writes, set this signal, as the command `halcmd sets` does.
         """

@@ -1,7 +1,7 @@
 """Compensation store for LinuxCNC with two banks of tables.
 
-Tables are applied by one of three methods: external offsets, volcal's own kinematics module, or screw-compensation
-files.
+LinuxCNC applies the tables by one of three methods: external offsets, volcal's own kinematics module, or
+screw-compensation files.
 """
 
 from drivers.linuxcnc.compensation.factory import LinuxCncStore, create_store

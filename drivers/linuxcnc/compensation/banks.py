@@ -1,4 +1,4 @@
-"""Common part of the three compensation methods: two banks, their table files, and the limits on tables."""
+"""Common part of the three methods of compensation in LinuxCNC: two banks of tables, their files and their limits."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Banks:
         write_atomically(self.path(bank), format_table(table))
 
     def read(self, bank: int) -> TableImage | None:
-        """Return the table in the file of the bank; None if there is no file.
+        """Return the compensation table in the file of `bank`; None if there is no file.
 
         Raises StoreError if the file does not contain a valid table.
         """
@@ -55,7 +55,7 @@ class Banks:
             raise self.error(f"no bank {bank}; there are {BANKS}")
 
     def require_stageable(self, bank: int, table: TableImage, taken: tuple[int | None, ...]) -> None:
-        """Raise StoreError if the table cannot be staged in `bank`.
+        """Raise StoreError if the table cannot be staged in (written to) `bank`.
 
         `taken` contains the banks that must not be written: the active bank and the bank selected for activation.
         """

@@ -30,7 +30,7 @@ SETUP_HINT = "set up the INI and HAL files as described in docs/explanation/linu
 
 
 class CompFileStore:
-    """Compensation store that uses screw-compensation files and a symbolic link to the selected bank.
+    """Compensation store that uses screw-compensation files and a symbolic link to the selected bank of tables.
 
     The selected bank becomes active at the next start of LinuxCNC.
     """
@@ -52,7 +52,7 @@ class CompFileStore:
         return None if chosen == self.active_bank() else chosen
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the whole table as it was staged; None for bank 0 or an empty bank.
+        """Return the whole table of a bank as it was staged (written); None for bank 0 or an empty bank.
 
         For the active bank, the method raises ChecksumMismatch if LinuxCNC was started with another table, and
         StoreError if there is no table.
@@ -73,7 +73,7 @@ class CompFileStore:
         """Write the whole table and its own-axis part to the files of an inactive bank.
 
         The own-axis part, in which the correction of each axis depends only on the position of this axis, is the only
-        part that LinuxCNC applies. Raises StoreError if the remainder is larger than the settings accept.
+        part that LinuxCNC applies. Raises StoreError if the rest of the table is larger than the settings accept.
         """
         self._banks.require_stageable(bank, table, (self.active_bank(), self._selected_bank()))
         part = own_axis_part(table)
@@ -90,9 +90,9 @@ class CompFileStore:
     def activate(self, bank: int) -> None:
         """Select the bank that becomes active at the next start of LinuxCNC.
 
-        All files of the bank are verified first. A new symbolic link is then created and renamed over the old one.
-        Raises StoreError if the bank is empty or the link cannot be replaced, and ChecksumMismatch if a file does not
-        match the table.
+        All files of the bank are verified first. A new symbolic link to the bank is then created and renamed over the
+        old one. Raises StoreError if the bank is empty or the link cannot be replaced, and ChecksumMismatch if a file
+        of the bank does not match its table.
         """
         if bank == self._selected_bank():
             return

@@ -36,7 +36,11 @@ FAULTS_WITHOUT_BANK = (1, 3)
 
 
 class LiveStore:
-    """Compensation store that is controlled through the pins of the loader."""
+    """Compensation store whose tables LinuxCNC loads and activates while it runs.
+
+    The store is controlled through the pins of the HAL component `volcal_tables` (the loader), which loads and
+    activates the tables.
+    """
 
     def __init__(self, pins: Pins, banks: Banks, clock: Clock, within_s: float) -> None:
         self._pins = pins
@@ -50,7 +54,8 @@ class LiveStore:
     def active_bank(self) -> int:
         """Return the active bank.
 
-        Raises StoreError if the loader reports a fault that leaves no bank active (`FAULTS_WITHOUT_BANK`).
+        Raises StoreError if the loader (the HAL component `volcal_tables`) reports a fault that leaves no bank active.
+        These faults are listed in `FAULTS_WITHOUT_BANK`.
         """
         fault = int(self._get("acting-fault"))
         if fault in FAULTS_WITHOUT_BANK:
@@ -61,7 +66,7 @@ class LiveStore:
         return None
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the table in the file of the bank; None for bank 0 or an empty bank.
+        """Return the compensation table in the file of `bank`; None for bank 0 or an empty bank.
 
         Raises ChecksumMismatch if the file differs from the table in the memory of the controller.
         """
@@ -81,10 +86,10 @@ class LiveStore:
         return table
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Write a table to the file of an inactive bank, let the loader load the file, and read the table back.
+        """Write a table to the file of an inactive bank, load the file into the controller, and read the table back.
 
-        Raises StoreError if the bank is active or the table is refused, and ReadBackMismatch if the table is read back
-        differently.
+        The file is loaded by the HAL component `volcal_tables` (the loader). Raises StoreError if the bank is active or
+        the table is refused, and ReadBackMismatch if the table is read back differently.
         """
         active, selected = int(self._get("acting-bank")), int(self._get("bank"))
         self._banks.require_stageable(bank, table, (active, selected))
@@ -103,9 +108,10 @@ class LiveStore:
     def activate(self, bank: int) -> None:
         """Activate a bank, and wait until it is active.
 
-        The bank is first armed with the CRC-32 of its table. The activation is then confirmed with a number that the
-        loader has issued for this activation only (a nonce). If the loader is applying corrections to the axes, the
-        method also waits until the new correction has settled.
+        The bank is activated by the HAL component `volcal_tables` (the loader). The bank is first armed with the CRC-32
+        of its table. The activation is then confirmed with a number that the loader has issued for this activation only
+        (a nonce). If the loader is applying corrections to the axes, the method also waits until the axes have settled
+        at the new correction.
         """
         self._require_alive()
         crc = 0
@@ -123,7 +129,10 @@ class LiveStore:
         self._await(lambda: self._is_active(bank), f"bank {bank} to become active and settle")
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Report the state of the loader, the active table and the faults. Nothing is written."""
+        """Report the state of the loader (the HAL component `volcal_tables`), the active table and the faults.
+
+        Nothing is written.
+        """
         subject = "compensation"
         try:
             self._require_alive()

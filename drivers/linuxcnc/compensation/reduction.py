@@ -1,7 +1,7 @@
 """Reduction of a compensation table to its own-axis part.
 
-In the own-axis part, the correction of each axis depends only on the position of this axis. The remainder of the table
-is lost.
+In the own-axis part, the correction of each axis depends only on the position of this axis. The rest of the table,
+which depends on the positions of the other axes, is lost.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OwnAxisPart:
-    """Correction of each axis as a function of the position of this axis only.
+    """Own-axis part of a compensation table: the correction of each axis as a function of its own position only.
 
-    `nominal_mm` contains the node positions of each axis. `correction_mm` contains the corrections along the axis at
-    these positions. Each correction is the mean over all grid nodes that have this position, which is the least-squares
-    fit over the grid. `lost_mm` is the largest absolute difference between the table and this fit.
+    `nominal_mm` contains the node positions of each axis in the grid of the table. `correction_mm` contains the
+    corrections along the axis at these positions. Each correction is the mean over all grid nodes that have this
+    position of the axis, which is the least-squares fit over the grid. `lost_mm` is the largest absolute difference
+    between the table and this fit.
     """
 
     nominal_mm: tuple[Values, Values, Values] = field(repr=False)
@@ -31,9 +32,10 @@ class OwnAxisPart:
 
 
 def own_axis_part(table: TableImage) -> OwnAxisPart:
-    """Return the own-axis part of a table.
+    """Return the own-axis part of a compensation table: each correction depends on the position of its axis only.
 
-    The lost remainder is the part of the correction of an axis that depends on the positions of the other axes.
+    The part of a correction that depends on the positions of the other axes is lost; its largest value is returned,
+    too.
     """
     corrections = table.counts.astype(np.float64) * table.resolution_mm
     nominal, along, lost = [], [], 0.0
