@@ -1,9 +1,10 @@
-"""Trial `make linuxcnc`: `volcal calibrate` on a real, running stock LinuxCNC, reached over the bridge and CAN.
+"""Trial `make linuxcnc`: `volcal calibrate` on a real, running stock LinuxCNC, reached over volcal's LinuxCNC bridge
+and CAN.
 
 Everything runs faster than real time, in its own Linux namespaces. The simulated machine behind LinuxCNC knows its true
-errors. The trial reports the true volumetric error without a table and with the table that is active at the end. It
-also reports the difference between that table and the correction that LinuxCNC applies. The output ends with one line
-of JSON. The exit code is 0 only if the table was accepted and the true error decreased.
+errors. The trial reports the true volumetric error without a compensation table and with the table that is active at
+the end. It also reports the difference between that table and the correction that LinuxCNC applies. The output ends
+with one line of JSON. The exit code is 0 only if the new table was accepted and the true error decreased.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ def run_calibration(trial: LinuxCncTrial) -> dict[str, Any]:
 
 
 def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) -> dict[str, Any]:
-    """Return the true volumetric errors in µm without a table and with the active table.
+    """Return the true volumetric errors in µm without a compensation table and with the active table.
 
     The best-fitting rigid motion is removed from both errors. The result also contains the largest difference between
     the active table and the correction that LinuxCNC applies.
@@ -137,8 +138,8 @@ def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) 
 
 
 def largest_applied_difference_um(device: LinuxCnc, machine: LinuxCncProcess, image: TableImage | None) -> float:
-    """Return the largest difference in µm between the correction that LinuxCNC applies to the motors and the table
-    `image`.
+    """Return the largest difference in µm between the correction that LinuxCNC applies to the motors and the
+    compensation table `image`.
 
     If `image` is None, the applied correction is compared with zero. The difference is measured at random points at the
     lower end of the Y travel, where no artefact stands.
@@ -197,7 +198,7 @@ machine has also had a collision, which added squareness errors (in µrad).
 
 
 def short_trial(work: Path, speed: float) -> LinuxCncTrial:
-    """Return a trial with few positions at one station."""
+    """Return a trial with few artefact positions at one station."""
     positions = str(CONFIGURATION / "few-positions.csv")
     arguments = ("--stations", "1", "--position-set", positions)
     return LinuxCncTrial(work, speed, arguments, SHORT_CHANGES, SHORT_SCENARIO)

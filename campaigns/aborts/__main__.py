@@ -55,7 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summarise(left: Sequence[dict[str, Any]], keys: Sequence[str]) -> dict[str, Any]:
-    """Return the totals of the results `left` of all interrupted runs, and the failures.
+    """Return the totals over `left`, the results of all interrupted runs, and the list of the runs that failed.
+
+    `keys` are the keys of all steps of the uninterrupted run.
 
     A run that completed although it was interrupted also counts as failed if a step with an effect on the machine was
     still to come when the interruption happened.

@@ -1,6 +1,7 @@
-"""Kinds of interruption of a step, and the objects that interrupt a run.
+"""Kinds of interruption of one step of a run, and the objects that interrupt the run.
 
-A step is interrupted before it begins, in its middle, or after its effect but before the effect is journaled.
+A step is interrupted before it begins, in its middle, or after its effect but before the effect is recorded in the
+journal of the run.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ IMMEDIATE = (s.AskOperator, s.StageTable, s.ActivateBank)
 
 @dataclass(frozen=True)
 class Interruption:
-    """Interruption of one step.
+    """Interruption of one step of a run.
 
     `how` is the kind of the interruption, for example ``abort`` or ``disk full``. `when` is its instant: ``before`` the
     step, in the ``middle`` of the step, or ``after`` the effect of the step.
@@ -100,10 +101,10 @@ class Interrupter:
     key: str = ""
 
     def rig(self, whole: Rig) -> Rig:
-        """Return a rig that is equal to `whole` except for two things.
+        """Return a rig (the devices of a run and its actions) that is equal to `whole` except for two things.
 
-        The device of the returned rig is behind a breakable link, and all actions of the rig are carried out by
-        `perform`.
+        The device of the returned rig is reached through a `BreakableLink`, and all actions of the rig are carried out
+        by `Interrupter.perform`.
         """
         [(name, device)] = whole.devices.items()
         self.link = BreakableLink(device)
@@ -113,10 +114,10 @@ class Interrupter:
         return InterruptibleRig(self, given)
 
     def perform(self, action: Action, step: s.Step) -> Any:
-        """Perform `step` with `action` and return the result.
+        """Perform `step` with `action`, the function that normally carries it out, and return the result.
 
-        If the step is selected, the process first forks one child for each possible interruption of the step. In a
-        child the step is interrupted.
+        If the step is to be interrupted, the process first forks one child for each possible interruption of the step.
+        In a child the step is interrupted.
         """
         if self.forks.is_child:
             return action(step)
@@ -173,7 +174,7 @@ class Interrupter:
 
 
 class InterruptibleRig(Rig):
-    """Rig whose actions are all carried out by `Interrupter.perform`."""
+    """Rig (the devices of a run and its actions) whose actions are all carried out by `Interrupter.perform`."""
 
     def __init__(self, interrupter: Interrupter, given: dict[str, Any]) -> None:
         super().__init__(**given)

@@ -1,6 +1,7 @@
-"""Case of the run that is interrupted: a small position set on the case study, with a former table active.
+"""Case of the run that is interrupted: a small position set on the machine of the case study, with a compensation table
+from an earlier run (the former table) active.
 
-All data are kept in memory.
+All data of the run are kept in memory.
 """
 
 from __future__ import annotations
@@ -36,9 +37,10 @@ The new table then reduces the errors so much, and the gates are so wide, that e
 
 
 def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
-    """Return a job with two positions at one station and one held-out position.
+    """Return a job (prepared calibration) with two measured positions at one station and one held-out position, whose
+    measurement tests the result.
 
-    The artefact's station is not set, so the run asks the operator for it.
+    The settings do not say at which station the artefact stands, so the run asks the operator for it.
     """
     listed = directory / "two-positions.csv"
     listed.write_text(POSITIONS)
@@ -62,7 +64,9 @@ def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
 
 
 def build_case_world() -> World:
-    """Return a world with the machine of the case study and larger errors; the former table is stored and active."""
+    """Return a simulated world with the machine of the case study and larger errors. The controller holds a
+    compensation table from an earlier run (the former table), which is active.
+    """
     shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
     truth = shipped.settings.truth.model_copy(update={"scale": SCALE})
     world = World(replace(shipped, settings=shipped.settings.model_copy(update={"truth": truth})))
@@ -104,6 +108,8 @@ class InMemoryDatabase:
         return JournalReader(self.connection)
 
     def restore_files(self) -> None:
-        """Make `sqlite3.connect` open the requested files again, and close the database in memory."""
+        """Make `sqlite3.connect` open the requested files again, as before `replace_files`, and close the database in
+        memory.
+        """
         sqlite3.connect = self.connect  # type: ignore[assignment]
         self.connection.close()

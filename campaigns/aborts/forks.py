@@ -1,4 +1,4 @@
-"""Forked copies of the process.
+"""Forked copies of the present process.
 
 The original process waits until a copy has run to its end, and then continues unaffected.
 """
@@ -15,7 +15,9 @@ CHILD_TIMEOUT_S = 60.0
 
 
 class Forks:
-    """Child processes of this process, which run one at a time. Each child returns one JSON object to the parent."""
+    """Forked child processes of this process, which run one at a time. Each child returns one JSON object to the
+    parent.
+    """
 
     def __init__(self) -> None:
         self._pipe: int | None = None
@@ -28,7 +30,7 @@ class Forks:
         """Fork the process. Return None in the child.
 
         In the parent, wait for the child to end and return the child's result. If the child has sent no result or has
-        not ended in time, return an object that states this reason under the key ``failures``.
+        not ended in time, return an object that gives this reason under the key ``failures``.
         """
         reading, writing = os.pipe()
         child = os.fork()

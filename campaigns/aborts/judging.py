@@ -1,4 +1,4 @@
-"""Conditions that must hold after every interruption of a run."""
+"""Check of the conditions that must hold after every interruption of a run."""
 
 from __future__ import annotations
 
@@ -31,10 +31,13 @@ WITHDRAWING = ("abort", "refused", "guard", "disk full", "no", "defect")
 def check_interruption(
     interrupter: Interrupter, ended: RunResult | None, defect: BaseException | None
 ) -> dict[str, Any]:
-    """Check the conditions that must hold after the interruption, and return an object with up to three keys.
+    """Check the conditions that must hold after a run has been interrupted, and return an object with up to three keys.
+
+    `ended` is the result of the run, or None if it raised the exception `defect`.
 
     ``failures`` lists the violated conditions. ``completed`` is True if the run completed before the interruption was
-    noticed. ``active`` is the number of the active bank; the key is present only if the run did not complete.
+    noticed. ``active`` is the number of the controller's active bank; the key is present only if the run did not
+    complete.
     """
     interruption, world = interrupter.interruption, interrupter.world
     assert interruption is not None

@@ -31,12 +31,12 @@ NEIGHBOURS = 4
 
 @dataclass(frozen=True)
 class StepSelection:
-    """Selection of the steps that one worker interrupts.
+    """Selection of the steps of a run that one worker process interrupts.
 
-    The workers together interrupt each step whose ordinal is a multiple of `every`, and all steps near those that read
-    or write tables. The selected steps are distributed over `shares` workers: the worker with the number `share` takes
-    the steps whose ordinal modulo `shares` equals `share`. `keys` are the keys of all steps of an uninterrupted run, in
-    order; they show which steps near a given step read or write tables.
+    The workers together interrupt each step whose ordinal in the run is a multiple of `every`, and all steps near those
+    that read or write compensation tables. The selected steps are distributed over `shares` workers: the worker with
+    the number `share` takes the steps whose ordinal modulo `shares` equals `share`. `keys` are the keys of all steps of
+    an uninterrupted run, in order; they show which steps near a given step read or write compensation tables.
     """
 
     share: int
@@ -51,7 +51,7 @@ class StepSelection:
 
 
 def uninterrupted_keys() -> list[str]:
-    """Return the keys of all steps of the uninterrupted run in order.
+    """Carry out the run without interruption and return the keys of all its steps in order.
 
     The key of a step with an effect on the machine is marked with ``!`` at its end.
     """
@@ -67,7 +67,9 @@ def uninterrupted_keys() -> list[str]:
 
 
 def run_interrupted(selection: StepSelection) -> list[dict[str, Any]]:
-    """Carry out one run and interrupt it at the selected steps; return the results of all interrupted copies."""
+    """Carry out one run, fork copies of it that are interrupted at the selected steps, and return the results of these
+    copies.
+    """
     with _case(selection.selects) as (interrupter, directory):
         gc.freeze()
         _complete(interrupter, directory)
@@ -127,10 +129,11 @@ ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
 
 
 def check_refused_and_restored() -> dict[str, Any]:
-    """Carry out two uninterrupted runs that must end with the former table active, and return the failures.
+    """Carry out two uninterrupted runs that must end with the former table (active before the run) active again, and
+    return the failures.
 
-    In the first run a gate refuses the new table. In the second run the verification fails, and the former table is
-    restored.
+    In the first run a gate (a limit that the result must keep before a write) refuses the new table. In the second run
+    the verification fails, and the former table is restored.
     """
     failed = []
     for name, (sections, state) in ENDS.items():

@@ -1,4 +1,4 @@
-"""Plans that the agent must refuse.
+"""Bad plans: plans that the agent must refuse.
 
-Each plan is a mutation of a good plan and is stored with the text that the refusal must contain.
+Each bad plan is a mutation of a good plan and is stored with the text that the refusal (an error message) must contain.
 """

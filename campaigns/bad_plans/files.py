@@ -1,4 +1,6 @@
-"""Bad plans whose files are wrong: well-formed but wrong settings, or invalid machine, artefact or position files."""
+"""Bad plans (plans that the agent must refuse) whose files are wrong: well-formed but wrong settings, or invalid
+machine, artefact or position files.
+"""
 
 from __future__ import annotations
 

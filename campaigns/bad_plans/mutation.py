@@ -1,4 +1,6 @@
-"""Definition of one bad plan: its mutation of a good plan, its check, and the text that its refusal must contain."""
+"""Definition of a bad plan, which the agent must refuse: its mutation of a good plan, its check, and the text that its
+refusal must contain.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ GOOD_POSITION = "station,azimuth_deg,elevation_deg\n1,45,0\n"
 
 @dataclass
 class CaseFiles:
-    """Contents of the files of a good case that a mutation may change.
+    """Contents of the files of a good case (one that the agent accepts); a mutation may change them.
 
     These are the settings, the machine, the artefact, and the text of the position file.
     """
@@ -37,11 +39,12 @@ Change = Callable[[CaseFiles], None]
 
 @dataclass(frozen=True)
 class BadPlan:
-    """One bad plan and the refusal that it must cause.
+    """One bad plan (a plan that the agent must refuse) and the refusal, an error, that it must cause.
 
     `change` modifies the files of a good case. `error` is the type of the refusal, `words` are texts that its message
-    must contain, and `where` gives the locations that the refusal must name, such as a step. `preflight` is called
-    after the files have been accepted; by default it checks the procedure without changes.
+    must contain, and `where` gives the locations that the refusal must name, such as a step. The function `preflight`
+    is called after the files have been accepted; by default it simulates the procedure without changes, and another
+    function may change the steps.
     """
 
     name: str
@@ -52,7 +55,7 @@ class BadPlan:
     preflight: Callable[[Job], object] = run_preflight
 
     def complaint(self, directory: Path) -> str:
-        """Check the plan and return an empty string if it is refused for the right reason.
+        """Check this plan with files in `directory`, and return an empty string if it is refused for the right reason.
 
         Otherwise the returned text describes what happened instead.
         """
@@ -95,7 +98,8 @@ def good_case(directory: Path) -> CaseFiles:
 
 
 def check_case(change: Change, directory: Path, preflight: Callable[[Job], object]) -> None:
-    """Apply `change` to a good case, check the case in the same way as `volcal config check`, and run `preflight`.
+    """Apply `change` to the files of a good case, check the case in the same way as `volcal config check`, and run the
+    function `preflight`, which simulates the procedure.
 
     Raises the error with which the check or the preflight refuses the case.
     """
@@ -110,11 +114,15 @@ def check_case(change: Change, directory: Path, preflight: Callable[[Job], objec
 
 
 def unchanged(_: CaseFiles) -> None:
-    """Leave the files unchanged. The function is used for bad plans in which only the steps are wrong."""
+    """Leave the files of the case unchanged. The function is used for bad plans (plans that the agent must refuse) in
+    which only the steps are wrong.
+    """
 
 
 def setting(path: str, value: object) -> Change:
-    """Return a change that sets the settings key at `path` to `value`."""
+    """Return a change (a function that modifies the files of a case) that sets the settings key at `path` to
+    `value`.
+    """
     return lambda files: set_key(files.settings, path, value)
 
 
@@ -127,7 +135,9 @@ def artefact(path: str, value: object) -> Change:
 
 
 def positions(*rows: str) -> Change:
-    """Return a change that replaces all rows below the header of the position file."""
+    """Return a change (a function that modifies the files of a case) that replaces all rows below the header of the
+    position file with `rows`.
+    """
 
     def change(files: CaseFiles) -> None:
         files.positions = "\n".join(["station,azimuth_deg,elevation_deg", *rows]) + "\n"
@@ -136,7 +146,9 @@ def positions(*rows: str) -> Change:
 
 
 def set_key(document: Document, path: str, value: object) -> None:
-    """Set the key of `document` at a path such as ``stations.places_mm.0.1``. Missing sections are created."""
+    """Set to `value` the key of `document` at a path such as ``stations.places_mm.0.1``. Missing sections are
+    created.
+    """
     *parents, last = path.split(".")
     place: Any = document
     for name in parents:

@@ -1,1 +1,3 @@
-"""Simulated fortnight of the real service, with a timer, a machine that ages, and many kinds of incidents."""
+"""Simulated fortnight of the real calibration service, with a nightly timer, a machine that ages, and many kinds of
+incidents.
+"""

@@ -1,8 +1,10 @@
-"""Simulated fortnight of the real service with many kinds of incidents. The fortnight produces a run history.
+"""Simulated fortnight of the real calibration service with many kinds of incidents. The fortnight produces a run
+history.
 
     python -m campaigns.fortnight [--figure trend.png] [--csv fortnight.csv]
 
-The output ends with one line of JSON. The exit code is 0 only if every claim about the fortnight holds.
+The output ends with one line of JSON. The exit code is 0 only if every claim (a tested statement about the result)
+holds.
 """
 
 from __future__ import annotations
@@ -72,7 +74,8 @@ def cpu_seconds() -> float:
 def write_csv(played: FortnightResult, path: Path) -> None:
     """Write a CSV file with one row for each evening.
 
-    A row contains the history row of the last run of that evening, and the true errors known to the simulator.
+    A row contains columns of the history row of the last run of that evening, and the true errors of the machine, known
+    to the simulator.
     """
     names = ("kind", "state", "night", "accepted", "machine_minutes", "ve_now_um", "acting_um", "table_crc32")
     rows = iter(played.rows)

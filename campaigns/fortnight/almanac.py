@@ -1,6 +1,6 @@
 """Simulated calendar for a fortnight that is simulated within minutes.
 
-A file gives the date and time of the calendar. From this instant the calendar advances with machine time.
+A file gives a date and time. From this instant the calendar advances with machine time.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class SimulatedCalendar:
     def circumstances(self) -> Circumstances:
         """Return the local time and the uptime of the controller PC.
 
-        The plant uses UTC, and the controller PC is assumed never to be switched off.
+        The simulated plant uses UTC, and the controller PC is assumed never to be switched off.
         """
         return Circumstances(datetime.fromtimestamp(self.seconds(), UTC), UP_MINUTES)
 

@@ -1,4 +1,6 @@
-"""Record of one evening: the expected runs, the claims, and the true errors that only the simulator knows."""
+"""Record of one evening of the fortnight: the expected runs, the claims (tested statements), and the true machine
+errors that only the simulator knows.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class ExpectedRun:
-    """Expected history row of a run.
+    """Row that the run history is expected to contain for a run.
 
     The decision of the run must be one of those in `decision`, and the reason of the run must contain the text
     `reason`.
@@ -24,13 +26,13 @@ class ExpectedRun:
 
 @dataclass
 class Evening:
-    """Record of one evening.
+    """Record of one evening of the fortnight.
 
     `true_before`, `true_after` and `reach` are true volumetric errors in µm that remain after the best-fitting rigid
-    motion is removed. `true_before` is the error with the table of the previous day. `true_after` is the error with the
-    table that is active at the end. `reach` is the error after a full calibration of the machine as it is in that
-    night; it is 0 if it was not computed. `exit_codes` are the exit codes of the commands that the timer called, in
-    order.
+    motion is removed. `true_before` is the error with the compensation table of the previous day. `true_after` is the
+    error with the table that is active at the end of the evening's runs. `reach` is the error after a full calibration
+    of the machine as it is in that night; it is 0 if it was not computed. `exit_codes` are the exit codes of the
+    commands that systemd's timer called, in order.
     """
 
     night: int
@@ -48,7 +50,9 @@ class Evening:
 
     @property
     def ratio(self) -> float:
-        """Ratio of `true_after` to `reach`; infinite if `reach` was not computed."""
+        """Ratio of `true_after`, the true error at the end, to `reach`, the error after a full calibration; infinite if
+        `reach` was not computed.
+        """
         return self.true_after / self.reach if self.reach else math.inf
 
     @property

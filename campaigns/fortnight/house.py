@@ -1,4 +1,4 @@
-"""Real service as a separate process, with its settings and its clients."""
+"""Real calibration service as a separate process, with its settings and its clients."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ held_out_tolerance_um = 3.5
 
 
 def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = POLL_S) -> Found:
-    """Call `condition` repeatedly until its result is true, and return that result.
+    """Call the function `condition` repeatedly until its result is true, and return that result.
 
     Raises TimeoutError with the text `what` if the result does not become true in time.
     """
@@ -59,7 +59,7 @@ def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = 
 
 
 class ServiceHost:
-    """Host of the service: a state directory with its settings and, most of the time, the running service.
+    """Host of the calibration service: a state directory with its settings and, most of the time, the running service.
 
     If the host is used as a context manager, all processes that it has started end when the context ends.
     """
@@ -93,7 +93,8 @@ class ServiceHost:
     def copy(self, directory: Path, ready: Mapping[str, Any]) -> ServiceHost:
         """Return a new host in `directory` with a copy of this host's state.
 
-        The settings of the new host are the same except for the addresses in `ready`, which are those of another plant.
+        The settings of the new host are the same except for the machine's addresses, which are taken from `ready`, the
+        addresses of another simulated plant.
         """
         shutil.copytree(
             self.state, directory / "state", ignore=shutil.ignore_patterns(address_file.ADDRESS_FILE, "*.lock")
@@ -105,7 +106,7 @@ class ServiceHost:
     # ------------------------------------------------------------------ the service
 
     def serve(self) -> None:
-        """Start the service as systemd would, and wait until it answers."""
+        """Start the service as systemd would, and wait until it answers requests."""
         arguments = ["-m", "campaigns.fortnight.serving", str(self.config), str(self.calendar)]
         with (self.directory / "service.log").open("a", encoding="utf-8") as log:
             self._service = self._start([sys.executable, *arguments], stdout=log, stderr=subprocess.STDOUT)
@@ -173,7 +174,7 @@ class ServiceHost:
         return self.command(*arguments).communicate(timeout=TIMEOUT_S)[0]
 
     def timer(self, kind: str, station: int, *options: str) -> subprocess.Popen[str]:
-        """Start the command that systemd's timer would start, and return its process."""
+        """Start the `volcal` command that systemd's timer would start, and return its process."""
         return self.command("start", "--kind", kind, "--wait", "--stations", str(station), *options, timer=True)
 
     def _start(self, command: list[str], **how: Any) -> subprocess.Popen[str]:
@@ -185,7 +186,7 @@ class ServiceHost:
 def settings_text(ready: Mapping[str, Any], changes: Mapping[str, str]) -> str:
     """Return the shipped settings of the case study, changed for this service.
 
-    The addresses are those of the plant, and the sections that a service needs are added.
+    The machine's addresses are those of the simulated plant, and the sections that a service needs are added.
     """
     text = CASE_STUDY.read_text(encoding="utf-8")
     exchanged = {

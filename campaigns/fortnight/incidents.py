@@ -54,7 +54,7 @@ class Incidents:
         }
 
     def prepare(self, evening: Evening) -> None:
-        """Start the service on the first day."""
+        """Start the service on the first day of the fortnight."""
         self._set_time(evening, 17)
         self._host.serve()
 
@@ -96,11 +96,11 @@ class Incidents:
     # ------------------------------------------------------------------ interrupted runs
 
     def power_failure(self, evening: Evening) -> None:
-        """Simulate a power failure while balls are measured: the service process is killed, and the axes stop where
-        they are.
+        """Simulate a power failure while the balls of the artefact are measured: the service process is killed, and the
+        axes stop where they are.
 
-        Afterwards the service is started again and the interrupted night is resumed. If `compared` was set for the
-        incidents, the same night is also run without interruption on an identical machine with the same history.
+        Afterwards the service is started again and the interrupted night is resumed. If the incidents were created with
+        `compared=True`, the same night is also run without interruption on an identical machine with the same history.
         """
         self._set_time(evening, 23)
         through = self._uninterrupted_estimate(evening) if self._compared else []
@@ -128,7 +128,7 @@ class Incidents:
         evening.expected.append(GOOD_NIGHT)
 
     def link_loss(self, evening: Evening) -> None:
-        """Cut the link to the machine after the new table has been activated.
+        """Cut the link to the machine after a run has activated its new compensation table.
 
         The agent cannot activate the previous table again until the link is restored.
         """
@@ -145,7 +145,9 @@ class Incidents:
         evening.expected.append(ExpectedRun("nightly", "faulted", "timer", CHECKED_DECISIONS, "Modbus"))
 
     def abort(self, evening: Evening) -> None:
-        """Abort the run from the web page, without a token, after the new table has been activated."""
+        """Abort the run from the web page, without an access token, after the run has activated its new compensation
+        table.
+        """
         before = self._plant.active_bank, self._plant.active_crc32
         waiting = self._wait_for_new_table(evening)
         answer = self._host.post("/api/abort", {"reason": "a person walks in"}, token=False)
@@ -175,7 +177,9 @@ class Incidents:
             self._expect_state(evening, "refused", 420)
 
     def full(self, evening: Evening) -> None:
-        """Run a night in which a full calibration is allowed, because a person is present and moves the artefact."""
+        """Run a nightly calibration in which a full calibration is allowed, because a person is present and moves the
+        artefact.
+        """
         self._set_time(evening, 23)
         code, _ = self._ask(evening, "--slot", "3h", "--full-allowed")
         evening.claims["the timer's command ends well"] = code == 0
@@ -251,7 +255,8 @@ class Incidents:
 
 
 def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, float]]:
-    """Return the name, the value and the standard uncertainty of every parameter of the run's estimate.
+    """Return the name, the value and the standard uncertainty of every parameter of the estimate (identified machine
+    errors) of a run.
 
     The run must have exactly one estimate.
     """
@@ -264,7 +269,7 @@ def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, floa
 def largest_difference(one: list[tuple[str, float, float]], other: list[tuple[str, float, float]]) -> float:
     """Return the largest difference between two estimates, in units of the standard uncertainty of the estimate `one`.
 
-    An estimate is a list of items (name, value, standard uncertainty). Both lists must contain the same names in the
+    An estimate is a list of items (name, value, standard uncertainty). The two lists must contain the same names in the
     same order.
     """
     assert [name for name, _, _ in one] == [name for name, _, _ in other]

@@ -1,4 +1,4 @@
-"""Check of journal and history after the fortnight, row by row, against the records of the evenings."""
+"""Check of the run journal and the run history after the fortnight, row by row, against the records of the evenings."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ Row = dict[str, Any]
 
 
 def read_history(host: ServiceHost) -> list[Row]:
-    """Return the rows that `volcal history list` prints, with the oldest run first."""
+    """Return the rows (one for each run) that the command `volcal history list` prints, with the oldest run first."""
     rows: list[Row] = json.loads(host.output("history", "list", "--last", "100", "--json"))["runs"]
     return rows
 
 
 def read_trends(host: ServiceHost, figure: Path | None = None) -> Row:
-    """Return the trends of three errors, as the command `volcal history trend` reports them.
+    """Return the trends of three machine errors over the runs, as the command `volcal history trend` reports them.
 
-    The errors are the error without a table, the error with the active table, and the error at held-out positions.
+    They are the volumetric error without a compensation table, the volumetric error with the active table, and the
+    error at positions that are held out from the estimate.
     """
     names = [part for name in ("ve_bare", "ve_acting", "held_out") for part in ("--of", name)]
     drawn = [] if figure is None else ["--figure", str(figure)]
@@ -34,7 +35,8 @@ def read_trends(host: ServiceHost, figure: Path | None = None) -> Row:
 
 
 def mismatched_rows(host: ServiceHost, evenings: Sequence[Evening], rows: Sequence[Row]) -> list[str]:
-    """Return a description of each history row that differs from the expected row.
+    """Return a description of each row of the run history that differs from the row expected for that run in
+    `evenings`.
 
     A further description is returned if the journal does not contain the same runs as the history, in the same order
     and with the same final states.
@@ -67,8 +69,8 @@ def _against(expected: Sequence[tuple[Evening, ExpectedRun]], rows: Sequence[Row
 
 
 def active_table_is_accepted(host: ServiceHost, plant: FortnightPlant) -> bool:
-    """Return True if the active bank holds the table that was accepted last, and the service reports this bank as
-    active.
+    """Return True if the controller's active bank holds the compensation table that was accepted last, and the service
+    reports this bank as active.
     """
     last = read_reference(host.state)
     accepted = last is not None and last.table.crc32 == plant.active_crc32
@@ -76,7 +78,9 @@ def active_table_is_accepted(host: ServiceHost, plant: FortnightPlant) -> bool:
 
 
 def leftover_processes(directory: Path) -> list[str]:
-    """Return the command lines of all running processes that contain the path `directory`, where the fortnight ran."""
+    """Return the command lines of all running processes that contain the path `directory`, in which the fortnight
+    ran.
+    """
     found = []
     for place in Path("/proc").glob("[0-9]*/cmdline"):
         try:

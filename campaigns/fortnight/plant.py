@@ -1,8 +1,8 @@
-"""Machine of the fortnight with its real links, and the external influences on the machine.
+"""Machine of the fortnight with its real communication links, and the external influences on the machine.
 
 The simulated machine runs in the process that carries out the fortnight. The service reaches the machine only over
 Modbus TCP and CAN. Every evening the machine has the errors to which it has aged by that evening. Its controller has
-been switched off and on since the previous evening, but has retained its banks.
+been switched off and on since the previous evening, but has retained the compensation tables in its memory banks.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class FortnightPlant:
     def switch_to_night(self, night: int) -> None:
         """Switch the machine off and on again, with the errors and the artefact station of `night`.
 
-        The controller retains its banks.
+        The controller retains the compensation tables in its memory banks.
         """
         self.switch_off()
         self._night = night
@@ -60,7 +60,7 @@ class FortnightPlant:
         self.switch_to_night(self._night)
 
     def cut_link(self) -> None:
-        """Cut the Modbus link: close the connection and accept no new connection."""
+        """Cut the Modbus link to the controller: close the connection and accept no new connection."""
         self._machine.modbus.close()
 
     def permit(self, permission: Permission, given: bool) -> None:
@@ -91,13 +91,13 @@ class FortnightPlant:
 
     @property
     def active_crc32(self) -> int | None:
-        """CRC-32 of the table in the active bank; None if no table is active."""
+        """CRC-32 of the compensation table in the controller's active bank; None if no table is active."""
         image = self.world.controller.banks.get(self.active_bank)
         return None if image is None else table_digest(image)
 
     @property
     def true_um(self) -> float:
-        """True volumetric error in µm with the active table; the best-fitting rigid motion is removed."""
+        """True volumetric error in µm with the active compensation table; the best-fitting rigid motion is removed."""
         return self.world.truth.true_volumetric_error(self.active_bank)[1]
 
     @property

@@ -37,11 +37,11 @@ class Programme:
 
     Each item of `evenings` contains one or more names of incidents from `Incidents`, separated by commas. `changes`
     maps texts of the shipped settings to the texts that replace them. `collision_scale` is the size of the collision
-    relative to the collision that the season defines.
+    relative to the collision that the nights trial (`campaigns.nights`) defines.
 
     If `compared` is True, the fortnight includes additional checks, which take additional time. The true errors are
-    compared with the errors after full calibrations, the trends are checked, and an interrupted night is compared with
-    the same night on a duplicate machine without interruption.
+    compared with the errors that full calibrations would leave, the trends in the history are checked, and an
+    interrupted night is compared with the same night on a duplicate machine without interruption.
     """
 
     evenings: tuple[str, ...]
@@ -51,9 +51,9 @@ class Programme:
 
     @property
     def season(self) -> Season:
-        """Season of this fortnight: the nights and the date of the collision.
+        """Season of this fortnight: the number of nights and the night of the collision.
 
-        The collision happens before the slot of the evening named `DAMAGE`.
+        The collision happens before the calibration of the evening whose incident is `DAMAGE`.
         """
         damaged = self.evenings.index(DAMAGE) if DAMAGE in self.evenings else len(self.evenings)
         return Season(len(self.evenings) - 1, damaged, seed=1)
@@ -95,8 +95,8 @@ So few measurements give an uncertain estimate, so the collision must be large t
 class FortnightResult:
     """Result of a fortnight.
 
-    `trends` contains the trends that the history reports at three times: before the collision, after it, and at the
-    end.
+    `trends` contains the trends that the run history reports at three times: before the machine's collision, after it,
+    and at the end.
     """
 
     evenings: list[Evening]
@@ -196,7 +196,9 @@ def _judge(programme: Programme, played: FortnightResult) -> None:
 
 
 def trend_claims(played: FortnightResult) -> dict[str, bool]:
-    """Return the claims about the trends and alarms in the history. The value of a claim is True if the claim holds."""
+    """Return the claims (tested statements) about the trends and alarms in the run history. The value of a claim is
+    True if the claim holds.
+    """
     before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
     acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})
     return {

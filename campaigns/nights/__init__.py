@@ -1,1 +1,1 @@
-"""Trial with a season of nightly runs on one machine that drifts and that has one collision."""
+"""Trial with a season of nightly runs on one machine whose errors drift and that has one collision."""

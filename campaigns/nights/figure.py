@@ -1,4 +1,6 @@
-"""Figure of the nights: the true VCE of every morning, the true VCE after a full calibration, and the decisions."""
+"""Figure of a season of nightly runs: the true volumetric error after compensation (VCE) of every morning, the true VCE
+that a full calibration would leave, and the decision of every run.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,8 @@ LARGEST_RATIO = 1.5
 
 
 def draw(rows: Sequence[NightRow], step: int, path: Path) -> None:
-    """Draw the figure of the nights from `rows` and write it to the PNG file `path`. `step` is the night of the
-    collision.
+    """Draw the errors and decisions of a season of nightly runs from `rows` (one for each night) and write the figure
+    to the PNG file `path`. `step` is the night of the collision.
     """
     found = picture(path.stem, lambda figure: _draw(figure, rows, step), (8.0, 5.6))
     write_all_atomically(path.parent, {path.name: found.png})

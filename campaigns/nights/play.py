@@ -1,19 +1,20 @@
-"""Trial of nightly calibrations of one machine that drifts and has one collision.
+"""Trial of nightly calibrations of one machine whose errors drift and that has one collision.
 
 The first night is a full calibration, and each later night has a short time slot. Every night is a whole run of the
 agent (`volcal nightly`) on the simulated machine of that night, in this process and on virtual time. The result of a
-night includes facts that only the simulator knows: the true volumetric error with the active table, and the reach. The
-reach is the error that a full calibration in the same night would have left.
+night includes facts that only the simulator knows: the true volumetric error with the active compensation table, and
+the reach. The reach is the error that a full calibration in the same night would have left.
 
 The reach is computed by a Monte Carlo simulation of ball centres, without touches. The simulation takes the true ball
 centres of the whole position set on a copy of that night's machine. It measures them through the exact error field with
-the noise of a touch pattern, and identifies the machine with the Legendre order chosen by evidence. Then the true error
-with the resulting table is evaluated. The reach is the mean over `DRAWS` random draws. The results of the full
-calibrations that were run in the season are reported too.
+the noise that the touches on a ball cause, and identifies the machine errors with the Legendre order that the Bayesian
+evidence selects. Then the true error with the resulting table is evaluated. The reach is the mean over `DRAWS` random
+draws. The results of the full calibrations that were run in the season are reported too.
 
     python -m campaigns.nights --nights 30 --step 17 [--figure nights.png] [--csv nights.csv]
 
-The output ends with one line of JSON. The exit code is 0 only if every claim about the nights holds.
+The output ends with one line of JSON. The exit code is 0 only if every claim (a tested statement about the nights)
+holds.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ LARGEST_RATIO = 1.5
 def run_season(season: Season, report: bool = True) -> list[NightRow]:
     """Run all nights in order and return one row for each night.
 
-    Meanwhile a separate process computes for each night the error that a full calibration would have left.
+    Meanwhile a separate process computes for each night the true error that a full calibration would have left.
     """
     with (
         ProcessPoolExecutor(1) as pool,
@@ -78,7 +79,9 @@ def run_season(season: Season, report: bool = True) -> list[NightRow]:
 
 
 class SeasonMachine:
-    """One machine and the agent that calibrates it. The machine's controller retains its banks from night to night."""
+    """One machine and the agent that calibrates it. From night to night the machine's controller retains the
+    compensation tables in its memory banks.
+    """
 
     def __init__(self, season: Season, state: Path) -> None:
         self._season = season
@@ -143,7 +146,9 @@ class SeasonMachine:
 
 
 def build_rig(world: World, clock: Clock, job: Job) -> Rig:
-    """Return a rig in which a single simulated device, in this process, has the role of every device."""
+    """Return a rig (the devices of a run) in which one simulated device, in this process, takes the place of every
+    device: machine, probe, mounts, table store, thermometer and operator.
+    """
     device = SimulatedMachineDevice(world, clock)
     mounts = dict.fromkeys(range(1, len(job.settings.stations.places_mm) + 1), device)
     return Rig(
@@ -159,7 +164,7 @@ def build_rig(world: World, clock: Clock, job: Job) -> Rig:
 
 
 def verdict(season: Season, rows: Sequence[NightRow]) -> dict[str, object]:
-    """Return the claims about the nights and the figures on which they are based.
+    """Return the claims (tested statements) about the nights and the figures on which they are based.
 
     The value of a claim is True if the claim holds.
     """

@@ -36,7 +36,7 @@ COLLISION = {"B0Z": 12.0, "EAZ": 4.0, "EYX": 3.0}
 class Season:
     """Sequence of `nights` nights after a first full calibration, in which the errors of one machine change.
 
-    A collision happens before the time slot of night `step`.
+    The machine has a collision before the run of night `step`.
     """
 
     nights: int = 30
@@ -45,7 +45,7 @@ class Season:
 
     @property
     def scenario(self) -> Scenario:
-        """Scenario of the season, in which the machine's errors change from night to night.
+        """Simulated scenario of the season, in which the machine's errors change from night to night.
 
         The scale errors vary with a period of three months, all errors follow a slow random walk, and there is one
         collision.
@@ -63,7 +63,7 @@ class Season:
         return replace(shipped, settings=shipped.settings.model_copy(update={"ageing": ageing, "seed": self.seed}))
 
     def station(self, night: int) -> int:
-        """Return the station at which the artefact stands in `night`.
+        """Return the number of the station at which the artefact stands in `night`.
 
         The day shift moves the artefact to the next station every day.
         """
@@ -71,15 +71,16 @@ class Season:
 
 
 def load_season_case(state: Path) -> Job:
-    """Return the job of the shipped case study, with `state` as its state directory."""
+    """Return the job (prepared calibration) of the shipped case study, with `state` as its state directory."""
     settings = load_settings(CASE_STUDY).model_copy(update={"state_directory": state})
     return prepare_job(settings, SHIPPED_CONFIGURATION)
 
 
 def full_calibration_vce_um(season: Season, night: int) -> float:
-    """Return the mean true VCE in µm that full calibrations of the machine of `night` would leave.
+    """Return the mean true volumetric error after compensation (VCE), in µm, that full calibrations of the machine as
+    it is in `night` would leave.
 
-    The mean is taken over `DRAWS` simulated measurements. The best-fitting rigid motion is removed.
+    The mean is taken over `DRAWS` simulated measurements. The best-fitting rigid motion is removed from the error.
     """
     job = load_season_case(Path("unused"))
     world = World(scenario_of_night(season.scenario, night))
@@ -96,9 +97,11 @@ def full_calibration_vce_um(season: Season, night: int) -> float:
 
 
 def true_vce_with_table(world: World, image: TableImage) -> float:
-    """Return the true VCE in µm with the table `image`, which replaces the active table.
+    """Return the true volumetric error after compensation (VCE), in µm, with the table `image`, which replaces the
+    active table.
 
-    The best-fitting rigid motion is removed. The function changes `world`, which must not be used afterwards.
+    The best-fitting rigid motion is removed from the error. The function changes the simulation `world`, which must not
+    be used afterwards.
     """
     if world.controller.active_bank == BANK:
         world.controller.activate(0)
@@ -107,9 +110,10 @@ def true_vce_with_table(world: World, image: TableImage) -> float:
 
 
 def simulated_observations(world: World, job: Job, rng: np.random.Generator) -> Observations:
-    """Return simulated measurements of the ball centres of the whole position set, with touch noise.
+    """Return simulated measurements of the ball centres of the artefact in all positions of the position set, with
+    touch noise.
 
-    The ball centres are measured as the machine without a table would measure them.
+    The ball centres are measured as the machine without a compensation table would measure them.
     """
     planned = job.procedure.plan(job.positions).observations
     settings = world.scenario.settings

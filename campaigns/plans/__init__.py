@@ -1,4 +1,5 @@
-"""Trial with random plans, which are checked by a preflight and run on a simulated machine with errors.
+"""Trial with random plans, which are checked by a preflight (simulated execution) and run on a simulated machine with
+errors.
 
-The trial searches for collisions and for bad plans that are not refused.
+The trial searches for collisions and for faulty plans that the agent does not refuse.
 """

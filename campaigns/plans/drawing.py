@@ -28,11 +28,11 @@ CANDIDATES = 24
 
 @dataclass(frozen=True)
 class DrawnCase:
-    """Case that was drawn at random.
+    """Case (machine, artefact, plan and true errors) that was drawn at random.
 
     `job` contains what the agent knows about the case, and `scenario` contains the true start position, placement and
-    errors. In the second run of the plan the event `interruption` happens after the fraction `at_share` of the planned
-    machine time.
+    errors. In the second run of the plan the event `interruption` (an abort, a hold or an emergency stop) happens after
+    the fraction `at_share` of the planned machine time.
     """
 
     seed: int
@@ -43,7 +43,7 @@ class DrawnCase:
 
 
 class Dice:
-    """Random generator that provides the few kinds of random values needed for a case."""
+    """Random generator that provides the few kinds of random values needed for a random case."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 20261])
@@ -64,7 +64,7 @@ class Dice:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Dimensions in mm that determine the layout of a case."""
+    """Dimensions in mm that determine the layout of machine, mount and artefact in a random case."""
 
     probe: Document
     bar: Document

@@ -1,9 +1,9 @@
 """Independent collision check: motion is sampled densely in time, and obstacles are represented by point clouds.
 
 The check shares no distance function with the planner or the simulated world. It takes only facts from the world: the
-axis positions at an instant, the mount angles, and the location of the artefact. A capsule at rest is represented by a
-row of points with a radius, at a spacing of `SPACING_MM`. The probe is represented by a point for the tip, two segments
-along Y, and a box.
+axis positions at an instant, the mount angles, and the location of the artefact. A capsule (cylinder with spherical
+ends) at rest is represented by a row of points with a radius, at the spacing `SPACING_MM`. The probe is represented by
+a point for the tip, two segments along Y, and a box.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class PointCloud:
 
 @dataclass
 class JudgeResult:
-    """Result of the collision check.
+    """Result of the independent collision check of a run.
 
     `smallest_mm` is the smallest clearance in mm over all pairs of bodies. The pair of stylus and ball is excluded,
     because contact between these two is intended.
@@ -70,7 +70,7 @@ class ProbeDimensions:
 
 
 class CollisionJudge:
-    """Collision check of one run on `world`.
+    """Independent collision check of one run on the simulation `world`.
 
     The check examines one interval of time after another, each before the world advances by that interval.
     """
@@ -86,7 +86,7 @@ class CollisionJudge:
         self._snapshot: object = None
 
     def watch(self, before_s: float, after_s: float) -> None:
-        """Check the motion from machine time `before_s` to `after_s`."""
+        """Check the motion of axes and mount for collisions from machine time `before_s` to `after_s`."""
         mount = self._world.workpiece.mount
         if mount.settled_s > before_s + 1e-9:
             self._watch_turn(before_s, after_s)
@@ -135,7 +135,7 @@ class CollisionJudge:
 
 
 def pose(place: Array, shaft_mm: float, azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array]:
-    """Return the middle of the bar, shape (3,), in mm, and the rotation matrix of the artefact, shape (3, 3).
+    """Return the middle of the ball bar, shape (3,), in mm, and the rotation matrix of the artefact, shape (3, 3).
 
     The columns of the matrix are the directions of the artefact's axes in the workpiece frame.
     """
@@ -146,7 +146,9 @@ def pose(place: Array, shaft_mm: float, azimuth_deg: float, elevation_deg: float
 
 
 def build_cloud(job: Job, place: Array, centre: Array, rotation: Array) -> PointCloud:
-    """Return the point cloud of all obstacles except the table: balls, posts, bar, shaft and pedestal."""
+    """Return the point cloud that represents all obstacles except the machine table: balls, posts, bar, shaft and
+    pedestal.
+    """
     mount, balls = job.settings.mount, job.artefact.balls
     parts: list[tuple[str, Array, float, int]] = []
     for number, ball in enumerate(balls):
@@ -182,9 +184,10 @@ def _row(start: Array, end: Array) -> Array:
 
 
 def judge_tips(seen: JudgeResult, tips: Array, cloud: PointCloud, dimensions: ProbeDimensions) -> None:
-    """Check the probe for collisions at n successive positions of its tip centre, `tips` of shape (n, 3) in mm.
+    """Check the probe for collisions with obstacles at n successive positions of its tip centre, `tips` of shape (n, 3)
+    in mm.
 
-    The collisions and the smallest clearance are added to `seen`.
+    The collisions and the smallest clearance are added to the result `seen`.
     """
     for first in range(0, len(tips), CHUNK):
         part = tips[first : first + CHUNK]

@@ -16,7 +16,9 @@ from drivers.clock import VirtualClock
 
 
 class MotionOnlyRun(GuardedRun):
-    """Run of the whole procedure, which begins with the check of permissions and ends like every other run."""
+    """Run of all motions and measurements of a calibration, without identification and without writing a table. It
+    begins with the check of permissions and ends like every other run.
+    """
 
     def _work(self) -> None:
         self._begin()
@@ -27,7 +29,8 @@ class MotionOnlyRun(GuardedRun):
 
 @dataclass
 class MotionOnlyKind:
-    """Run kind whose preflight is computed once, from the position at which the first run starts.
+    """Run kind whose preflight (simulated execution of the plan) is computed once, from the position at which the first
+    run starts.
 
     A second run of the same plan uses the same preflight and must therefore start at the same position.
     """
@@ -47,7 +50,8 @@ class AlarmClock(VirtualClock):
     """Virtual clock that calls functions at given instants.
 
     The method `at(instant_s, action)` registers a function `action` that is called once the clock has reached
-    `instant_s`. If the function `watch` is set, `watch(before_s, after_s)` is called before every advance of the clock.
+    `instant_s`. If the function `watch` is set, `watch(before_s, after_s)` is called before every advance of the clock
+    from `before_s` to `after_s`.
     """
 
     def __init__(self) -> None:

@@ -1,6 +1,7 @@
 """Test of the independent collision check (`judge.py`).
 
-Its verdicts on random straight moves among the bodies are compared with those of the simulator.
+On random straight moves among the bodies on the table, its results (collision or not) are compared with those of the
+simulator.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ FREE_AT_START_MM = 2.0
 
 @dataclass(frozen=True)
 class JudgeComparison:
-    """Comparison of the verdicts of the collision check and the simulator.
+    """Comparison of the collisions that the independent collision check finds with those that the simulator finds.
 
     `disagreed` contains a description of each disagreement, with the seed and the move.
     """
@@ -46,9 +47,11 @@ class JudgeComparison:
 
 
 def compare_judge(seed: int, moves: int) -> JudgeComparison:
-    """Compare the verdicts of the collision check and the simulator on `moves` random moves in the case of `seed`.
+    """Compare the results of the independent collision check and of the simulator for `moves` random moves in the
+    random case that `seed` gives.
 
-    The moves are straight and unguarded, between random positions. If the agent refuses the case, no move is compared.
+    The moves are straight and unguarded, between random positions. If the agent refuses the files of the case, no move
+    is compared.
     """
     with tempfile.TemporaryDirectory(prefix="volcal-provoked-") as directory:
         try:

@@ -1,4 +1,6 @@
-"""Trial of one random plan: a preflight, a run with errors, and a second run that is interrupted."""
+"""Trial of one random plan: a preflight (simulated execution), a run on a machine with errors, and a second run that is
+interrupted.
+"""
 
 from __future__ import annotations
 
@@ -48,9 +50,10 @@ class PlanTrial:
 
 
 def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
-    """Carry out the preflight and both runs of the plan of `seed`, and return the result.
+    """Carry out the preflight (simulated execution) and both runs, one undisturbed and one interrupted, of the random
+    plan that `seed` gives, and return the result.
 
-    The function never raises an error: a refusal is a regular result, and a defect is recorded as a failure.
+    The function never raises an exception: a refusal is a regular result, and a defect is recorded as a failure.
     """
     trial, began = PlanTrial(seed), perf_counter()
     with memory_directory("plan") as directory:
@@ -129,7 +132,7 @@ def _carry_out(
 
 
 def reason_of(error: VolcalError) -> str:
-    """Return the type and the message of a refusal, with every number in the message replaced by ``#``.
+    """Return the type and the message of a refusal (an error), with every number in the message replaced by ``#``.
 
     Refusals that differ only in their numbers are then counted as the same.
     """

@@ -1,7 +1,7 @@
 """Short run on one simulated machine in this process, with a kill switch that interrupts the run.
 
 A killed process executes nothing. To simulate this, every access to the journal or to a device fails after the kill
-switch has been used. The withdrawal and the clean-up of the interrupted run therefore have no effect.
+switch has been used. The withdrawal of the probe and the clean-up of the interrupted run therefore have no effect.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class Killed(BaseException):
 class KillSwitch:
     """Switch that simulates the kill of a process. After `kill` has been called, every call of `check` raises Killed.
 
-    The function `notify` is called at each of the instants `MOMENTS` of every step.
+    The function `notify` is called at each instant in `MOMENTS` (from before a step until its result is durable) of
+    every step.
     """
 
     def __init__(self, notify: Callable[[str, Step], None]) -> None:
@@ -72,7 +73,7 @@ class KillSwitch:
 
 @dataclass
 class KillableClock:
-    """Clock of one process that uses a simulated machine, with a kill switch.
+    """Clock of one agent process on a simulated machine, with a switch that simulates the kill of the process.
 
     The machine outlives the process. The clock therefore starts at the present time of the machine. If
     `kill_switch.midway` is True, `sleep` kills the run after half of the sleeping time.
@@ -107,7 +108,8 @@ class KillableDevice:
 
 
 def patch_journal(kill_switch: KillSwitch) -> Callable[[], None]:
-    """Make every journal of this process call `kill_switch.notify` at the instants of each step.
+    """Make every journal of this process call `kill_switch.notify` at each instant of a step at which the run may be
+    killed.
 
     Returns a function that removes this change.
     """
@@ -139,7 +141,8 @@ def patch_journal(kill_switch: KillSwitch) -> Callable[[], None]:
 
 
 def cache_preflight() -> None:
-    """Cache the result of the preflight for each start position. The result is always the same for this case.
+    """Cache the result of the preflight (simulated execution of the plan) for each start position, because this result
+    does not change in the trial.
 
     Forked copies of the process inherit the cached result.
     """
@@ -171,7 +174,9 @@ class ResumeMachine:
 
     @property
     def table(self) -> list[int]:
-        """Number of the active bank, and CRC-32 of its table (0 if no table is active)."""
+        """Number of the controller's active bank, and CRC-32 of the compensation table in this bank (0 if no table is
+        active).
+        """
         controller = self.world.controller
         bank = controller.active_bank
         return [bank, table_digest(controller.banks[bank]) if bank else 0]
@@ -189,10 +194,11 @@ class ResumeMachine:
 
 
 def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
-    """Write the files of a small case to `directory`, which must be the working directory; return settings and machine.
+    """Write the files of a small case to `directory`, which must be the working directory; return the settings and the
+    simulated machine.
 
-    The case has five balls, two measured positions and one held-out position. The errors are so large and the gates so
-    wide that the table is always written and verified.
+    The case has five balls, two measured positions and one held-out position. The machine's errors are so large and the
+    limits (gates) for a new compensation table so wide that the table is always written and verified.
     """
     artefact = (SHIPPED_CONFIGURATION / "artefacts" / "ball-bar-1500.toml").read_text()
     head, rows = artefact.split("balls = [\n")

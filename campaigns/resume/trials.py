@@ -1,9 +1,10 @@
 """Trial in which one run is interrupted at each instant of each step, resumed, and compared with the uninterrupted run.
 
-The uninterrupted run continues to its end. At each of the instants `MOMENTS` of each of its steps, the process is
-forked and the state directory is copied. In the copy the run is killed. Then the run is resumed, with the machine in
-the state in which the kill left it. Every figure of every copy must equal the figure of the uninterrupted run, every
-touch must be recorded exactly once, and the table must be the same.
+The uninterrupted run continues to its end. At each of several instants of each of its steps (`MOMENTS`, from before the
+step until its result is durable), the process is forked and the state directory is copied. In the copy the run is
+killed. Then the run is resumed, with the machine in the state in which the kill left it. Every figure of every copy
+must equal the figure of the uninterrupted run, every touch must be recorded exactly once, and the compensation table
+must be the same.
 
     python -m campaigns.resume [--every 1] [--moments before,begun,midway,done,durable]
 
@@ -46,7 +47,8 @@ from campaigns.resume.case import (
 
 @dataclass
 class InterruptionRecorder:
-    """Recorder that forks a copy of the run at each selected instant, and kills the run in this copy at that instant.
+    """Recorder that forks a copy of the run at each selected instant of a step, and kills the run in this copy at that
+    instant.
 
     The recorder keeps a list of these instants. Each copy writes its result to a file in the directory `results`.
     """
@@ -104,7 +106,9 @@ class InterruptionRecorder:
 
 
 def repeated_measurements() -> list[Any]:
-    """Return all keys that occur more than once in the journal, among the touches with a result and among the balls."""
+    """Return all measurement keys that occur more than once in the journal, among the touches with a result and among
+    the balls.
+    """
     with open_journal(STATE) as reader:
         [run] = reader.runs()
         keys = [[row.key for row in rows] for rows in (reader.touches(run.run), reader.balls(run.run))]

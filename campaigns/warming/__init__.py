@@ -1,1 +1,1 @@
-"""Trial with calibrations during which the machine and the ball bar warm up."""
+"""Trial with calibrations during which the machine and the ball bar (the artefact) warm up."""

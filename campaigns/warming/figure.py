@@ -1,5 +1,5 @@
-"""Figure of the warming trial: temperatures, and the errors that remain with and without the correction of
-the drift.
+"""Figure of the warming trial: temperatures, and the errors that remain with and without the correction of the thermal
+drift.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from campaigns.warming.row import WarmingRow
 class WarmingTrace:
     """Temperatures of machine and ball bar over one calibration.
 
-    The temperatures in °C are those recorded with each measured ball, and `minutes` is the machine time of each ball.
+    The temperatures in °C are those recorded with each measured ball, and `minutes` is the machine time at which each
+    ball was measured.
     """
 
     minutes: tuple[float, ...]

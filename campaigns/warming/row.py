@@ -15,9 +15,10 @@ class WarmingRow:
     the warm run before the verification.
 
     `constant`, `settled`, `warm`, `undrifted`, `untold`, `late` and `bare` are true volumetric errors in µm, after the
-    best-fitting rigid motion is removed. `constant` is the error after the calibration at 20 °C. `settled` is the
-    error after the calibration at 23 °C. `warm` is the error with the table of the warm run, for the machine as it was
-    at the last ball before the verification. `ratio` is `warm` divided by `settled`.
+    best-fitting rigid motion is removed. `constant` is the error with the compensation table of the calibration at 20
+    °C. `settled` is the error with the table of the calibration at 23 °C. `warm` is the error with the table of the
+    warm run, for the machine as it was at the last ball before the verification. `ratio` is `warm` divided by
+    `settled`.
 
     `undrifted` and `untold` are errors for the same state of the machine as `warm`, but with other tables. Both tables
     are identified from the ball centres of the warm run. For `undrifted`, the identification assumes that the machine

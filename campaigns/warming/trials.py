@@ -2,15 +2,15 @@
 
 Whole calibrations are carried out on the simulated case study, in this process and on virtual time. In the warm run the
 hall becomes warmer at the start, and bar and machine follow with a lag. The scales, the spindle and the ram of the
-machine grow. The column bends with an additional lag behind the machine's thermometer, and the bar bows. The
+machine expand. The column bends with an additional lag behind the machine's thermometer, and the bar bows. The
 thermometers have noise, lag and offsets.
 
-The results are true volumetric errors with the table that the run has written; the best-fitting rigid motion is
-removed. The errors are evaluated for the machine as it was at the last ball of the set, because the estimate describes
-this state. The same machine and bar are also calibrated at constant temperature, once at 20 °C and once at 23 °C. At
-23 °C the expansion of the bar is as uncertain as in the warm run. The ball centres of the warm run are identified two
-more times. Both identifications assume that the machine does not drift. The second also assumes that the bar is at
-20 °C.
+The results are true volumetric errors with the compensation table that the run has written; the best-fitting rigid
+motion is removed. The errors are evaluated for the machine as it was at the measurement of the last ball of the
+position set, because the estimate describes this state. The same machine and bar are also calibrated at constant
+temperature, once at 20 °C and once at 23 °C. At 23 °C the expansion of the bar is as uncertain as in the warm run. The
+ball centres of the warm run are identified two more times. Both identifications assume that the machine does not drift.
+The second also assumes that the bar is at 20 °C.
 
     python -m campaigns.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
 
@@ -80,7 +80,9 @@ THERMOMETER_K = 0.02
 
 @dataclass(frozen=True, eq=False)
 class WarmingRun:
-    """One calibration. `records` are the journal records of its balls, without the balls of the verification."""
+    """One calibration of the warming trial. `records` are the journal records of its balls, without the balls of the
+    verification.
+    """
 
     world: World
     job: Job
@@ -89,7 +91,7 @@ class WarmingRun:
 
     @property
     def true_um(self) -> float:
-        """True volumetric error in µm with the active table, for the present state of the machine.
+        """True volumetric error in µm with the active compensation table, for the present state of the machine.
 
         The best-fitting rigid motion is removed.
         """
@@ -97,9 +99,10 @@ class WarmingRun:
 
 
 def compare_runs(seed: int) -> tuple[WarmingRow, WarmingTrace]:
-    """Carry out the three calibrations of the machine of `seed`: at 20 °C, at 23 °C, and while the machine warms.
+    """Carry out the three calibrations of the random machine that `seed` gives: at 20 °C, at 23 °C, and while the
+    machine warms.
 
-    Raises RuntimeError if a calibration fails or leaves no table active.
+    Raises RuntimeError if a calibration fails or leaves no compensation table active.
     """
     still, settled, warm = (run_calibration(seed, temperatures) for temperatures in (STILL, SETTLED, WARMING))
     world, records = warm.world, warm.records
@@ -130,9 +133,9 @@ def compare_runs(seed: int) -> tuple[WarmingRow, WarmingTrace]:
 
 
 def run_calibration(seed: int, temperatures: ThermalSettings) -> WarmingRun:
-    """Carry out one calibration at `temperatures`. At the start the controller has no table.
+    """Carry out one calibration at the simulated `temperatures`. At the start the controller has no compensation table.
 
-    Raises RuntimeError if the calibration fails or leaves no table active.
+    Raises RuntimeError if the calibration fails or leaves no compensation table active.
     """
     with memory_directory("warming") as directory:
         state = Path(directory) / "state"
@@ -200,7 +203,7 @@ def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
 
 
 def verdict(rows: Sequence[WarmingRow]) -> dict[str, object]:
-    """Return the three claims of the trial and the figures on which they are based.
+    """Return the three claims (tested statements) of the trial and the figures on which they are based.
 
     The value of a claim is True if the claim holds.
     """
