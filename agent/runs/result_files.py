@@ -21,8 +21,8 @@ REPORT = "report.html"
 
 
 def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Mapping[str, str | bytes]) -> Outcome:
-    """Write the available result files of a run to the directory ``STATE_DIRECTORY/RUN_ID``. Return a copy of `outcome`
-    that contains the path of the report.
+    """Write the available result files of a run to the directory ``STATE_DIRECTORY/RUN_ID``. Return a copy of the run's
+    `outcome` that also contains the path of the run's report.
 
     If the run has no estimate, only the report is written; the measurements of the run are in the journal. `report`
     maps the name of each file of the report to its content.

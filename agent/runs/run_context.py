@@ -1,5 +1,5 @@
-"""Context of a run. It comprises the devices and records that the run uses, and the hooks of the caller that started
-it."""
+"""Context of a run. It comprises the devices and records that the run uses, and the hooks (functions) that the caller
+of the run has passed to it."""
 
 from __future__ import annotations
 
@@ -38,11 +38,12 @@ def _permit(_: Job, __: PreflightResult) -> None: ...
 class RunHooks:
     """Functions and objects that the caller passes to a run; the defaults are for a run that is not observed.
 
-    `announce` receives states, progress and notes. `attach` receives the supervisor, through which signals and
-    endpoints hold or abort the run. `observe` receives every step and its result. `preflight_passed` receives the job
-    that will be measured and the result of its preflight; it may raise an error to refuse the run. `lock` prevents
-    other processes from using the machine. `devices` creates the clock and the rig. `reports` renders the report. If
-    `write_files` is True, the results are also written to files; they are in the journal in any case.
+    `announce` receives states, progress and notes. `attach` receives the supervisor of the run, through which signals
+    and endpoints hold or abort the run. `observe` receives every step and its result. `preflight_passed` receives the
+    job that will be measured and the result of its preflight (simulated execution); it may raise an error to refuse the
+    run. `lock` prevents other processes from using the machine. `devices` creates the clock and the rig (all devices of
+    the machine). `reports` renders the report of the run. If `write_files` is True, the results are also written to
+    files; they are in the journal in any case.
     """
 
     announce: Listener = _ignore_announcement
@@ -57,7 +58,9 @@ class RunHooks:
 
 @dataclass(frozen=True)
 class RunContext:
-    """Objects that a run uses. `clock` counts machine seconds; the supervisor can interrupt the waits of this clock."""
+    """Objects that a run uses. `rig` comprises the devices, `engine` carries out the steps, and `tracker` journals and
+    announces the state of the run. `clock` counts machine seconds; `supervisor`, which receives requests to hold or end
+    the run, can interrupt the waits of this clock."""
 
     rig: Rig
     engine: Engine

@@ -39,9 +39,11 @@ def record_asked(journal: RunJournal, asked: Mapping[str, object]) -> None:
 
 
 def read_start_conditions(rig: Rig, journal: RunJournal, state_directory: Path) -> StartConditions:
-    """Return the present axis positions, the time and the run number as start conditions. `rig` must be open.
+    """Return the present axis positions, the time and the run number as start conditions. `rig`, the devices of the
+    machine, must be open.
 
-    Raise PlanRefused if an earlier run has left a table that is not yet proved or not yet active.
+    Raise PlanRefused if an earlier run has left a compensation table that is not yet confirmed by measurements or not
+    yet active.
     """
     x, y, z = rig.machine.position().tolist()
     _require_finished_compensation(rig, state_directory)

@@ -69,8 +69,8 @@ def carry_out(
     `base` is the directory to which relative paths in the settings refer. If `run_id` is None, a new identity is used.
     `asked` contains the source and content of the request; it is journaled with the run.
 
-    Raises an error only if the run cannot be created because of the lock, the configuration or the journal. Once the
-    run exists, each of its ends, good or bad, is returned as a `RunResult`.
+    Raises an error only if the run cannot be created because of the lock on the machine, the configuration or the
+    journal. Once the run exists, its end, whether a success or an error, is returned as a `RunResult`.
     """
     hooks, run_id, settings = hooks or RunHooks(), run_id or new_run_id(), job.settings
     with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
@@ -104,7 +104,8 @@ class RunResources:
     began_s: float
 
     def interruptible(self, clock: Clock) -> Clock:
-        """Return a clock that shows the time of `clock` and whose waits can be interrupted by the supervisor.
+        """Return a clock that shows the time of `clock` and whose waits can be interrupted by the supervisor, which
+        receives requests to hold or end the run.
 
         `clock` is the clock of these resources, or a clock based on it.
         """
@@ -115,8 +116,8 @@ class RunResources:
 def run_resources(
     state_directory: Path, clock_settings: ClockSettings, run_id: str, hooks: RunHooks
 ) -> Iterator[RunResources]:
-    """Lock the machine, open the journal, and create the clock and the supervisor. Release all of them after the `with`
-    block."""
+    """Lock the machine, open the journal, and create the clock and the supervisor (receiver of requests to hold or end
+    the run). Release all of them after the `with` block."""
     began_s = wall_seconds()
     with (
         hooks.lock(state_directory, run_id),
@@ -130,9 +131,10 @@ def run_resources(
 
 @contextmanager
 def open_rig(context: RunContext) -> Iterator[None]:
-    """Open the rig for the `with` block; during the block the supervisor can hold and resume the machine.
+    """Open the rig (all devices of the machine) for the `with` block; during the block the run's supervisor can hold
+    and resume the motion of the machine.
 
-    Errors that occur when the rig is closed are recorded as notes.
+    Errors that occur when the rig is closed are recorded as notes on the run.
     """
     rig, tracker = context.rig, context.tracker
 
@@ -168,8 +170,8 @@ class RunSession:
         self.progress = RunProgress()
 
     def plan(self, start: StartConditions) -> PlannedRun:
-        """Plan the run from `start` and call the hook `preflight_passed`. Raises PlanRefused or UserError if the run is
-        refused."""
+        """Plan the run from the start conditions `start`, and call the caller's hook `preflight_passed` after the
+        preflight (simulated execution). Raises PlanRefused or UserError if the run is refused."""
         context = self._context
         planned = self._kind.plan(self._job, start, context.supervisor.check_stop_request)
         context.hooks.preflight_passed(planned.job, planned.preflight)
@@ -205,7 +207,8 @@ class RunSession:
         enter(RunState.REFUSED if refused else RunState.FAULTED, reason)
 
     def result(self) -> RunResult:
-        """Journal the outcome, write the result files if the hooks require it, and return the result."""
+        """Journal the outcome of the run, write the result files if the caller's hooks require it, and return the
+        result of the run."""
         context, progress = self._context, self.progress
         outcome = self._outcome()
         attempt("record the outcome", lambda: record_outcome(context.journal, outcome))

@@ -10,8 +10,8 @@ from twin.units import S_PER_MIN
 
 
 class StepProgress:
-    """Observer of the steps. It counts touches and balls, and announces the progress according to the times predicted
-    in the preflight."""
+    """Observer of the steps of a run. It counts touches and balls, and announces the progress according to the times
+    that the preflight (simulated execution) has predicted."""
 
     def __init__(self, tracker: RunStateTracker, further: Observer) -> None:
         """`further` is another observer; it receives every step before this one."""

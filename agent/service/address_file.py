@@ -1,5 +1,5 @@
-"""Address file of the running service in the state directory. The HTTP endpoint writes the file, and commands read
-it."""
+"""Address file of the running service in the state directory. The HTTP endpoint writes the file, and the command-line
+commands read it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ ADDRESS_FILE = "service.json"
 
 
 def write_address(directory: Path, url: str) -> None:
-    """Write `url` to the address file. Commands use this file to find the service, which runs in this process."""
+    """Write `url` to the address file. Command-line commands use this file to find the service, which runs in this
+    process."""
     write_atomically(directory / ADDRESS_FILE, json.dumps({"url": url, "process": os.getpid()}))
 
 

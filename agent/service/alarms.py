@@ -103,7 +103,7 @@ CODES: Final = MappingProxyType(_CODES)
 def alarm_code(error: BaseException) -> AlarmCode:
     """Return the alarm code of the error's class or, if this class has no code, of its nearest base class that has one.
 
-    If neither the class nor any base class has a code, return DEFECT.
+    If neither the class nor any base class has a code, return `DEFECT`, the code for an internal error of the program.
     """
     for kind in type(error).__mro__:
         if kind in CODES:
@@ -112,8 +112,8 @@ def alarm_code(error: BaseException) -> AlarmCode:
 
 
 def alarm_of(error: BaseException) -> Alarm:
-    """Return an alarm with the text, location and hint of the error. If the error has no hint, use the general hint of
-    its alarm code."""
+    """Return an alarm with the text, the location and the hint of the error. If the error has no hint, use the general
+    hint of its alarm code."""
     found = alarm_code(error)
     if isinstance(error, errors.VolcalError):
         return Alarm(found.code, error.message, error.hint or found.hint, MappingProxyType(dict(error.where)))

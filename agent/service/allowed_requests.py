@@ -1,4 +1,5 @@
-"""Requests that are allowed in each state of a run. The PackML names of the states are in `agent.execution.states`.
+"""Requests to the service (start, hold, abort and others) that are allowed in each state of a run. The PackML names of
+the states are in `agent.execution.states`.
 
 The states faulted and aborted are sticky: only a reset leaves them. The states complete and refused are not sticky: a
 new run may be started from them.
@@ -41,8 +42,8 @@ ALLOWED: dict[RunState, frozenset[str]] = {
 def allowed_in(state: RunState, *, unfinished: bool, question_open: bool) -> frozenset[str]:
     """Return the requests that are allowed in `state`.
 
-    `unfinished` is True if an interrupted run can be resumed. `question_open` is True if a question of the run has not
-    been answered yet.
+    `unfinished` is True if an interrupted run can be resumed. `question_open` is True if a question that the run asks a
+    person has not been answered yet.
     """
     allowed = ALLOWED[state]
     if not unfinished:

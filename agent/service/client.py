@@ -1,6 +1,5 @@
-"""HTTP client through which commands use the service. If the service answers with a problem document, the client raises
-the error that the document describes.
-"""
+"""HTTP client through which command-line commands use the service. If the service answers with a problem document (RFC
+9457), the client raises the error that the document describes."""
 
 from __future__ import annotations
 
@@ -58,7 +57,7 @@ class Client:
         return self._request("POST", path, body, headers)
 
     def events(self, after: int | None = None) -> Iterator[tuple[str, Document]]:
-        """Yield the status and then every event, each as a pair (kind, document).
+        """Yield the status of the service and then every event of the service, each as a pair (kind, document).
 
         `after` is the number of the last event that the caller already has. All later events are yielded, including
         events that occurred before this call.

@@ -1,8 +1,8 @@
 """Interface through which every endpoint sends requests to the owner of the machine.
 
-HTTP, the page, the panel gateway, OPC UA and the timer all use a `Control` and are independent of each other. Every
-method may be called from any thread and does not wait for the run. The effect of a request appears in `status` and in
-the events.
+The HTTP endpoint, the web page, the panel gateway, the OPC UA server and the timer that starts nightly runs all use a
+`Control` and are independent of each other. Every method may be called from any thread and does not wait for the run.
+The effect of a request appears in `status` and in the events.
 """
 
 from __future__ import annotations
@@ -49,11 +49,12 @@ class Status:
     - `fraction` is the completed part of the run, from 0 to 1.
     - `minutes_left` is the remaining machine time in min, as computed by the preflight.
     - `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according
-      to the last accepted estimate; both are in µm and rigidly aligned.
+      to the last accepted estimate; both are in µm, after the best-fitting rigid motion is removed.
     - `may` contains the requests that are allowed now (``start``, ``hold``, ``resume``, ``abort``, ``reset``,
       ``answer``, ``resume_run``).
     - `unfinished` is the identity of the interrupted run that can be resumed.
-    - `written_not_active` is the bank that becomes active only when the controller is restarted.
+    - `written_not_active` is the bank whose table has been written but becomes active only when the controller is
+      restarted.
     """
 
     machine: str
@@ -105,8 +106,9 @@ class Control(Protocol):
         cannot be carried out, DeviceError if the machine cannot be reached, and PermissionMissing if a reset is needed
         first.
 
-        A request without consent has further conditions. Raise PermissionMissing if the controller does not permit
-        motion. Raise GateRefused if the present hour is not permitted or the machine has not warmed up yet.
+        A request without consent (no person has confirmed that the machine may move) has further conditions. Raise
+        PermissionMissing if the controller does not permit motion. Raise GateRefused if the present hour is not
+        permitted or the machine has not warmed up yet.
         """
         ...
 
@@ -119,7 +121,8 @@ class Control(Protocol):
         ...
 
     def restore_table(self, run_id: str, role: str, source: Source) -> str:
-        """Reactivate the table that the run `run_id` stored with `role` (``backup``, ``staged`` or ``restored``).
+        """Reactivate the compensation table that the run `run_id` stored in the role `role` (``backup``, ``staged`` or
+        ``restored``).
 
         Return the identity of the new run that restores the table. Raise Busy, UserError or PermissionMissing in the
         same cases as `start`. The machine does not move.
@@ -139,12 +142,13 @@ class Control(Protocol):
         ...
 
     def answer(self, number: int, yes: bool) -> None:
-        """Answer the open question with this `number`. Raise UserError if no question with this number is open."""
+        """Answer the open question that has the number `number`. Raise UserError if no question with this number is
+        open."""
         ...
 
     def subscribe(self) -> AbstractContextManager[Queue[Event]]:
-        """Subscribe to all events from now on.
+        """Subscribe to all events from now on; they arrive in a queue.
 
-        If a reader falls too far behind, its queue drops events, beginning with the oldest progress events.
+        If the subscriber reads too slowly, its queue drops events, beginning with the oldest progress events.
         """
         ...

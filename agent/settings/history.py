@@ -20,12 +20,13 @@ class HistorySettings(StrictModel):
     - `credentials_file` is a file that contains the password on one line.
     - `machine` is the name of this machine in the history; by default it is the name of the machine file without its
       extension.
-    - `ve_tolerance_um` is the tolerance of the VE with the active table, in µm.
-    - `held_out_tolerance_um` is the tolerance of the rms error of held-out balls, in µm.
-    - `parameter_tolerances` maps an error (such as EXX) or a coefficient (such as EXX[1]) to its tolerance in µm or
-      µrad.
+    - `ve_tolerance_um` is the tolerance of the volumetric error (VE) with the active compensation table, in µm.
+    - `held_out_tolerance_um` is the tolerance of the rms prediction error of held-out balls (not used for the
+      estimate), in µm.
+    - `parameter_tolerances` maps a geometric error (such as EXX) or a coefficient of its Legendre series (such as
+      EXX[1]) to its tolerance in µm or µrad.
 
-    An alarm is raised if a trend is expected to leave its tolerance within `warn_nights` nights.
+    A trend alarm is given if a trend is expected to leave its tolerance within `warn_nights` nights.
     """
 
     url: str | None = None

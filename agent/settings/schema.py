@@ -50,8 +50,8 @@ class DeviceSettings(StrictModel):
 
 
 class RoleSettings(StrictModel):
-    """Name of the device that plays each role. `mount` names one device for all stations, or maps each station number
-    to a device."""
+    """Names of the devices that serve as machine, probe, compensation store, thermometer, operator and mount. `mount`
+    names one device for all stations, or maps each station number to a device."""
 
     machine: Name
     probe: Name
@@ -65,7 +65,7 @@ class StationSettings(StrictModel):
     """Stations of the mount, numbered from 1.
 
     `places_mm` contains one point for each station, in the workpiece frame: the point on the azimuth axis of the mount
-    at the height of the middle of the bar.
+    at the height of the middle of the artefact (the bar).
 
     If each station has a mount of its own, `artefacts` lists one artefact file per station. It is omitted if a single
     artefact is moved between the mounts. `parked_deg` contains the azimuth and elevation of the mounts at which no
@@ -138,8 +138,8 @@ class QualificationSettings(StrictModel):
     """Stylus qualification on the datum ball with 25 touches before a run.
 
     `ball` is the number of the datum ball; by default it is the first ball that is accessible from all sides.
-    `limit_um` is the limit of the form error and of each residual. `ball_radius_sigma_um` is the standard deviation of
-    the radii of the artefact's balls.
+    `limit_um` is the limit of the form error and of each residual of the sphere fitted to these touches.
+    `ball_radius_sigma_um` is the standard deviation of the radii of the artefact's balls.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -170,8 +170,9 @@ class ReversalSettings(StrictModel):
 class IdentificationSettings(StrictModel):
     """Identification of the machine errors.
 
-    `order` is the order of the Legendre series: ``evidence`` chooses the order with the largest evidence from the
-    measurements, ``file`` takes the order of the machine file, and a number sets the order itself.
+    `order` is the order of the Legendre series of the geometric errors: ``evidence`` chooses the order with the largest
+    Bayesian evidence from the measurements, ``file`` takes the order of the machine file, and a number sets the order
+    itself.
     """
 
     formulation: Literal["centres", "distances"] = "centres"
@@ -216,7 +217,7 @@ class GateSettings(StrictModel):
 
 class VerificationSettings(StrictModel):
     """Held-out positions, which are not used for the estimate. They are measured at `stations` before and after a new
-    table is activated."""
+    compensation table is activated."""
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "largest_chi2": "max_chi2",
@@ -253,15 +254,17 @@ class NightlySettings(StrictModel):
     """Settings of the nights after a full calibration. They set the measurements of `volcal verify` and `volcal
     nightly`, and the limits beyond which the machine counts as changed.
 
-    The first `held_out_positions` of `verification.positions_deg` are measured at the start, and again if a new table
-    is written. `check_positions` is the number of designed positions that complete the verification.
+    The first `held_out_positions` of `verification.positions_deg` are measured at the start, and again if a new
+    compensation table is written. `check_positions` is the number of designed (optimally selected) positions that
+    complete the verification.
 
     `drift_um` is the rms length of the field by which the machine may change per night; the change is distributed like
-    the family of the machine. `scale_drift_um_per_m` is an additional drift per night of the scale of each axis.
+    the errors of the machine's family (its prior population). `scale_drift_um_per_m` is an additional drift per night
+    of the scale of each axis.
 
     The machine is out of limits in three cases. The normalised χ² of the prediction exceeds `max_chi2`. Or one error
     has changed abruptly, and the evidence for this step (ln of the likelihood ratio) is at least `step_evidence`. Or
-    the VE exceeds `max_ve_growth` times the VE after the last accepted night.
+    the volumetric error (VE) exceeds `max_ve_growth` times the VE after the last accepted night.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -287,7 +290,8 @@ class NightlySettings(StrictModel):
 
 
 class PreflightSettings(StrictModel):
-    """Settings of the preflight. `driver` is the driver plugin that simulates the machine."""
+    """Settings of the preflight, a simulated execution of the complete plan before the machine moves. `driver` is the
+    driver plugin that simulates the machine."""
 
     driver: Name = "simulated"
 

@@ -1,5 +1,6 @@
 """Study of the number of balls needed on a bar of given length. It computes the volumetric error after compensation
-with 3 to 15 balls, and the gain of each number of balls as a share of the largest gain."""
+with 3 to 15 balls, and the gain (reduction of the volumetric error) of each number of balls as a share of the largest
+gain."""
 
 from __future__ import annotations
 
@@ -31,9 +32,9 @@ AXIS_LABEL = "balls over the same length"
 class Curve:
     """Results of one identification variant for each number of balls in `COUNTS`.
 
-    `verdicts` contains the VCE for each number of balls, and `shares` contains the gain as a share of the largest gain.
-    A share is None if the machine is not identified with this number of balls, or if no number of balls reduces the
-    error.
+    `verdicts` contains the volumetric error after compensation (VCE) for each number of balls. `shares` contains the
+    gain (reduction of the volumetric error) as a share of the largest gain. A share is None if the machine is not
+    identified with this number of balls, or if no number of balls reduces the volumetric error.
     """
 
     variant: IdentificationVariant
@@ -42,8 +43,8 @@ class Curve:
 
     @property
     def fewest(self) -> int | None:
-        """Smallest number of balls whose share of the largest gain is at least `SUFFICIENT_SHARE`; None if no number
-        reaches this share."""
+        """Smallest number of balls whose reduction of the volumetric error, as a share of the largest reduction, is at
+        least `SUFFICIENT_SHARE`; None if no number reaches this share."""
         return next(
             (n for n, share in zip(COUNTS, self.shares, strict=True) if share and share >= SUFFICIENT_SHARE), None
         )
@@ -78,9 +79,9 @@ def run(case: StudyCase) -> StudyResult:
 def gain_shares(verdicts: Sequence[Verdict], before: VolumetricRms) -> tuple[float | None, ...]:
     """Return the gain for each number of balls as a share of the largest gain.
 
-    The gain is the VE (`before`) minus the VCE (in `verdicts`), both after the best-fitting rigid motion is removed. A
-    share is None if the machine is not identified with this number of balls, or if no number of balls reduces the
-    error.
+    The gain is the volumetric error (VE) without compensation (`before`) minus the volumetric error after compensation
+    (VCE, in `verdicts`), both after the best-fitting rigid motion is removed. A share is None if the machine is not
+    identified with this number of balls, or if no number of balls reduces the error.
     """
     left = [aligned_um(verdict) for verdict in verdicts]
     best = min((value for value in left if value is not None), default=before.aligned_um)

@@ -1,4 +1,4 @@
-"""Chunks of items that a worker processes together, and errors that name the failed item.
+"""Chunks of items that a worker process handles together, and errors that name the failed item.
 
 This module contains only code that a worker process executes.
 """
@@ -35,8 +35,8 @@ class Chunk(Generic[Item]):
     items: Sequence[Item]
 
     def run(self, task: Callable[[Item], Result]) -> list[Result]:
-        """Return the result of `task` for each item. Raises VolcalError with the name of the failed item if `task`
-        raises an error."""
+        """Return the result of `task` for each item of the chunk. Raises VolcalError with the name of the failed item
+        if `task` raises an error."""
         results: list[Result] = []
         for number, item in enumerate(self.items, start=self.first):
             try:
@@ -64,7 +64,7 @@ def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
 
 
 def run_chunk_on_cluster(task: bytes, chunk: Chunk[Any], software: Mapping[str, str]) -> list[Any]:
-    """Return the results of a chunk, computed on a computer of the cluster.
+    """Return the results of a pickled task for the items of a chunk, computed on a computer of the cluster.
 
     `software` contains the software versions of the computer that submitted the chunk. Raises ConfigurationError if the
     versions on this computer differ.

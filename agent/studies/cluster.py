@@ -45,7 +45,7 @@ class DaskWorkers:
 
     Raises ConfigurationError if the address is invalid or the software versions differ. Raises LinkLost or LinkTimeout
     if the scheduler or the workers cannot be reached or the connection is lost. Raises RunError if workers died
-    repeatedly, and VolcalError, with the name of the item, if an item failed.
+    repeatedly, and VolcalError, with the name of the item, if the task failed for an item.
     """
 
     def __init__(self, address: str) -> None:

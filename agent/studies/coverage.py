@@ -1,9 +1,9 @@
-"""Study of the coverage of the 95 % regions of an estimate, for machines that have more errors than the model
-describes.
+"""Study of how often the 95 % confidence regions of an estimate contain the true errors (coverage), for machines that
+have more errors than the model describes.
 
-Each machine is drawn with one of several forms of deflection. It is measured in the position set of the case and in the
-held-out positions. Two estimates are made: one with the Legendre order of the machine file, and one with the order that
-has the largest evidence from the measurements.
+Each machine is drawn with one of several forms of elastic deflection. It is measured in the position set of the case
+and in the held-out positions. Two estimates are made: one with the Legendre order of the machine file, and one with the
+order that has the largest evidence from the measurements.
 """
 
 from __future__ import annotations
@@ -55,9 +55,10 @@ _MACHINES_PER_CHECK = 5  # number of richer machines per machine as modelled
 class ComparedEstimate:
     """Comparison of one estimate with the true errors of its machine.
 
-    `form` is the form of deflection, and `chosen` says how the Legendre order was chosen. `levels` maps each kind of
-    region to the confidence levels at which the regions just contain the true values. `ve_mm` is the true VE, `vce_mm`
-    the true VCE and `predicted_vce_mm` the predicted VCE, all in mm.
+    `form` names the form in which the elastic deflection of the machine was drawn, and `chosen` says how the Legendre
+    order was chosen. `levels` maps each kind of confidence region to the confidence levels at which the regions just
+    contain the true values. `ve_mm` is the true volumetric error without compensation (VE), `vce_mm` the true
+    volumetric error after compensation (VCE) and `predicted_vce_mm` the VCE predicted by the estimate, all in mm.
     """
 
     form: str
@@ -71,8 +72,8 @@ class ComparedEstimate:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTask:
-    """Task that draws a machine, given its number and its form of deflection, and compares its estimates with its true
-    errors."""
+    """Task that draws a machine, given its number and the form of its elastic deflection, and compares its estimates
+    with its true errors."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -141,7 +142,8 @@ class CoverageTask:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Compute the coverage over `case.machines` machines with alternating forms of deflection.
+    """Compute how often confidence regions contain the true errors (coverage), over `case.machines` machines with
+    alternating forms of elastic deflection.
 
     Some additional machines are drawn that the model describes exactly.
     """
@@ -176,14 +178,15 @@ def _comparison(case: StudyCase) -> CoverageTask:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTable:
-    """Comparisons for all machines. The observed coverage can be computed for any selection of these comparisons."""
+    """Comparisons of estimates with true errors for all machines. The observed coverage can be computed for any
+    selection of these comparisons."""
 
     compared: Sequence[ComparedEstimate]
     rng: np.random.Generator
 
     def select(self, chosen: str, form: str | None = None) -> list[ComparedEstimate]:
-        """Return the comparisons made with the choice `chosen` of the Legendre order, for the form of deflection
-        `form`. If `form` is None, return them for all forms."""
+        """Return the comparisons for the estimates whose Legendre order was chosen as `chosen` says and whose machine
+        has the form of deflection `form`. If `form` is None, return them for all forms."""
         forms = DEFLECTION_FORMS if form is None else (form,)
         return [one for one in self.compared if one.chosen == chosen and one.form in forms]
 

@@ -22,11 +22,11 @@ _LOWEST = 70.0
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Results for one choice of the Legendre order. `groups` contains the names of the forms of deflection and the name
-    ``all``.
+    """Results of the coverage study for one choice of the Legendre order. `groups` contains the names of the forms of
+    deflection and the name ``all``.
 
-    `shares` maps each region to its observed coverage in each of `groups`. `curves` maps each region to its observed
-    coverage at each of the nominal levels `LEVELS`.
+    `shares` maps each kind of confidence region to its observed coverage in each of `groups`. `curves` maps each kind
+    of region to its observed coverage at each of the nominal levels `LEVELS`.
     """
 
     title: str

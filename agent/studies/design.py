@@ -69,9 +69,10 @@ CENTRES = Options(estimate_scales=False, outliers="none")
 class EvaluatedSet:
     """Results of one position set. All errors are computed after the best-fitting rigid motion is removed.
 
-    `criterion_um` is the expected VCE without deflection, which is the criterion of the search. `vce_um` is the
-    expected VCE with deflection. `published_um` and `with_prior_um` are the expected VCE with the published
-    formulation, without and with the prior; both are None for a designed set.
+    `criterion_um` is the expected volumetric compensated error (VCE) without the elastic deflection of the machine,
+    which is the criterion of the search for designed sets. `vce_um` is the expected VCE with deflection. `published_um`
+    and `with_prior_um` are the expected VCE with the published formulation (distances between balls, equal weights),
+    without and with the machine family as prior; both are None for a designed set.
     """
 
     name: str
@@ -92,9 +93,9 @@ class EvaluatedSet:
 def run(case: StudyCase) -> StudyResult:
     """Evaluate three groups of position sets.
 
-    The first group contains the named sets. The second contains the designs for several time slots, and the design that
-    reaches the VCE of the reference set. The third contains the designs for one time slot with other artefacts and
-    other numbers of touches.
+    The first group contains the named sets (S1, S2, S3 and their combinations). The second contains the designs for
+    several time slots, and the design that reaches the volumetric compensated error (VCE) of the reference set S3. The
+    third contains the designs for one time slot with other artefacts and other numbers of touches.
     """
     evaluator = SetEvaluator.of(case)
     base = variants_of(case.job, Path())[0]
@@ -129,8 +130,8 @@ def run(case: StudyCase) -> StudyResult:
 
 @dataclass(frozen=True, eq=False)
 class SetEvaluator:
-    """Evaluator of position sets. `field` is the quadratic form that gives the residual field of the case on the
-    evaluation grid; it is the same for all sets."""
+    """Evaluator of position sets. `field` is the quadratic form that gives the mean square of the residual error field
+    on the evaluation grid of the workspace; it is the same for all sets."""
 
     field: FieldForm
 

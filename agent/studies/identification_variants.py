@@ -1,5 +1,5 @@
-"""Identification variants that a study compares. The variants are the options requested by the case, and the published
-method with and without a prior."""
+"""Identification variants that a study compares. The variants are the identification options of the study's case, and
+the published method with and without a prior."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False)
 
 @dataclass(frozen=True, eq=False)
 class IdentificationVariant:
-    """Identification options that make closed form and simulation comparable.
+    """Identification options for which the volumetric error after compensation computed in closed form and the
+    simulated one are comparable.
 
-    The scales of all uncertainties keep their stated values and are not estimated from the measurements.
+    All uncertainties are used as stated; no scale factors for them are estimated from the measurements.
     """
 
     options: Options
@@ -36,7 +37,7 @@ class IdentificationVariant:
 def identification_variants(options: Options) -> tuple[IdentificationVariant, ...]:
     """Return the identification variants to compare, without duplicates.
 
-    They are the requested options, the published method with the family of machines as prior, and the published method
+    They are the given `options`, the published method with the family of machines as prior, and the published method
     without a prior.
     """
     candidates = (options, replace(PUBLISHED, use_prior=True), PUBLISHED)

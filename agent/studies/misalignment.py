@@ -48,7 +48,8 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def saving(rows: Verdicts, variant: int) -> float | None:
-    """Return the share by which the VCE with the largest tilt is smaller than the VCE without tilt.
+    """Return the share by which the volumetric error after compensation (VCE) with the largest tilt of the ball holders
+    is smaller than the VCE without tilt.
 
     The VCE is taken after the best-fitting rigid motion is removed. `variant` is the index of the identification
     variant. Return None if the machine is not identified with the largest tilt or without tilt.

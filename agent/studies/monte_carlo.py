@@ -1,9 +1,10 @@
-"""Monte Carlo simulation of whole procedures. It compares the VE and VCE of many simulated machines with the closed
-form.
+"""Monte Carlo simulation of whole procedures. It compares the volumetric error of many simulated machines before and
+after compensation (VE and VCE) with the values computed in closed form.
 
 Each machine is drawn, measured and identified independently of the others. It is identified twice from the same
-measurements. The first identification is that of a run: it estimates the scales of noise, prior and misfit, and rejects
-balls that contradict the others. The second identification uses all scales as stated, as the closed form assumes.
+measurements. The first identification is that of a run: it estimates scale factors for the uncertainties of noise,
+prior and model misfit, and rejects balls that contradict the others. The second identification uses all uncertainties
+as stated, as the closed form assumes.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ COVERAGE_FACTOR = 2.0
 class SimulatedMachine:
     """One simulated machine and its identification.
 
-    `truth` contains the true parameters, and `estimate` the estimated parameters. `chi2_normalised` is the normalised
-    χ² of the estimate, and `rejected` is the number of rejected balls.
+    `truth` contains the true parameters of the error model, and `estimate` the estimated ones. `chi2_normalised` is the
+    normalised χ² of the estimate, and `rejected` is the number of rejected balls.
     """
 
     truth: Array
@@ -85,7 +86,8 @@ class ProcedureTask:
 class ErrorSample:
     """Volumetric errors in mm of a sample of machines, one value per machine in each array.
 
-    `raw_mm` contains the raw errors; `aligned_mm` contains the errors after the best-fitting rigid motion is removed.
+    `raw_mm` contains the errors without alignment; `aligned_mm` contains the errors after the best-fitting rigid motion
+    is removed.
     """
 
     raw_mm: Array
@@ -101,8 +103,8 @@ class ErrorSample:
 
     @property
     def expected(self) -> VolumetricRms:
-        """Root mean square of the errors over the machines. It is comparable with the closed form, which gives the root
-        of the expected mean square."""
+        """Root mean square of the volumetric errors over the machines. It is comparable with the prediction in closed
+        form, which is the root of the expected mean square."""
         return VolumetricRms(*(float(np.sqrt(np.mean(values**2))) for values in (self.raw_mm, self.aligned_mm)))
 
     @property
@@ -112,8 +114,8 @@ class ErrorSample:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Simulate `case.machines` machines, measured in the position set of the case, and compare their VE and VCE with
-    the closed form."""
+    """Simulate `case.machines` machines, measured in the position set of the case, and compare their volumetric errors
+    before and after compensation (VE and VCE) with the values computed in closed form."""
     planned = case.procedure.plan(case.positions()).observations
     grid = evaluation_grid(case.machine.model.ranges_mm)
     form = FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
@@ -140,18 +142,19 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def with_stated_scales(options: Options) -> Options:
-    """Return the options changed to fixed scales and no outlier rejection. The estimate is then linear in the
-    measurements."""
+    """Return the identification options changed so that all uncertainties are used as stated and no outliers are
+    rejected. The estimate is then linear in the measurements."""
     return replace(options, estimate_scales=False, outliers="none")
 
 
 @dataclass(frozen=True, eq=False)
 class SimulationComparison:
-    """Comparison of closed form and simulation.
+    """Comparison of volumetric errors computed in closed form and by simulation.
 
-    `closed` is the VCE in closed form, and `before` the simulated VE. `plain` is the simulated VCE if machines are
-    identified with the scales as stated, as `closed` assumes. `usual` is the simulated VCE if machines are identified
-    as in a run.
+    `closed` is the volumetric error after compensation (VCE) in closed form, and `before` the simulated volumetric
+    error without compensation. `plain` is the simulated VCE if machines are identified with all uncertainties as
+    stated, as `closed` assumes. `usual` is the simulated VCE if machines are identified as in a run, which estimates
+    scale factors for the uncertainties.
     """
 
     closed: VolumetricRms
@@ -206,8 +209,8 @@ def _summary(
 
 
 def deviation(simulated_mm: float, closed_mm: float, error_mm: float) -> float | None:
-    """Return the simulated value minus the closed form, in units of the standard error. Return None if the standard
-    error is zero, as for a single machine."""
+    """Return the simulated value minus the value computed in closed form, in units of the simulated value's standard
+    error. Return None if the standard error is zero, as for a single machine."""
     return (simulated_mm - closed_mm) / error_mm if error_mm > 0.0 else None
 
 

@@ -1,6 +1,7 @@
 """Abandonment of an unfinished run, which then ends in the state aborted.
 
-If the run has left an unproved compensation table active, the table that was active before the run is reactivated.
+If the run has left a new compensation table active that has not yet been confirmed by measurements, the table that was
+active before the run is reactivated.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ from agent.runs.reconcile_result import ReconcileAction, Reconciliation
 def abandon(rig: Rig, state_directory: Path, reason: str) -> Reconciliation:
     """End the unfinished run by setting it to ABORTED in the journal.
 
-    If the run has left an unproved compensation table active, the table that was active before the run is first
-    reactivated. If `agent.runs.reconcile.reconcile` leaves the compensation unrepaired, the run remains unfinished.
-    `rig` must be open; nothing moves.
+    If the run has left a new compensation table active that has not yet been confirmed by measurements, the table that
+    was active before the run is first reactivated. If `agent.runs.reconcile.reconcile`, which compares the controller
+    with the journal, leaves the compensation unrepaired, the run remains unfinished. `rig`, the devices of the machine,
+    must be open; no axis moves.
 
-    Raises DeviceError if the controller cannot be read or refuses, and InputError if the journal cannot be read.
+    Raises DeviceError if the controller cannot be read or refuses a command, and InputError if the journal cannot be
+    read.
     """
     result = reconcile(rig, state_directory)
     run = result.unfinished

@@ -7,10 +7,10 @@ from drivers.clock import Clock
 
 
 class ResumedClock:
-    """Clock that gives the machine seconds of a run as if the run had not been interrupted.
+    """Clock that gives the machine time of a run, in s, as if the run had not been interrupted.
 
     During the replay the clock returns recorded times, so that decisions that depend on time are repeated. After the
-    replay it runs on from the time passed to `start_running`.
+    replay it runs on from the time passed to the method `start_running`.
     """
 
     def __init__(self, inner: Clock, begun_s: float) -> None:

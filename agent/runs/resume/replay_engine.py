@@ -1,6 +1,6 @@
-"""Engine of a resumed run.
+"""Engine of a resumed run, that is, the object that carries out the steps of the run's plan.
 
-It takes the results of recorded steps from the journal and carries out the remaining steps.
+It takes the results of recorded steps from the journal and carries out only the remaining steps.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from drivers.roles import TableImage
 
 
 class Return(Protocol):
-    """Interface of an object that returns compensation and machine to their state before an interruption.
+    """Interface of an object that returns the compensation and the machine to their state before an interruption of a
+    run.
 
     In this state the first step without a recorded result can be carried out.
     """
@@ -31,7 +32,7 @@ class Return(Protocol):
         ...
 
     def before(self, following: Step) -> bool:
-        """Restore compensation and machine as far as the next step, `following`, needs them.
+        """Restore compensation and machine as far as `following`, the next step of the run, needs them.
 
         Return True if `following` took effect before the interruption although the journal has no result of this step.
         """
@@ -39,7 +40,8 @@ class Return(Protocol):
 
 
 class Replay:
-    """Replay of the records of an interrupted run. It compares each record with the next step of the rebuilt plan.
+    """Replay of the records of an interrupted run. It compares each record with the next step of the plan, which is
+    built again when the run is resumed.
 
     `interrupted_step` is the step that had begun but not ended when the run was interrupted; it is None if there is no
     such step.
@@ -56,7 +58,8 @@ class Replay:
         return not self._recorded.steps
 
     def next(self, step: Step) -> RecordedStep:
-        """Return the record of `step`. Raise PlanDiverged if the next record belongs to another step."""
+        """Return the journal's record of `step`, which contains the result of the step. Raise PlanDiverged if the next
+        record belongs to another step."""
         recorded = self._recorded.steps.popleft()
         _require_same(recorded, step)
         if recorded.finished_s is not None:
@@ -64,7 +67,8 @@ class Replay:
         return recorded
 
     def end(self, step: Step) -> None:
-        """End the replay before `step`. Raise PlanDiverged if the interrupted step is not `step`."""
+        """End the replay before `step`, the first step without a recorded result. Raise PlanDiverged if the run was
+        interrupted in a different step."""
         interrupted, self.interrupted_step = self.interrupted_step, None
         if interrupted is not None:
             _require_same(interrupted, step)
@@ -73,7 +77,8 @@ class Replay:
 class ReplayingEngine(Engine):
     """Engine of a resumed run. It first returns the recorded results of steps, then carries out the remaining steps.
 
-    `stored` is a function that returns a table from the journal or the controller, given its bank and CRC-32.
+    `stored` is a function that returns a compensation table from the journal or the controller, given its CRC-32 and
+    its bank (storage place in the controller).
     """
 
     def __init__(
@@ -91,9 +96,11 @@ class ReplayingEngine(Engine):
         self._return: Return | None = None
 
     def set_return(self, return_: Return) -> None:
-        """Set the object that brings compensation and machine back to their former state after the replay.
+        """Set `return_`, the object that restores the compensation and the machine position after the recorded steps
+        have been replayed.
 
-        If this method is not called, the engine assumes that the machine is still in the position of the interruption.
+        If this method is not called, the engine assumes that the machine is still in the position in which the run was
+        interrupted.
         """
         self._return = return_
 
@@ -144,7 +151,8 @@ def _require_same(recorded: RecordedStep, step: Step) -> None:
 
 
 def require_crc(image: TableImage | None, bank: int, crc32: int) -> TableImage:
-    """Return `image`, the table that was read from `bank`. Raise PlanDiverged if its CRC-32 is not `crc32`."""
+    """Return `image`, the compensation table that was read from `bank` of the controller. Raise PlanDiverged if there
+    is no table or its CRC-32 is not `crc32`."""
     if image is None or table_digest(image) != crc32:
         raise PlanDiverged(
             f"bank {bank} does not hold the table any more that it held when the run read it",

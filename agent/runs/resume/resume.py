@@ -35,15 +35,16 @@ from drivers.roles import TableImage
 def resume(
     state_directory: Path, hooks: RunHooks | None = None, *, asked: Mapping[str, object] | None = None
 ) -> RunResult:
-    """Resume the unfinished run of `state_directory` with the settings, the kind of run and the files of its start.
+    """Resume the unfinished run of `state_directory` with the settings, the kind of run and the input files with which
+    it was started.
 
-    The run is planned again from its start conditions. The results of its recorded steps are taken from the journal,
-    the machine returns to its position before the interruption, and the remaining steps are carried out. `asked`
-    contains the source of the request to resume; it is journaled.
+    The run is planned again from its start conditions (axis positions, time and run number). The results of its
+    recorded steps are taken from the journal, the machine returns to its position before the interruption, and the
+    remaining steps are carried out. `asked` contains the source of the request to resume; it is journaled.
 
-    Raises InputError if there is no run to resume, PlanDiverged if a file has changed, and another error if the lock,
-    the configuration or the journal prevents the resumption. Once the run is continued, each of its ends, good or bad,
-    is returned as a `RunResult`.
+    Raises InputError if there is no run to resume, PlanDiverged if an input file has changed since the start, and
+    another error if the lock on the machine, the configuration or the journal prevents the resumption. Once the run is
+    continued, its end, whether a success or an error, is returned as a `RunResult`.
     """
     hooks = hooks or RunHooks()
     origin = resumable_origin(state_directory)
@@ -75,10 +76,11 @@ def resume(
 
 
 def resumable_origin(state_directory: Path) -> Origin:
-    """Return the origin of the unfinished run: its settings, its kind of run and its start conditions.
+    """Return the origin of the unfinished run: its settings, its kind of run and its start conditions (axis positions,
+    time and run number).
 
     Raises InputError, with the reason, if there is no unfinished run, if the run cannot be resumed, or if the journal
-    cannot be read. Raises PlanDiverged if a file has changed since the run began.
+    cannot be read. Raises PlanDiverged if an input file has changed since the run began.
     """
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)
@@ -93,7 +95,8 @@ def resumable_origin(state_directory: Path) -> Origin:
 
 
 def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableImage]:
-    """Return a function that returns a table, given its bank and CRC-32, from the journal or else from the controller.
+    """Return a function that returns a compensation table from the journal or else from the controller. The table is
+    identified by its bank (storage place in the controller) and its CRC-32.
 
     The returned function raises PlanDiverged if the bank no longer contains the table with this CRC-32.
     """
@@ -105,9 +108,10 @@ def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableIm
 
 
 def continuation_time_s(origin: Origin) -> float:
-    """Return the machine time in s at which the run continues.
+    """Return the machine time in s at which an interrupted run continues.
 
-    If machine time is wall time, the duration of the interruption is counted and therefore uses up part of the slot.
+    If machine time is wall time, the duration of the interruption is counted and therefore uses up part of the machine
+    time available to the run.
     """
     if origin.settings.clock.kind != "real":
         return origin.begun_s

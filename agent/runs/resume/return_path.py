@@ -1,9 +1,9 @@
 """Path by which the machine returns after an interruption, from any position to the position at which the next step of
 the run begins.
 
-The probe is first withdrawn along the stylus. Then the mount is turned back and the last ball is measured again.
-Finally each axis approaches its position from the same side as before the interruption, so that the play of the axis is
-taken up in the same direction.
+The probe is first withdrawn along the stylus. Then the mount is turned back and the ball measured last is measured
+again. Finally each axis approaches its position from the same side as before the interruption, so that the play of the
+axis is taken up in the same direction.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class ReturnPath:
-    """Path by which the machine returns to its former position after an interruption.
+    """Path by which the machine returns, after an interruption of a run, to the position at which the next step of the
+    run begins.
 
     `prefix` is the beginning of the key of every step of the path. `tolerance_mm` is the largest permitted
     displacement, in mm, of the ball that is measured again.
@@ -46,8 +47,8 @@ class ReturnPath:
     tolerance_mm: float
 
     def plan(self, following: Step) -> Plan[None]:
-        """Move to the position at which the step `following` begins. Raises MeasurementFault if the artefact has
-        moved."""
+        """Move to the position at which `following`, the next step of the run, begins. Raises MeasurementFault if the
+        artefact has moved since the interruption."""
         trace, rules = self.trace, self.rules
         if not trace.moved:
             return

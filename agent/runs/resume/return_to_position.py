@@ -1,5 +1,5 @@
 """Return of compensation and machine to their state before an interruption. The return takes place between the last
-recorded step of a resumed run and the first step that is carried out."""
+recorded step of a resumed run and the first step that is carried out instead of replayed."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
 class ReturnToPosition:
     """Return of a resumed run to its state before the interruption.
 
-    The compensation is restored before the first step that is carried out. The machine returns before the first step
-    whose type is not in `WRITING`, because the steps in `WRITING` use only the compensation store.
+    The compensation is restored before the first step that is carried out instead of replayed. The machine is moved
+    back to its position before the first step whose type is not in `WRITING`. The step types in `WRITING` need no
+    position, because they only read or write the compensation tables in the controller.
     """
 
     def __init__(
@@ -105,8 +106,9 @@ class ReturnToPosition:
 def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Activation) -> Plan[bool]:
     """Restore the compensation to its state before the interruption.
 
-    If necessary, write the staged table into its bank again, and reactivate the bank that was active. Return True if
-    `following` is an activation that took effect although it was interrupted.
+    If necessary, write the staged table (the new compensation table that the run wrote into an inactive bank) into its
+    bank again, and reactivate the bank that was active. Return True if `following`, the next step of the run, is an
+    activation that took effect although it was interrupted.
 
     Raises PlanDiverged if a bank no longer contains the table that the run found there or wrote to it.
     """

@@ -1,4 +1,5 @@
-"""Trace of the steps of a run: position of the machine, directions of approach, and active compensation."""
+"""State in which the finished steps of a run have left the machine: its position, the directions of approach, and the
+active compensation."""
 
 from __future__ import annotations
 
@@ -57,9 +58,9 @@ class StepTrace:
 
     `at_mm` contains the axis positions in mm; it is None until they are read. `axes` contains, for each axis, its last
     motions, which determine the side on which the play of the axis is taken up. `moved` is True after the first motion.
-    `pose` is the last finished turn of the mount. `datum_mm` is the last ball centre found in this pose with the active
-    table, and `datum_key` is the key of its record. `contents` maps each bank to the CRC-32 of its table. `staged` is
-    the last step that wrote a table into a bank.
+    `pose` is the step of the last finished turn of the mount. `datum_mm` is the last ball centre found in this pose
+    with the active table, and `datum_key` is the key of the journal record of this ball. `contents` maps each table
+    bank of the controller to the CRC-32 of its table. `staged` is the last step that wrote a table into a bank.
     """
 
     at_mm: Point | None = None
@@ -74,7 +75,7 @@ class StepTrace:
     staged: StageTable | None = None
 
     def add(self, step: Step, result: object) -> None:
-        """Update this state with a finished step and the result of the step."""
+        """Update this state with a finished step of the run and the result of the step."""
         match step:
             case MoveTo():
                 self.last_motion.begin(step.target_mm, touch=False)

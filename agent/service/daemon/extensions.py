@@ -28,6 +28,6 @@ def further_endpoints(settings: Settings) -> Sequence[Endpoint]:
 
 
 def http_extensions(_: Settings) -> Sequence[Extension]:
-    """Return the functions that add pages and routers to the HTTP application. The guard of the HTTP application also
-    checks the requests for these pages and routers."""
+    """Return the functions that add pages and routers to the HTTP application. The access check of the HTTP application
+    (`agent.service.http.guard`) also checks the requests for these pages and routers."""
     return (mount_page, mount_metrics)

@@ -59,7 +59,8 @@ class MainLoop:
     _hung: bool = False
 
     def run(self) -> None:
-        """Report readiness to systemd. Then feed the watchdog, report the status, and reload the settings on request.
+        """Report readiness to systemd. Then feed systemd's watchdog, report the status, and reload the settings on
+        SIGHUP.
 
         On SIGTERM or SIGINT hold the run, withdraw the probe, close the owner of the machine and return.
         """
@@ -127,7 +128,8 @@ class MainLoop:
 
 
 def status_text(status: Status, *, hung: bool = False) -> str:
-    """Return the status as one line for `systemctl status`. `hung` is True if the thread of the run hangs."""
+    """Return the status of the service as one line for `systemctl status`. `hung` is True if the thread of the run
+    hangs."""
     parts = [f"{status.machine}: {status.doing}"]
     if status.minutes_left is not None:
         parts.append(f"{100.0 * status.fraction:.0f} %, {status.minutes_left:.0f} min left")

@@ -1,5 +1,5 @@
-"""Start-up of the service. It takes the lock, creates the owner, opens the endpoints, and runs the main loop until the
-service is stopped."""
+"""Start-up of the service. It takes the lock on the machine, creates the owner of the machine, opens the endpoints, and
+runs the main loop until the service is stopped."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ REPORT_TIMEOUT_S = 15.0
 def serve(config: Path, circumstances: Callable[[], Circumstances] = current_circumstances) -> None:
     """Run the service until SIGTERM or SIGINT.
 
-    `circumstances` is a function that returns the local time and the time since switch-on. Both determine whether a run
-    may start without consent. Raise Busy if another process owns the machine, and ConfigurationError if the settings
-    are invalid.
+    `circumstances` is a function that returns the local time and the time since this computer was switched on. Both
+    determine whether a run may start without consent. Raise Busy if another process owns the machine, and
+    ConfigurationError if the settings are invalid.
     """
     config = config.resolve()
     settings = load_settings(config)

@@ -49,8 +49,8 @@ def read_access_code(path: Path) -> int:
 
 
 class AccessCode:
-    """Check of the access code. After a wrong code, every code is refused without a check for LOCKED_TICKS seconds.
-    `tick` must be called once per second."""
+    """Check of the access code. After a wrong code, every code is refused for `LOCKED_TICKS` seconds without being
+    checked. `tick` must be called once per second."""
 
     def __init__(self, code: int | None) -> None:
         self._code = None if code is None else code.to_bytes(4)

@@ -46,8 +46,8 @@ class CommandRequest:
 
     @property
     def content(self) -> tuple[int | str | None, ...]:
-        """All values except the access code. They distinguish a repetition of a command from a different command with
-        the same sequence number."""
+        """All register values of the command except the access code. They distinguish a repetition of a command from a
+        different command with the same sequence number."""
         return (*(value for name, value in self.numbers.items() if name != "access_code"), self.text)
 
     def command(self) -> Command | None:
@@ -72,8 +72,8 @@ class CommandRequest:
             raise ValueNotAllowed(str(error)) from error
 
     def answer(self) -> tuple[int, bool]:
-        """Return the number of the question, and True if the answer is yes. Raise ValueNotAllowed if the answer is
-        invalid."""
+        """Return the pair (number, yes): the number of the question that the panel answers, and True if the answer is
+        yes. Raise ValueNotAllowed if the answer is invalid."""
         return self.numbers["question_number"], _one_of("answer", self.numbers["answer"], {1: True, 2: False})
 
 

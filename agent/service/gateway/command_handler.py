@@ -46,7 +46,7 @@ class CommandHandler:
         self._control.abort(ABORT_REASON)
 
     def submit(self, request: CommandRequest) -> None:
-        """Execute a command that has the next sequence number, and store its result.
+        """Execute a command whose sequence number follows that of the last accepted command, and store its result.
 
         If the response was lost, a panel repeats its last command; this repetition has no effect. Raise RegisterError
         without executing anything if the command has any other sequence number, or if the number cannot be recorded.

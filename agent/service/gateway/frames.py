@@ -74,15 +74,15 @@ def body_length(header: bytes) -> int:
 
 
 def answer_frame(header: bytes, answer: bytes) -> bytes:
-    """Return the response frame that contains `answer`, the response PDU. The transaction and unit numbers are those of
-    `header`, the header of the request."""
+    """Return the response frame that contains `answer`, the response PDU (protocol data unit). The transaction and unit
+    numbers are those of `header`, the header of the request."""
     transaction, _, _, unit = HEADER.unpack(header)
     return HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
 
 
 def answer_request(request: bytes, table: RegisterTable) -> bytes:
-    """Return the response PDU for one request PDU (function code and data). The response may be an exception
-    response."""
+    """Return the response PDU (protocol data unit: function code and data) for one request PDU. The response may be an
+    exception response."""
     function = request[0]
     try:
         if function not in _ANSWERS:

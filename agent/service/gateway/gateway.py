@@ -1,4 +1,5 @@
-"""Gateway state that all panel connections share: the control, the command handler and the heartbeats."""
+"""Gateway state that all panel connections share: the control of the service, the command handler and the heartbeats of
+service and panel."""
 
 from __future__ import annotations
 
@@ -37,8 +38,8 @@ class Gateway:
     def image(self) -> tuple[int, ...]:
         """Return the content of all status registers.
 
-        The last accepted sequence number is read before the status. A panel that finds its own sequence number there
-        therefore also finds the status after its command, never an earlier status.
+        The sequence number of the last accepted panel command is read before the status. A panel that finds its own
+        sequence number there therefore also finds the status after its command, never an earlier status.
         """
         accepted, result = self.handler.state()
         facts = GatewayFacts(
@@ -51,8 +52,8 @@ class Gateway:
         return status_image(self.status(), facts)
 
     def tick(self) -> None:
-        """Update the heartbeats and the lock that follows a wrong access code. This method must be called once per
-        second."""
+        """Update the heartbeats of service and panel, and the time for which all access codes are refused after a wrong
+        access code. This method must be called once per second."""
         self.access.tick()
         status = self._status_or_none()
         if self.heartbeats.tick(service_alive=status is not None):

@@ -153,8 +153,8 @@ MAY: Final = ("start", "hold", "resume", "abort", "reset", "answer", "resume_run
 
 
 class Command(IntEnum):
-    """Values of the register `command`. Abort is also a coil; the value for it is provided for panels that cannot write
-    coils."""
+    """Values of the register `command`, into which a panel writes its command. Abort is also a coil; the value for it
+    is provided for panels that cannot write coils."""
 
     START = 1
     HOLD = 2
@@ -170,7 +170,8 @@ FREE_COMMANDS: Final = frozenset({Command.HOLD, Command.ABORT})
 
 
 class Result(IntEnum):
-    """Values of the register `result` below 100. In this register a value of 100 or more is an alarm number."""
+    """Values below 100 of the register `result`, which shows the result of the last command. In this register a value
+    of 100 or more is an alarm number."""
 
     NONE = 0
     DONE = 1

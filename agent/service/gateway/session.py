@@ -1,8 +1,8 @@
 """Registers and abort coil of one panel connection.
 
 All connections read the same status. A value that a panel writes into the command registers remains a draft of its own
-connection until the panel writes the sequence number. Commands of two panels therefore cannot mix, and a draft is
-discarded when its connection closes.
+connection until the panel writes the sequence number of the command. Commands of two panels therefore cannot mix, and a
+draft is discarded when its connection closes.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ _UNKNOWN_WORD = UNKNOWN[Form.U16]
 
 @dataclass(frozen=True)
 class GatewayFacts:
-    """Values of those status registers that describe the gateway itself. They are not contained in the status of the
-    service."""
+    """Values of those status registers that describe the gateway itself. The status of the service does not contain
+    them."""
 
     heartbeat: int = 0
     panel_alive: bool = False
@@ -37,8 +37,8 @@ class GatewayFacts:
 
 
 def status_image(status: Status, facts: GatewayFacts) -> tuple[int, ...]:
-    """Return the content of the whole block of status registers, given the status of the service and the facts of the
-    gateway."""
+    """Return the content of the whole block of status registers, given the status of the service and `facts`, the
+    values that describe the gateway itself."""
     values = {**_run_values(status), **_waiting_values(status), **_gateway_values(status, facts)}
     words: list[int] = []
     for register in STATUS:

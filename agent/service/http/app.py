@@ -1,4 +1,5 @@
-"""HTTP application. It consists of the routers behind the guard; the page and the metrics are added as extensions."""
+"""HTTP application. It consists of routers, whose requests all pass an access check (`agent.service.http.guard`). The
+web page and the metrics are added as extensions."""
 
 from __future__ import annotations
 

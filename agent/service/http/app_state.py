@@ -18,9 +18,8 @@ from agent.settings.schema import Settings
 
 @dataclass(frozen=True)
 class AppState:
-    """State shared by all routes. `settings` is a function that returns the settings for the next run; `config` is the
-    path of the settings file.
-    """
+    """State shared by all routes. `settings` is a function that returns the settings for the next run; `token` is the
+    access token that commands require; `config` is the path of the settings file."""
 
     control: Control
     event_log: EventLog

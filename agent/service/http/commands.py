@@ -1,4 +1,4 @@
-"""Command endpoints. All require the token except abort, which anyone may call."""
+"""Command endpoints. All require the access token except abort, which anyone may call."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ with_token = APIRouter(prefix="/api", tags=["asking"], responses=DOCUMENTED, dep
 
 @without_token.post("/abort")
 def abort(app_state: AppStateDependency, body: AbortBody | None = None) -> RequestAccepted:
-    """Stop the machine, withdraw the probe and restore the previous table. This request is always accepted; between
-    runs it has no effect."""
+    """Stop the machine, withdraw the probe and restore the compensation table that was active before the run. This
+    request is always accepted; between runs it has no effect."""
     app_state.control.abort((body or AbortBody()).reason)
     return RequestAccepted()
 
@@ -68,14 +68,14 @@ def reset(app_state: AppStateDependency) -> RequestAccepted:
 
 @with_token.post("/answer")
 def answer(app_state: AppStateDependency, body: AnswerBody) -> RequestAccepted:
-    """Answer the open question."""
+    """Answer the open question of the run."""
     app_state.control.answer(body.number, body.yes)
     return RequestAccepted()
 
 
 @with_token.post("/tables/restore", status_code=202)
 def restore_table(app_state: AppStateDependency, body: RestoreBody) -> RunStarted:
-    """Reactivate a stored table. Nothing moves."""
+    """Reactivate a stored compensation table. Nothing moves."""
     return RunStarted(run_id=app_state.control.restore_table(body.run_id, body.role, body.source))
 
 

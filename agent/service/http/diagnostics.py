@@ -17,7 +17,7 @@ router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED, depend
 @router.get("/diagnostics", response_class=Response)
 def diagnostics(app_state: AppStateDependency) -> Response:
     """Return a ZIP file with status, events, versions, settings and journal, from which secrets are removed. The
-    request requires the token, because the file contains everything known about the machine."""
+    request requires the access token, because the file contains everything known about the machine."""
     _, events = app_state.event_log.since(0)
     content = diagnostics_zip(app_state.settings(), status_now(app_state).model_dump(mode="json"), events)
     headers = {"Content-Disposition": 'attachment; filename="volcal-diagnostics.zip"'}

@@ -24,7 +24,7 @@ _SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user",
 
 
 def without_secrets(document: Any) -> Any:
-    """Return a copy of the document in which a value is replaced by a marker if its key suggests a secret.
+    """Return a copy of a document in which a value is replaced by a marker if its key suggests a secret.
 
     Values at any depth of the document are checked.
     """

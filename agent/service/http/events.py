@@ -1,4 +1,5 @@
-"""Server-sent events. The service first sends the status, then all events that the client has not yet received."""
+"""Server-sent events of the service. The service first sends the status, then all events that the client has not yet
+received."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ RECONNECT_AFTER_MS = 2000
 async def events(
     app_state: AppStateDependency, last_event_id: Annotated[str | None, Header()] = None
 ) -> AsyncIterator[ServerSentEvent]:
-    """Send the status once at the beginning, then every event with its number as id. If events were lost, send the
-    status again.
+    """Send the status of the service once at the beginning, then every event with its number as id. If events were
+    lost, send the status again.
 
     If the request has the header `Last-Event-ID`, the events after that number are sent before new events. A comment
     every 15 s keeps the connection alive.

@@ -1,8 +1,9 @@
-"""Checks of every request before it is processed. The host name, the origin and the size are checked.
+"""Checks of every HTTP request before it is processed. The host name, the origin and the size are checked.
 
-A foreign page that is open in the panel's browser can send requests to loopback. Such a page does not have the token,
-so it cannot send commands. A foreign `Host` header indicates DNS rebinding, and a foreign `Origin` header indicates a
-request by another page. Requests with such a header are refused even if they only read.
+A foreign web page that is open in the browser of the operating panel can send requests to loopback. Such a page does
+not have the access token of the service, so it cannot send commands. A foreign `Host` header indicates DNS rebinding,
+and a foreign `Origin` header indicates a request by another page. Requests with such a header are refused even if they
+only read.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ SECURITY_HEADERS = (
 
 
 class Guard:
-    """ASGI middleware that checks every request. `names` are the host names, without port, by which a browser may reach
-    the service."""
+    """ASGI middleware that checks the host name, the origin and the size of every request. `names` are the host names,
+    without port, by which a browser may reach the service."""
 
     def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
         self._app = app
@@ -75,8 +76,8 @@ _BEARER = HTTPBearer(auto_error=False, description="Content of the file `service
 def require_token(
     app_state: AppStateDependency, given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]
 ) -> None:
-    """Refuse a request without the valid token. This function is a dependency of all command endpoints that require the
-    token."""
+    """Refuse a request without the valid access token of the service. This function is a dependency of all command
+    endpoints that require it."""
     if given is None:
         raise RequestRefused(
             HTTPStatus.UNAUTHORIZED,

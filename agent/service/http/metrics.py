@@ -1,5 +1,6 @@
-"""Route `/metrics` for Prometheus. The metrics are made from the history and the current status. The guard checks
-requests for them, but no token is required."""
+"""Route `/metrics` for Prometheus. The metrics are made from the run history and the current status of the service.
+Requests for them pass the access check of the HTTP application (`agent.service.http.guard`), but no token is required.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ PATH = "/metrics"
 
 def mount_metrics(app: FastAPI, app_state: AppState) -> None:
     """Add the route `/metrics` to the application. This function has the type `agent.service.http.app.Extension`. The
-    database client is imported only at the first request."""
+    client of the history database is imported only at the first request."""
     cache = _MetricsCache()
 
     @app.get(PATH, include_in_schema=False)
@@ -74,7 +75,7 @@ class _MetricsCache:
 
 
 def live_gauges(status: Status) -> dict[str, float]:
-    """Return the gauges that show the current status, by name."""
+    """Return the Prometheus gauges that show the current status of the service, by name."""
     return {
         "run_under_way": float(status.state not in AT_REST),
         "run_fraction": status.fraction,

@@ -41,7 +41,7 @@ class AnswerBody(RequestBody):
 
 
 class RestoreBody(RequestBody):
-    """Stored table to be reactivated, identified by the values that `/api/tables` lists."""
+    """Stored compensation table to be reactivated, identified by the values that `/api/tables` lists."""
 
     run_id: str = Field(max_length=40)
     role: Literal["backup", "staged", "restored"] = "backup"
@@ -121,8 +121,8 @@ class RunSummary(BaseModel):
 
 
 class RunDetails(RunSummary):
-    """Run with its request (`asked`), gates and decisions. `accepted` is true if the table of the run was accepted, so
-    that later nights refer to it."""
+    """Run with its request (`asked`), its gates (limits that its results had to meet) and its decisions. `accepted` is
+    true if the table of the run was accepted, so that later nightly runs refer to it."""
 
     position_set: str
     asked: dict[str, Any] | None
@@ -152,8 +152,9 @@ class TableView(BaseModel):
 
 
 class TableList(BaseModel):
-    """Active bank and stored tables. `active_bank` and `written_not_active` are the values last read from the
-    controller; `kept` lists the stored tables that can be restored."""
+    """Active bank and stored compensation tables. `active_bank` and `written_not_active` (bank whose table becomes
+    active only at a restart of the controller) are the values last read from the controller; `kept` lists the stored
+    tables that can be restored."""
 
     active_bank: int | None
     written_not_active: int | None

@@ -1,4 +1,5 @@
-"""Read-only endpoints for status, journal, machine and plan. They never access the engine or a device."""
+"""Read-only endpoints for status, journal, machine and plan. They never access a device or the engine, which carries
+out the steps of a run."""
 
 from __future__ import annotations
 
@@ -73,7 +74,7 @@ def report(app_state: AppStateDependency, run_id: str) -> FileResponse:
 
 @router.get("/tables")
 def tables(app_state: AppStateDependency, limit: Limit = 100) -> TableList:
-    """Return the active bank and the stored tables."""
+    """Return the active bank of the controller and the stored compensation tables."""
     now = app_state.control.status()
     kept = [TableView(**document) for document in app_state.archive.tables(limit)]
     return TableList(active_bank=now.active_bank, written_not_active=now.written_not_active, kept=kept)
@@ -92,16 +93,16 @@ def plan(app_state: AppStateDependency) -> dict[str, Any]:
     """Return the path of the run in progress as computed by its preflight. Between runs, return the path of the next
     calibration.
 
-    The document has the format of the preview (docs/reference/http.md).
+    The document has the same format as the data of the plan preview (docs/reference/http.md).
     """
     return app_state.live_view.plan(app_state.settings(), app_state.config.parent)
 
 
 def status_now(app_state: AppState) -> StatusView:
-    """Return the status with the number of the last event.
+    """Return the status of the service with the number of its last event.
 
-    The number is read before the status. An event that occurs between the two readings is therefore sent to the client
-    a second time and never lost.
+    The number of the last event is read before the status. An event that occurs between the two readings is therefore
+    sent to the client a second time and never lost.
     """
     number = app_state.event_log.last_number
     return status_view(app_state.control.status(), number)

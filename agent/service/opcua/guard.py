@@ -35,8 +35,8 @@ def refusal_result(code: int) -> ua.CallMethodResult:
 
 
 class ClientAuthentication(UserManager):
-    """Authentication of clients. The certificate of the client must be trusted. The token is also required, except for
-    anonymous reading."""
+    """Authentication of clients. The certificate of the client must be trusted. The access token of the service is also
+    required, except for anonymous reading."""
 
     def __init__(self, token: str, trusted_clients: Path, *, anonymous_reading: bool) -> None:
         self._token = token.encode()
@@ -67,13 +67,14 @@ class ClientAuthentication(UserManager):
 
 
 class GuardedSession(InternalSession):
-    """Session of a client. A method that moves the machine or writes requires the token. Clients cannot write to
-    nodes."""
+    """Session of a client. A method that moves the machine or writes requires the access token of the service. Clients
+    cannot write to nodes."""
 
     iserver: GuardedServer
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Execute the requests in order. A request that is not allowed is refused without any effect on the others."""
+        """Execute the requests to call methods in order. A request that is not allowed is refused without any effect on
+        the others."""
         return [await self._call(request) for request in params]
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
@@ -91,7 +92,7 @@ class GuardedSession(InternalSession):
 
 class GuardedServer(InternalServer):
     """Server whose sessions are `GuardedSession` objects. `free_methods` maps the id of each method to True if the
-    method can be called without the token."""
+    method can be called without the access token of the service."""
 
     def __init__(self, users: ClientAuthentication) -> None:
         super().__init__(user_manager=users)

@@ -1,4 +1,5 @@
-"""Execution of OPC UA methods. Each method calls the control, and the errors of the control become OPC UA results."""
+"""Execution of OPC UA methods. Each method calls the `Control` of the service, and the errors that it raises become OPC
+UA results."""
 
 from __future__ import annotations
 

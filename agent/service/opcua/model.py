@@ -44,8 +44,9 @@ PROGRAM_STATES: Final = {
 
 @dataclass(frozen=True)
 class Variable:
-    """Readable node. `path` is the path of the node relative to the root object. `form` is the name of the built-in OPC
-    UA type, followed by [] if the value is an array."""
+    """Readable OPC UA node. `of` is a function that returns the value of the node from the status of the service.
+    `path` is the path of the node relative to the root object. `form` is the name of the built-in OPC UA type, followed
+    by [] if the value is an array."""
 
     path: str
     form: str
@@ -62,7 +63,8 @@ class Argument:
 
 @dataclass(frozen=True)
 class Method:
-    """OPC UA method. `free` is True if the method can be called without the token, because it can only stop motion."""
+    """OPC UA method. `free` is True if the method can be called without the access token of the service, because it can
+    only stop motion."""
 
     name: str
     inputs: tuple[Argument, ...]

@@ -35,7 +35,7 @@ class Health:
         self.beat()
 
     def begin_conclusion(self) -> None:
-        """Allow a longer time between beats from now on.
+        """Allow a longer time between the beats (signs that the run's thread is alive) from now on.
 
         The run has reached its final state, and nothing moves while its results are written.
         """

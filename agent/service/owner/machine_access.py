@@ -1,5 +1,5 @@
-"""Access to the machine: short connections between runs, and the devices of a run. The endpoints show the questions of
-a run."""
+"""Access to the machine: short connections between runs, and the devices of a run. The questions that a run asks the
+operator are shown at the endpoints."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ instead.
 
 @dataclass(frozen=True)
 class MachineAccess:
-    """Access to the machine through `devices`, which creates the clock and the rig."""
+    """Access to the machine through `devices`, which creates the clock and the rig (all devices of the machine)."""
 
     devices: Devices = field(default_factory=Devices)
 
@@ -35,8 +35,8 @@ class MachineAccess:
             return rig.machine.status()
 
     def reconcile(self, settings: Settings, base: Path) -> Reconciliation:
-        """Compare the compensation in the controller with the journal. If an unproved table is active, reactivate the
-        table that was active before it.
+        """Compare the compensation in the controller with the journal. If an active table has not yet been confirmed by
+        measurements, reactivate the table that was active before it.
 
         Nothing moves.
         """
@@ -54,10 +54,10 @@ class MachineAccess:
                 rig.close()
 
     def devices_for_run(self, clock_settings: ClockSettings, questions: Questions, *, attended: bool) -> Devices:
-        """Return the devices of one run: its clock and its rig.
+        """Return the devices of one run: its clock and its rig (all devices of the machine).
 
-        If the settings let the operator answer at the console, the rig asks its questions at the endpoints instead. The
-        clock is created by this call. Raise ConfigurationError if it cannot be created.
+        If the settings let the operator answer at the console, the questions of the run are shown at the endpoints
+        instead. The clock is created by this call. Raise ConfigurationError if it cannot be created.
         """
         clock = self.devices.make_clock(clock_settings)
 

@@ -160,8 +160,8 @@ class Owner:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def reconcile(self) -> None:
-        """Compare the compensation in the controller with the journal. If an unproved table is active, reactivate the
-        table that was active before it.
+        """Compare the compensation in the controller with the journal. If an active table has not yet been confirmed by
+        measurements, reactivate the table that was active before it.
 
         The comparison is made once after the start of the service, and again after every run that ended aborted or
         faulted. Otherwise this method does nothing. Raise DeviceError if the machine cannot be reached; the comparison

@@ -32,8 +32,9 @@ def current_circumstances() -> Circumstances:
 class OwnerParts:
     """Components of the owner of the machine.
 
-    `config` is the path of the settings file, which is needed for messages and relative paths. `carry_out` and `resume`
-    are functions with the signatures of `agent.runs.session.carry_out` and `agent.runs.resume.resume.resume`.
+    `config` is the path of the settings file, which is needed for messages and to resolve relative paths. `carry_out`
+    and `resume` are functions with the signatures of `agent.runs.session.carry_out` and
+    `agent.runs.resume.resume.resume`.
     """
 
     config: Path

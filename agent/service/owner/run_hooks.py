@@ -1,4 +1,5 @@
-"""Hooks that connect the service to its runs, and the limit on the machine time of a run."""
+"""Hooks (functions that a run calls) that connect the service to its runs, and the limit on the machine time of
+a run."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ from agent.settings.schema import ClockSettings, NightlySettings
 
 @dataclass(frozen=True)
 class RunHooksFactory:
-    """Factory of the hooks that connect a run to the status board, the watchdog, the time limit and the questions asked
-    at the endpoints."""
+    """Factory of the hooks (functions that a run calls) that connect a run to the status board of the service, the
+    monitor of the run's thread, the time limit and the questions asked at the endpoints."""
 
     parts: OwnerParts
     questions: Questions
@@ -33,7 +34,7 @@ class RunHooksFactory:
     def hooks(
         self, run: RunMailbox, clock: ClockSettings, *, attended: bool, slot_minutes: float | None = None
     ) -> RunHooks:
-        """Return the hooks of `run`.
+        """Return the hooks (functions that the run calls) of `run`.
 
         `attended` is True if a person can answer questions. `slot_minutes` limits the machine time in min; if it is
         None, there is no limit. Raise ConfigurationError if the clock cannot be created.
@@ -77,10 +78,10 @@ def require_within(preflight: PreflightResult, slot_minutes: float | None) -> No
 
 
 def night_slot(request: RunRequest, nightly: NightlySettings, available_minutes: float | None) -> float:
-    """Return the machine time for a nightly run in min.
+    """Return the machine time, in min, that is available to a nightly run.
 
-    The machine time is taken from the request or, if the request does not state it, from the settings. It is limited to
-    `available_minutes`.
+    This time is taken from the request for the run or, if the request does not state it, from the settings. It is
+    limited to `available_minutes`, or not limited if `available_minutes` is None.
     """
     slot = nightly.slot_minutes if request.slot_minutes is None else request.slot_minutes
     return slot if available_minutes is None else min(slot, available_minutes)

@@ -1,5 +1,5 @@
-"""Mailbox for requests to one run of the service. It accepts requests from the moment at which the owner is reserved
-for the run until the end of the run."""
+"""Mailbox for requests to one run of the service. It accepts requests from the moment at which the owner of the machine
+is reserved for the run until the end of the run."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from agent.execution.supervisor import Supervisor
 class RunMailbox:
     """Mailbox for requests to one run.
 
-    A request to abort or interrupt the run may come before the run has a supervisor; it is delivered when the
-    supervisor is attached.
+    A request to abort or interrupt the run may come before the run has a supervisor, which carries out such requests;
+    the request is delivered when the supervisor is attached.
     """
 
     def __init__(self, run_id: str, alive: Callable[[], None]) -> None:

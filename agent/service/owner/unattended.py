@@ -1,9 +1,9 @@
-"""Conditions for starting a run without the consent of a person at the machine. They concern the hour, the warm-up and
-the permissions of the controller.
+"""Conditions for starting a run without the consent of a person at the machine. They concern the time of day, the
+warm-up and the permissions of the controller.
 
-A timer only sends requests to start. Such a request is refused before anything moves if the hour is not permitted, if
-the machine has just been switched on, or if the controller does not permit motion. A refusal is not a fault, so the
-next night is not affected.
+A timer only sends requests to start. Such a request is refused before anything moves if the time of day is not
+permitted, if the machine has just been switched on, or if the controller does not permit motion. A refusal is not a
+fault, so the next night is not affected.
 """
 
 from __future__ import annotations

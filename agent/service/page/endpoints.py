@@ -1,7 +1,7 @@
-"""Read-only HTTP routes of the page's view for engineers. They provide curves, maps, trends, the value of the position
-set, tables and reports.
+"""Read-only HTTP routes for the engineers' view of the service's web page. They provide curves and maps of the machine
+errors, trends, the expected benefit of the position set, compensation tables and reports.
 
-The routes belong to the page and may change with it; they are not part of the documented interface.
+The routes belong to the web page and may change with it; they are not part of the documented interface.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
 
 
 def page_router() -> APIRouter:
-    """Return the router with the routes of the page. The router caches the results of runs that have ended, because
-    these results never change."""
+    """Return the router with the read-only routes of the engineers' view of the web page. The router caches the results
+    of runs that have ended, because these results never change."""
     router = APIRouter(prefix="/api/page", include_in_schema=False, responses=DOCUMENTED)
     results, set_values = ResultCache(), SetValueCache()
     trends = cache(_trend_cache)

@@ -1,5 +1,5 @@
 """Results of a run as numbers for figures. They comprise the geometric errors with their uncertainty bands, and maps of
-the workspace."""
+the deviation in the workspace."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Expected benefit of the position set as a whole, and the loss of accuracy if one of its positions were left out."""
+"""Expected benefit of measuring the position set (the list of positions of the artefact) as a whole, and the loss of
+accuracy if one of its positions were left out."""
 
 from __future__ import annotations
 
@@ -36,11 +37,11 @@ class SetValueCache:
 
 
 def set_value_document(job: Job) -> Document:
-    """Return a document with the expected benefit of the position set.
+    """Return a document with the expected benefit of measuring the position set of `job`.
 
-    `before_um` and `after_um` are the volumetric errors expected for the machine family before and after the set has
-    been measured. They are in µm, after the best-fitting rigid motion is removed. `lost_um` of a position is the
-    amount, in µm, by which `after_um` would be larger without this position.
+    `before_um` and `after_um` are the volumetric errors expected for the machine family (the population from which the
+    machine comes) before and after the set has been measured. They are in µm, after the best-fitting rigid motion is
+    removed. `lost_um` of a position is the amount, in µm, by which `after_um` would be larger without this position.
     """
     with translated(ConfigurationError, key="procedure.position_set"):
         candidates = build_candidates(

@@ -1,5 +1,6 @@
-"""Static files of the page. They are the HTML document, its assets, and the drawing scripts of the preview. The guard
-of the HTTP endpoint checks the requests for these files."""
+"""Static files of the service's web page. They are the HTML document, its assets, and the drawing scripts of the plan
+preview. The access check of the HTTP application (`agent.service.http.guard`) also checks the requests for these files.
+"""
 
 from __future__ import annotations
 

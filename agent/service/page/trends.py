@@ -1,5 +1,5 @@
-"""Trends over the nights, for the page. They show either the volumetric errors and the geometric errors, or the
-parameters of one geometric error."""
+"""Trends over the nights, for the service's web page. They show either the volumetric errors and the geometric errors,
+or the parameters of one geometric error."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Document = dict[str, Any]
 
 
 class TrendCache:
-    """Cache of the trends. They are computed again only if the runs or the history settings have changed. The cache is
-    safe to use from any thread."""
+    """Cache of the trends. They are computed again only if the runs in the history or the history settings have
+    changed. The cache is safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()

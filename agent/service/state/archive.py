@@ -44,7 +44,8 @@ class Archive:
             return [self._summary(counts) for counts in reader.run_counts(limit, before_run)]
 
     def run(self, run_id: str) -> Document:
-        """Return the summary of a run with its request, gates and decisions."""
+        """Return the summary of a run with its request, its gates (limits that its results had to meet) and its
+        decisions."""
         with self._reading() as reader:
             run = _run(reader, run_id).run
             (counts,) = reader.run_counts(1, run + 1)
@@ -102,8 +103,8 @@ class Archive:
         return self.reports(run_id)
 
     def tables(self, limit: int) -> list[Document]:
-        """Return at most `limit` stored tables, the latest first. They comprise backups, staged tables and restored
-        tables."""
+        """Return at most `limit` stored compensation tables, the latest first. They comprise backups, staged tables
+        (written into an inactive bank) and restored tables."""
         if not has_journal(self.directory):
             return []
         with self._reading() as reader:

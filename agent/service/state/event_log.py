@@ -60,11 +60,11 @@ class EventLog:
             return self._number
 
     def since(self, number: int) -> tuple[bool, tuple[Event, ...]]:
-        """Return `lost` and the events with a number above `number`.
+        """Return the pair (lost, events), in which the events are those with a number above `number`.
 
-        `lost` is True if some of these events are no longer in the ring buffer, or if `number` dates from before a
-        restart of the service. In both cases all events in the buffer are returned, and the reader must fetch the
-        status again.
+        The first part is True if some of these events are no longer in the ring buffer of the log, or if `number` dates
+        from before a restart of the service. In both cases all events in the buffer are returned, and the reader must
+        fetch the status again.
         """
         with self._lock:
             first = self._ring[0].number if self._ring else self._number + 1

@@ -1,7 +1,7 @@
-"""Data of the live view: the machine, the artefact in every position, and the path of the stylus tip.
+"""Data for the live view of the web page: the machine, the artefact in every position, and the path of the stylus tip.
 
-During a run the path comes from the preflight of that run. Between runs it comes from the plan that is made from the
-settings; this plan is computed once and cached.
+During a run the path comes from the preflight (simulated execution) of that run. Between runs it comes from the plan
+that is made from the settings; this plan is computed once and cached.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class LiveView:
         self._cached: tuple[tuple[object, ...], Document] | None = None
 
     def preflight_passed(self, run_id: str, job: Job, preflight: PreflightResult) -> None:
-        """Show the plan of the run `run_id`, whose preflight has passed."""
+        """Show the plan of the run `run_id`, which has passed its preflight (simulated execution)."""
         self._current = (run_id, job, preflight)
 
     def end_run(self) -> None:
@@ -43,8 +43,8 @@ class LiveView:
         self._current = None
 
     def plan(self, settings: Settings, base: Path) -> Document:
-        """Return the plan of the run in progress. If no run is in progress, return the plan of the next run; `run_id`
-        is then null."""
+        """Return the plan of the run in progress. If no run is in progress, return the plan of the next run; the field
+        `run_id` is then null."""
         current = self._current
         run_id = None if current is None else current[0]
         key = (run_id, None if run_id else settings.model_dump_json())

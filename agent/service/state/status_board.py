@@ -1,4 +1,5 @@
-"""Status of the service. It is assembled from the announcements and the steps of the run."""
+"""Status of the service. It is assembled from the announcements of the run (state, progress and notes) and from its
+steps."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ class IdleStatus:
     """State of the machine between runs, read from the journal.
 
     `ve_before_um` and `ve_now_um` are the volumetric errors (VE) without and with the compensation table, according to
-    the last accepted night. They are in µm and rigidly aligned.
+    the last accepted estimate. They are in µm, after the best-fitting rigid motion is removed.
     """
 
     ve_before_um: float | None = None
@@ -83,8 +84,8 @@ class StatusBoard:
         self.enter(RunState.IDLE, "reset")
 
     def show_reconciliation(self, result: Reconciliation) -> None:
-        """Show the bank that is active according to the controller. If a person must act, show the instruction as an
-        alarm."""
+        """Show the result of a comparison of the controller with the journal, including the bank that is active in the
+        controller. If a person must act, show the instruction as an alarm."""
         self._change(active_bank=result.active_bank, written_not_active=result.waiting_bank)
         self.event_log.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
         log.info("reconciled", text=result.text)
@@ -109,7 +110,7 @@ class StatusBoard:
         self.enter(RunState.PREFLIGHT, f"{kind} requested by {source}")
 
     def on_announcement(self, announcement: Announcement) -> None:
-        """Update the status and the event log with an announcement of the run."""
+        """Update the status and the event log with an announcement of the run (state, progress or note)."""
         data = announcement.data
         match announcement.kind:
             case "state":
@@ -124,7 +125,8 @@ class StatusBoard:
         self.event_log.publish(announcement.kind, announcement.text, data)
 
     def on_step(self, step: Step, result: object) -> None:
-        """Update the status after a step. The engine calls this at every step, so it must take only microseconds."""
+        """Update the status after a step. The engine, which carries out the steps, calls this method at every step, so
+        it must take only microseconds."""
         now = self._status
         match step:
             case TouchTowards():
@@ -141,7 +143,8 @@ class StatusBoard:
                 self._change(step=step.key)
 
     def show_question(self, question: Question | None, text: str) -> None:
-        """Show an open question. If `question` is None, remove the question; `text` then states the outcome."""
+        """Show an open question. If `question` is None, remove the question; `text` then states how the question
+        ended."""
         self._change(question=question)
         data = {} if question is None else {"number": question.number, "station": question.station}
         self.event_log.publish("question", text, {"open": question is not None, **data})
