@@ -97,7 +97,7 @@ class CentreEquations:
         return layout.unpad(white.reshape(*self.weight.shape[:3], size))
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """Return the product AᵀCA (size, size) and the trace of C, which propagate the noise to an estimate with other
+        """Return the product AᵀCA (size, size) and the trace of C, which propagate the noise to an estimate with unit
         weights.
 
         A is the whitened design matrix of the first `size` unknowns, and C is the noise covariance of the whitened

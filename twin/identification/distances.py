@@ -86,7 +86,7 @@ class DistanceEquations:
         return self.white.T @ target, float(target @ target), poses
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """Return the product AᵀCA (size, size) and the trace of C, which propagate the noise to an estimate with other
+        """Return the product AᵀCA (size, size) and the trace of C, which propagate the noise to an estimate with unit
         weights.
 
         A is the whitened design matrix of the first `size` unknowns, and C is the noise covariance of the whitened

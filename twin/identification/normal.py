@@ -1,5 +1,5 @@
-"""Normal equations, prior and posterior of the unknowns z that all positions share. The poses have already been
-projected out."""
+"""Normal equations, prior and posterior of the unknowns z that all positions of the artefact share. The poses of the
+artefact have already been eliminated by projection."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Normal equations for minimising |A z - y|² over the unknowns z (P,).
+    """Normal equations for minimising |A z - y|² over the P unknowns z (P,).
 
     The design matrix A and the right side y belong to `rows` independent equations with unit noise. `matrix` is AᵀA (P,
     P), `right` is Aᵀy (P,), and `square` is |y|².
@@ -32,13 +32,15 @@ class NormalEquations:
     rows: int
 
     def misfit_square(self, z: Array) -> float:
-        """Return the sum of squares |A z - y|²."""
+        """Return the sum of squares |A z - y|² of the equations with the design matrix A and the right side y, at the
+        unknowns z."""
         return max(0.0, self.square - 2.0 * float(self.right @ z) + float(z @ self.matrix @ z))
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Factors on the standard deviations of touch noise, parameter prior and each kind of misfit."""
+    """Scales: factors on the standard deviations of the touch noise, of the parameter prior and of each kind of misfit
+    (errors that the model cannot represent)."""
 
     noise: float = 1.0
     prior: float = 1.0
@@ -49,12 +51,14 @@ class Scales:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Scales of the noise, the parameter prior and each kind of misfit, in this order."""
+        """Scales (factors on the standard deviations) of the noise, the parameter prior and each kind of misfit, in
+        this order."""
         return self.noise, self.prior, *self.kinds
 
     @property
     def kinds(self) -> tuple[float, float, float, float]:
-        """Scales of the misfit, in the order of `MISFIT_KINDS`."""
+        """Scales of the kinds of misfit, in the order of `MISFIT_KINDS`: mixed terms, waves along X, waves along Y,
+        waves along Z."""
         return self.mixed, self.waves_x, self.waves_y, self.waves_z
 
     @property
@@ -66,7 +70,8 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class JointPrior:
-    """Joint Gaussian prior of some of the unknowns. Scales do not apply to this prior.
+    """Joint Gaussian prior of some of the P unknowns of an identification. The estimated scales (factors on standard
+    deviations) do not apply to this prior.
 
     The mask `members` (P,) marks the unknowns that have the joint prior. `information_vector` (P,) is the product of
     the precision and the prior mean. `precision` (P, P) and `information_vector` are zero for all other unknowns.
@@ -78,7 +83,7 @@ class JointPrior:
 
     @classmethod
     def at_zero(cls, blocks: UnknownBlocks, precision: Array) -> JointPrior:
-        """Return a prior of the parameters with mean zero and the given `precision` (p, p)."""
+        """Return a joint prior of the p model parameters with mean zero and the given `precision` (p, p)."""
         members, full = np.zeros(blocks.size, dtype=bool), np.zeros((blocks.size, blocks.size))
         members[blocks.parameters] = True
         full[blocks.parameters, blocks.parameters] = precision
@@ -87,7 +92,7 @@ class JointPrior:
 
 @dataclass(frozen=True, eq=False)
 class PriorPrecision:
-    """Prior precision of the unknowns z at scale 1.
+    """Prior precision of the unknowns z, given for prior standard deviations as stated (all scales equal to 1).
 
     Some unknowns may have the joint prior `known`. All others have mean zero and the unit matrix as precision.
     """
@@ -96,23 +101,25 @@ class PriorPrecision:
     known: JointPrior | None = None
 
     def has_free_scale(self, block: slice) -> bool:
-        """Return True if the scale of `block` can be estimated. The block must not be empty, and no unknown in it may
-        have a joint prior."""
+        """Return True if the scale (factor on the prior standard deviation) of the unknowns in `block` can be
+        estimated. The block must not be empty, and no unknown in it may have a joint prior."""
         return block.stop > block.start and (self.known is None or not self.known.members[block].any())
 
     @property
     def information_vector(self) -> Array:
-        """Product (P,) of the prior precision and the prior mean."""
+        """Product (P,) of the prior precision and the prior mean of the P unknowns."""
         return np.zeros(self.blocks.size) if self.known is None else self.known.information_vector
 
     def matrix(self, scales: Scales) -> Array:
-        """Return the prior precision (P, P) for the given scales."""
+        """Return the prior precision (P, P) of the P unknowns for the given scales (factors on the prior standard
+        deviations)."""
         full = np.zeros((self.blocks.size, self.blocks.size))
         self.add_to(full, scales)
         return full
 
     def add_to(self, matrix: Array, scales: Scales) -> None:
-        """Add the prior precision for the given scales to a matrix (P, P) in place."""
+        """Add the prior precision for the given scales (factors on the prior standard deviations) to a matrix (P, P) in
+        place."""
         diagonal = self.diagonal(scales)
         if self.known is not None:
             matrix += self.known.precision
@@ -120,7 +127,8 @@ class PriorPrecision:
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
-        """Return the diagonal (P,) of the prior precision as it would be for the given scales without a joint prior."""
+        """Return the diagonal (P,) of the prior precision as it would be for the given scales (factors on the prior
+        standard deviations) if no unknown had a joint prior."""
         diagonal = np.ones(self.blocks.size)
         diagonal[self.blocks.parameters] = scales.prior**-2
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
@@ -130,11 +138,11 @@ class PriorPrecision:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of the unknowns z, represented by its precision. `factor` (P, P) is the lower Cholesky factor of the
+    """Posterior of the P unknowns z, represented by its precision. `factor` (P, P) is the lower Cholesky factor of the
     precision, in Fortran order.
 
-    At scale 1 the prior alone gives a precision of 1 in every direction that the measurements leave open. An explicit
-    inverse is therefore numerically safe.
+    If the prior standard deviations are as stated (scale 1), the prior alone gives a precision of 1 in every direction
+    that the measurements leave open. An explicit inverse is therefore numerically safe.
     """
 
     factor: Array
@@ -155,7 +163,7 @@ class Posterior:
 
     @cached_property
     def covariance(self) -> Array:
-        """Posterior covariance (P, P)."""
+        """Posterior covariance (P, P) of the P unknowns."""
         lower, _ = dpotri(self.factor, lower=1)
         covariance: Array = lower + lower.T
         np.einsum("ii->i", covariance)[:] *= 0.5

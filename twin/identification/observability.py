@@ -32,9 +32,9 @@ class NullDirection:
     """Combination of parameters that the measurements do not determine.
 
     `text` describes the combination in words. `loadings` contains the change of each parameter involved, in the unit of
-    that parameter, if the first parameter changes by one prior standard deviation. `changes_field` is True if the
-    direction moves the tool point relative to the workpiece by more than a rigid motion. `circumstance` is the part of
-    `text` that states under which circumstances the direction is not observed.
+    that parameter, if the first of these parameters changes by one prior standard deviation. `changes_field` is True if
+    the direction moves the tool point relative to the workpiece by more than a rigid motion. `circumstance` is the part
+    of `text` that states under which circumstances the direction is not observed.
     """
 
     text: str
@@ -45,8 +45,12 @@ class NullDirection:
 
 @dataclass(frozen=True)
 class Observability:
-    """Rank of the information about p parameters, the p - rank directions that are not determined, and the conditioning
-    of the directions that are determined."""
+    """Observability of the p parameters of an error model by measurements.
+
+    `rank` is the number of parameter combinations that the measurements determine, and `null_directions` contains the
+    other combinations, which they do not determine. `conditioning` is the ratio of the largest to the smallest singular
+    value of the measurement equations in the determined directions.
+    """
 
     rank: int
     null_directions: tuple[NullDirection, ...]
@@ -54,11 +58,12 @@ class Observability:
 
 
 def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool = False) -> Observability:
-    """Return the best observability that any set of positions can reach with tools of the offsets (T, 3) in mm. It is
-    reached if the error field of these T tools is measured everywhere.
+    """Return the best observability of the p model parameters that any set of artefact positions can reach with T tools
+    of the offsets `tool_offsets` (T, 3) in mm. It is reached if the error field of these T tools is measured
+    everywhere.
 
     Parameters are in units of `scale` (p,). If `aligned` is True, a rigid motion of the workspace does not count as a
-    change.
+    change of the error field.
     """
     form = field_form(model, scale, tool_offsets, aligned)
     return observability(model, form, scale, tool_offsets, "by the tool point")
@@ -67,10 +72,10 @@ def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, al
 def observability(
     model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, observer: str = "by this set"
 ) -> Observability:
-    """Return the rank, the null directions in words, and the conditioning of an information matrix (p, p). The matrix
-    refers to parameters in units of `scale` (p,).
+    """Return the rank, the null directions (undetermined parameter combinations) in words, and the conditioning of an
+    information matrix (p, p). The matrix refers to parameters in units of `scale` (p,).
 
-    `observer` completes the phrase "not seen …" in the descriptions, for example "by this set".
+    `observer` completes the phrase "not seen …" in the descriptions of the null directions, for example "by this set".
     """
     values, vectors = np.linalg.eigh(information)
     open_ = values <= _NULL_EIGENVALUE * max(float(values[-1]), 1e-300)
@@ -81,15 +86,15 @@ def observability(
 
 
 def null_space(information: Array) -> Array:
-    """Return an orthonormal basis (p, r) of the null space of an information matrix (p, p) in unit-prior coordinates.
-    The null space has r dimensions."""
+    """Return an orthonormal basis (p, r) of the null space of an information matrix (p, p), with each parameter in
+    units of its prior standard deviation. The null space has r dimensions."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray(vectors[:, values <= _NULL_EIGENVALUE * max(float(values[-1]), 1e-300)])
 
 
 def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool) -> Array:
-    """Return the quadratic form (p, p) in mm² that gives the mean square of the error field over the workspace and the
-    tools.
+    """Return the quadratic form (p, p) in mm² of the p model parameters that gives the mean square of the error field
+    over the workspace and all tools.
 
     Parameters are in units of `scale` (p,). If `aligned` is True, the best-fitting rigid motion common to all tools is
     removed.
@@ -110,8 +115,8 @@ def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bo
 
 
 def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
-    """Return a description of the null directions, with one line for each kind, such as `EBY[1..5]: not seen with one
-    straight probe along Y`."""
+    """Return a description of null directions (parameter combinations that the measurements do not determine), with one
+    line for each kind, such as `EBY[1..5]: not seen with one straight probe along Y`."""
     groups: dict[tuple[str, ...], list[NullDirection]] = {}
     for direction in directions:
         key = (*(name.split("[")[0] for name in direction.loadings), direction.circumstance)

@@ -20,22 +20,22 @@ class Options:
     """Options of an identification. The defaults are those of a production run.
 
     `formulation` is "centres" for ball centres with free poses, or "distances" for pairwise distances (the published
-    method).
+    method on which this project is based).
 
-    `use_prior` is True if the family is used as a Gaussian prior. If it is False, directions that the data leave open
-    are held at zero.
+    `use_prior` is True if the family (prior population of machines) is used as a Gaussian prior. If it is False,
+    parameter combinations that the data do not determine are held at zero.
 
     `prior_standard_deviation` (p,) in mm or rad replaces the standard deviations of the family.
 
-    `carried_over` is the posterior of machine, artefact and misfit from an earlier estimate. It replaces the family and
-    the certificate.
+    `carried_over` is the posterior of machine, artefact and misfit (errors that the model cannot represent) from an
+    earlier estimate. It replaces the family and the certificate.
 
     `weights` is "full" if the observations are weighted by their covariances. It is "unit" if all coordinates or all
     distances have the same weight; the nuisance unknowns (all unknowns except the parameters and the poses) are then
     omitted.
 
-    `estimate_scales` is True if the scales of touch noise, prior and misfit are estimated by maximum marginal
-    likelihood. If it is False, all scales are 1.
+    `estimate_scales` is True if the scales (factors on the standard deviations) of touch noise, prior and misfit are
+    estimated by maximum marginal likelihood. If it is False, all scales are 1.
 
     `outliers` is "reject" if outliers are found by their studentised residuals and removed before the final fit. It is
     "none" if all rows are accepted.
@@ -48,9 +48,10 @@ class Options:
     `temperature_standard_uncertainty_k` is the standard uncertainty of the artefact's thermometer. The error of the
     thermometer is common to all rows.
 
-    `drift` is the prior of a drift along the thermal regressors of the observations. It is None if drift is not
-    estimated. `state_regressors` (w,) contains the thermal regressors in K of the state that the estimate describes. If
-    it is None, all regressors of this state are zero.
+    `drift` is the prior of a drift of the machine in proportion to the thermal regressors (temperature changes) of the
+    observations. It is None if drift is not estimated. `state_regressors` (w,) contains the thermal regressors in K of
+    the state that the estimate describes. If it is None, all regressors of this state are zero, as at the start of the
+    measurement.
     """
 
     formulation: Formulation = "centres"

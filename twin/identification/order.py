@@ -1,8 +1,9 @@
-"""Choice of the Legendre order by evidence.
+"""Choice of the Legendre order of the error model by evidence.
 
-The evidence of an order is its marginal likelihood multiplied by the priors of the scales. The poses are projected out,
-and the parameters, certificate, strain and misfit are integrated out. The scales have their likeliest values. All
-orders are compared on the same ball centres, so factors common to all orders are omitted. The determinants in the
+The evidence of an order is its marginal likelihood multiplied by the priors of the scales (factors on the standard
+deviations). The poses of the artefact are eliminated by projection, and the parameters, certificate errors, thermal
+strain and misfit (errors that the model cannot represent) are integrated out. The scales have their likeliest values.
+All orders are compared on the same ball centres, so factors common to all orders are omitted. The determinants in the
 evidence balance the size of a model against the part of the data that the model explains. Outliers are rejected once,
 with the highest order, before any comparison. All orders therefore use the same ball centres.
 
@@ -40,11 +41,12 @@ def identify_by_evidence(
     candidates: Sequence[int] = ORDERS,
 ) -> Estimate:
     """Estimate the parameters with the Legendre order that the measurements favour. The function `family_of` returns
-    the family for a given order.
+    the family (prior population of machines) for a given order.
 
-    Orders are compared on ball centres with full weights, whatever the formulation of the estimate. `order_evidence` of
-    the result contains the evidence of all candidate orders. Raise DataError if no comparison is possible, because the
-    prior is off or because an estimate with a fixed order is carried over.
+    Orders are compared on ball centres that are weighted by their covariances, whatever the formulation of the
+    estimate. `order_evidence` of the result contains the evidence (marginal likelihood) of all candidate orders. Raise
+    DataError if no comparison is possible, because the prior is off or because an estimate with a fixed order is
+    carried over.
     """
     options = options or Options()
     if not options.use_prior or options.carried_over is not None:

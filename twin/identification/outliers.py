@@ -27,7 +27,8 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 
 def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
-    """Return the indices of the rows to reject in this round. Rows are sorted by position.
+    """Return the indices of the rows (measured ball centres) to reject as outliers in one round of rejection. Rows are
+    sorted by artefact position.
 
     In each position, only the row with the largest squared studentised residual t² is tested. It is rejected if its t²
     exceeds both of two limits: the limit that follows from the probability `false_alarm`, and 5 % of the largest t² of
@@ -42,8 +43,8 @@ def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
 
 
 def studentised_squares(solution: Solution) -> Array:
-    """Return the square t² (n,) of the studentised residual of each of the n rows of a solution. Rows are sorted by
-    position.
+    """Return the square t² (n,) of the studentised residual of each of the n rows (measured ball centres) of a
+    solution. Rows are sorted by artefact position.
 
     For the whitened residual r (3,) of a row with the covariance C (3, 3), t² is proportional to rᵀ C⁻¹ r. A common
     factor makes the median of all t² equal to the median of χ² with three degrees of freedom, unless the residuals are

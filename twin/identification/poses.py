@@ -1,4 +1,5 @@
-"""Poses of the artefact: rigid fit per position, small increments, and elimination of the poses from the equations."""
+"""Poses of the artefact: rigid fit per position, small changes of the poses (increments), and elimination of the poses
+from the equations."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ _UNDETERMINED = 1e-10  # relative eigenvalue of the 6x6 normal equations below w
 
 @dataclass(frozen=True, eq=False)
 class RowLayout:
-    """Layout of measured rows as a table with K positions and `width` slots per position. Rows are sorted by position.
-    If a position has fewer balls than `width`, its last slots are empty.
+    """Layout of measured ball centres (rows) as a table with K artefact positions and room for `width` balls (slots)
+    per position. Rows are sorted by position. If a position has fewer balls than `width`, its last slots are empty.
 
     `order` (n,) contains the indices that sort the n given rows by position. `counts` (K,) is the number of balls of
     each position.
@@ -42,28 +43,30 @@ class RowLayout:
 
     @cached_property
     def full(self) -> bool:
-        """Flag that is True if there are no empty slots."""
+        """Flag that is True if all positions have the same number of balls, so that no slot of the table is empty."""
         return bool(self.counts.min() == self.counts.max())
 
     @cached_property
     def present(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Mask (K, width) that is True for each slot with a row and False for each empty slot."""
+        """Mask (K, width) that is True for each slot of the table that contains a row (measured ball) and False for
+        each empty slot."""
         return np.asarray(np.arange(self.width) < self.counts[:, None])
 
     @cached_property
     def source(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Index (K·width,) of the sorted row in each slot. An empty slot has the index of the first row of its
-        position."""
+        """Index (K·width,) of the row (measured ball) in each slot of the table, among the rows sorted by position. An
+        empty slot has the index of the first row of its position."""
         starts = np.cumsum(self.counts) - self.counts
         return np.asarray(starts[:, None] + np.arange(self.width) * self.present).reshape(-1)
 
     @cached_property
     def index(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Index (n,) of the position of each sorted row, from 0 to K-1."""
+        """Index (n,), from 0 to K-1, of the artefact position of each of the n rows sorted by position."""
         return np.repeat(np.arange(self.positions), self.counts)
 
     def pad(self, rows: Array) -> Array:
-        """Return sorted rows (n, ...) laid out as an array (K, width, ...) with zeros in empty slots."""
+        """Return `rows` (n, ...), sorted by artefact position, laid out as an array (K, width, ...) with zeros in empty
+        slots."""
         shape = (self.positions, self.width, *rows.shape[1:])
         if self.full:
             return rows.reshape(shape)
@@ -72,7 +75,7 @@ class RowLayout:
         return padded
 
     def unpad(self, padded: Array) -> Array:
-        """Return the sorted rows (n, ...) from an array (K, width, ...) without its empty slots."""
+        """Return the rows (n, ...), sorted by position, of an array (K, width, ...) without its empty slots."""
         return padded.reshape(-1, *padded.shape[2:]) if self.full else padded[self.present]
 
 
@@ -96,7 +99,7 @@ class Poses:
         return layout.unpad(turned)
 
     def moved(self, increments: Array, arms: PoseArms) -> Poses:
-        """Return the poses after increments (K, 6) in mm.
+        """Return the K poses after small changes `increments` (K, 6) in mm.
 
         The first three elements of an increment shift the centroid of the balls of the position. The other three
         elements are a rotation about this centroid in rad, multiplied by the arm of the position in mm.
@@ -110,8 +113,8 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseArms:
-    """Centroid (K, 3) of the balls of each position in the artefact's frame, and the largest distance (K,) of a ball
-    from this centroid (the arm of the position). Both are in mm."""
+    """Centroid (K, 3) of the balls of each of K positions in the artefact's frame, and the largest distance (K,) of a
+    ball from this centroid (the arm of the position). Both are in mm."""
 
     middle: Array
     length: Array
@@ -126,8 +129,8 @@ class PoseArms:
 
 
 def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
-    """Fit a rigid pose to each position by Kabsch's method. The pose maps the artefact points (n, 3) onto the measured
-    points (n, 3) with the smallest sum of squared distances.
+    """Fit a rigid pose of the artefact to each position by Kabsch's method. The pose maps the artefact points (n, 3)
+    onto the measured points (n, 3) with the smallest sum of squared distances.
 
     If the balls of a position lie on one line, the roll about this line cannot be determined. The roll given by the
     mount is used instead. With this roll the artefact's Y axis is horizontal.
@@ -149,7 +152,8 @@ def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseProjector:
-    """Projector that removes the effect of pose increments from the whitened equations.
+    """Projector that removes the effect of pose increments (small changes of the artefact's poses) from the whitened
+    equations of K positions with up to `width` balls each.
 
     `q` (K, 3·width, 6) contains an orthonormal basis Q of this effect for each position. `back` (K, 6, 6) converts the
     projections Qᵀr of residuals r into increments. `seen` is the number of increments, over all positions, that the
@@ -162,10 +166,10 @@ class PoseProjector:
 
     @classmethod
     def of(cls, layout: RowLayout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
-        """Build the projector for the poses of a set of positions.
+        """Build the projector for the poses of the artefact in K positions.
 
-        `weight` (K, width, 3, 3) contains the whitening matrix W of each slot. WᵀW is the inverse covariance of the
-        ball centre; W is zero in empty slots.
+        `weight` (K, width, 3, 3) contains the whitening matrix W of each ball slot. WᵀW is the inverse covariance of
+        the ball centre; W is zero in empty slots.
         """
         lever = (layout.pad(local) - arms.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
         lever /= arms.length[:, None, None]
@@ -187,17 +191,19 @@ class PoseProjector:
         return cls(white @ back, back, int(seen.sum()))
 
     def parts(self, white: Array) -> Array:
-        """Return the projections QᵀA (K, 6, m) of whitened equations A (K, 3·width, m) onto the basis Q of the effect
-        of pose increments."""
+        """Return the projections QᵀA (K, 6, m) of whitened equations A (K, 3·width, m) of K positions onto the
+        orthonormal basis Q of the effect of pose increments (small changes of the poses)."""
         return self.q.transpose(0, 2, 1) @ white
 
     def increments(self, white: Array) -> Array:
-        """Return the least-squares pose increments (K, 6) for whitened right-hand sides (K, 3·width)."""
+        """Return the small changes (K, 6) of the K poses that fit the whitened right-hand sides (K, 3·width) of the
+        equations best in the least-squares sense."""
         return (self.back @ self.parts(white[:, :, None]))[:, :, 0]
 
     def remove(self, white: Array) -> Array:
-        """Return the whitened equations (I - Q Qᵀ) A without the effect of pose increments. Here A (K, 3·width, m)
-        contains the whitened equations with this effect, Q is its orthonormal basis, and I is the unit matrix."""
+        """Return the whitened equations (I - Q Qᵀ) A without the effect of pose increments (small changes of the K
+        poses). Here A (K, 3·width, m) contains the whitened equations with this effect, Q is its orthonormal basis, and
+        I is the unit matrix."""
         return white - self.q @ self.parts(white)
 
 

@@ -21,7 +21,8 @@ _CHUNK = 500  # points whose basis is held in memory at a time
 
 
 class FieldKnowledge(Protocol):
-    """Interface of an estimate, computed or stored, with the properties needed to predict the residual field."""
+    """Interface of an estimate, computed or stored, with the properties needed to predict the error field that remains
+    after compensation."""
 
     @property
     def model(self) -> ErrorModel: ...
@@ -32,11 +33,12 @@ class FieldKnowledge(Protocol):
 
 
 def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricRms:
-    """Return the predicted volumetric compensated error over axis positions (n, 3), both raw and after the best-fitting
-    rigid motion has been removed.
+    """Return the predicted volumetric compensated error (VCE, the error that remains after compensation) over axis
+    positions (n, 3), both before and after the best-fitting rigid motion has been removed.
 
     Each value is the root of an expected mean square of the true minus the modelled deviation. The posterior
-    expectation includes the covariance of the parameters, and the expected value and the covariance of the misfit.
+    expectation includes the covariance of the parameters, and the expected value and the covariance of the misfit
+    (errors that the model cannot represent).
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -76,11 +78,12 @@ def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset
 
 
 def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:
-    """Return two quadratic forms (p + q, p + q) in mm² that give the mean square of the error field over axis positions
-    (n, 3).
+    """Return two quadratic forms (p + q, p + q) in mm² that give the mean square of the error field of `estimate` over
+    axis positions (n, 3).
 
-    The forms apply to a vector of the p parameters followed by the q misfit coefficients. The first form is for the raw
-    field. The second form is for the field after the best-fitting rigid motion has been removed.
+    The forms apply to a vector of the p parameters followed by the q coefficients of the misfit (errors that the model
+    cannot represent). The first form is for the field as it is. The second form is for the field after the best-fitting
+    rigid motion has been removed.
     """
     sums = _sums(estimate, points, offset)
     # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
@@ -150,14 +153,14 @@ def _second_moments(estimate: FieldKnowledge) -> Array:
 
 
 def unresolved_variance(estimate: FieldKnowledge) -> float:
-    """Return the variance (mm²) per direction of the part of the misfit whose wavelength is too short for the modes.
-    This part is uncorrelated between points."""
+    """Return the variance (mm²) per direction of the part of the misfit (errors that the model cannot represent) whose
+    wavelength is too short for its modes. This part is uncorrelated between points."""
     return 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2
 
 
 def field_columns(estimate: FieldKnowledge, points: Array, offset: Array) -> Array:
     """Return the error field (n, 3, p + q) in mm that one unit of each of the p parameters and q misfit coefficients
-    causes."""
+    (amplitudes of errors that the model cannot represent) causes at the axis positions `points` (n, 3)."""
     basis = deviation_basis(estimate.model, points, offset)
     misfit = estimate.misfit
     if misfit is None:

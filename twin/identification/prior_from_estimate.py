@@ -1,8 +1,9 @@
 """Posterior of one estimate as the prior of the next estimate (fusion of nights).
 
-Machine, artefact and misfit are the same in both nights. The prior of the second night is therefore the joint Gaussian
-posterior of all unknowns that the two nights share. The result is, up to rounding, the same as from one fit of both
-nights. Process noise models the change of the machine between the nights as a random walk of its parameters.
+Without process noise, the machine, the artefact and the misfit (errors that the model cannot represent) are assumed to
+be the same in both nights. The prior of the second night is therefore the joint Gaussian posterior of all unknowns that
+the two nights share. The result is then, up to rounding, the same as from one fit of the measurements of both nights.
+With process noise, the machine is assumed to change between the nights by a random walk of its parameters.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ _WALK_GRID = (20, 10, 10)
 
 @dataclass(frozen=True, eq=False)
 class CarriedOverPrior:
-    """Prior of the unknowns z, carried over from an earlier estimate.
+    """Prior of the P unknowns z, carried over from an earlier estimate.
 
-    `mean` (P,) and `covariance` (P, P) of z are in the units of `unknowns`. `scales` are the scales of the earlier
-    estimate. Raises DataError, which names the unknown, if the covariance is singular or invalid.
+    `mean` (P,) and `covariance` (P, P) of z are in the units of `unknowns`. `scales` are the factors on the standard
+    deviations of noise, prior and misfit in the earlier estimate. Raises DataError, which names the unknown, if the
+    covariance is singular or invalid.
     """
 
     unknowns: Unknowns
@@ -62,7 +64,7 @@ class CarriedOverPrior:
         """Return the prior `nights` nights later, with the random walk of each parameter added.
 
         `process_noise` (p,) contains the standard deviation of the walk of each parameter per night, in mm or rad. A
-        parameter that the family holds at zero (scale 0) stays at zero.
+        parameter that the prior population (the family) holds at zero stays at zero.
         """
         noise = as_vector(process_noise, self.unknowns.model.size, "process noise")
         if (noise < 0.0).any():
@@ -78,8 +80,8 @@ class CarriedOverPrior:
 
 
 def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Array:
-    """Return the standard deviations (p,), in mm or rad, of a random change of the parameters. They are proportional to
-    the prior standard deviations of the family.
+    """Return the standard deviations (p,), in mm or rad, of a random change of the p parameters of a machine. They are
+    proportional to the prior standard deviations of `family`.
 
     The error field that the change causes has an expected rms of `field_mm` over the workspace, after the best-fitting
     rigid motion has been removed.
@@ -93,8 +95,8 @@ def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Ar
 
 
 def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior:
-    """Return the carried-over prior, rearranged for the unknowns of another night. An unknown that the earlier estimate
-    does not contain keeps its own prior."""
+    """Return the carried-over prior, rearranged for the unknowns of the identification of another night. An unknown
+    that the earlier estimate does not contain keeps its own prior."""
     pairs = list(_shared(carried.unknowns, unknowns))
     there, here = (
         np.concatenate([np.arange(part.start, part.stop) for part in parts]) for parts in zip(*pairs, strict=True)

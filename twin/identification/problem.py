@@ -37,7 +37,7 @@ Sides = tuple[Array, Array]  # sides of the exact equations: workpiece points (n
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
-    """Errors of the artefact, and their effect on the n rows.
+    """Errors of the artefact, and their effect on the n rows (measured ball centres).
 
     `strain_rows` (n, s) is the strain of the artefact in each row per unit of each of the s thermal unknowns.
     """
@@ -46,8 +46,9 @@ class Nuisance:
     strain_rows: Array
 
     def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
-        """Return the displacement (n, 3) in mm of the artefact's points, in the artefact's own frame. The displacement
-        follows from the certificate unknowns `z_certificate` and the thermal unknowns `z_strain`."""
+        """Return the displacement (n, 3) in mm of the balls with the numbers `ball` (n,), in the artefact's own frame.
+        The displacement follows from the unknown errors of the certificate `z_certificate` and the thermal unknowns
+        `z_strain`."""
         change = np.zeros((len(ball), 3))
         if z_certificate.size:
             change += (self.errors.certificate @ z_certificate).reshape(-1, 3)[ball]
@@ -58,12 +59,13 @@ class Nuisance:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """Quantities that stay fixed while the poses and the unknowns z are refined. The n rows are sorted by position.
+    """Quantities that stay fixed while the poses of the artefact and the P unknowns z are refined. The n rows (measured
+    ball centres) are sorted by artefact position.
 
     `local` (n, 3) in mm contains the nominal artefact points at the temperature and elevation of each row. `design` (K,
-    width, 3, P) is the derivative of the left side minus the right side of the equations with respect to the P unknowns
-    z. The derivative is taken at the poses in `poses`. The array is laid out as K positions with `width` slots each; an
-    empty slot repeats the first row of its position.
+    width, 3, P) is the derivative, with respect to z, of the residual of the measurement equations: actual tool point
+    (left side) minus ball centre (right side). The derivative is taken at the poses in `poses`. The array is laid out
+    as K positions with room for `width` balls (slots) each; an empty slot repeats the first row of its position.
     """
 
     unknowns: Unknowns
@@ -78,9 +80,9 @@ class IdentificationProblem:
     design: Array
 
     def sides(self, z: Array) -> Sides:
-        """Return the left and the right side of the exact equations at the unknowns z, each (n, 3) in mm. The left side
-        contains the actual tool points in the workpiece frame. The right side contains the artefact points in the
-        artefact's frame, because the poses are applied later."""
+        """Return the left and the right side of the exact measurement equations at the unknowns z, each (n, 3) in mm
+        for n measured balls. The left side contains the actual tool points in the workpiece frame. The right side
+        contains the ball centres in the artefact's frame, because the poses of the artefact are applied later."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
         if blocks.size > blocks.misfit.start:
@@ -89,7 +91,8 @@ class IdentificationProblem:
         return left, self.local + change
 
     def sides_after(self, sides: Sides, step: Array) -> Sides:
-        """Return the left and the right side of the equations after the unknowns z have changed by a small `step` (P,).
+        """Return the left side (actual tool points) and the right side (ball centres) of the measurement equations
+        after the unknowns z have changed by a small `step` (P,).
 
         `sides` contains both sides before the step. The change is computed to first order with the design matrix; the
         step must be small enough for its second-order effect to be negligible.
@@ -102,13 +105,15 @@ class IdentificationProblem:
 
     def change(self, z: Array) -> Array:
         """Return the product A z (n, 3) in mm of the design matrix A and the unknowns z. To first order, A z is the
-        change of the left side minus the right side of the equations."""
+        change, caused by z, of the left side (actual tool points) minus the right side (ball centres) of the n
+        measurement equations."""
         # one flat product, since numpy multiplies stacked small matrices one at a time
         changes = self.design.reshape(-1, len(z)) @ z
         return self.layout.unpad(changes.reshape(self.design.shape[:3]))
 
     def deviation(self, z: Array) -> Array:
-        """Return the exact deviation (n, 3) in mm of the error model at the axis position of each row."""
+        """Return the exact deviation (n, 3) in mm of the error model with the parameters contained in z, at the axis
+        position of each of the n measured balls."""
         seen, parameters = self.observations, self.unknowns.parameters(z)
         deviation = np.zeros_like(seen.axis_positions)
         if not parameters.any():
@@ -119,7 +124,7 @@ class IdentificationProblem:
         return deviation
 
     def with_rows(self, accepted: np.ndarray[Any, Any]) -> IdentificationProblem:
-        """Return the problem restricted to the rows that the mask `accepted` (n,) marks."""
+        """Return the problem restricted to the rows (measured balls) that the mask `accepted` (n,) marks."""
         layout = RowLayout.of(self.observations.position[accepted])
         local = self.local[accepted]
         seen = self.observations.select(accepted)
@@ -142,7 +147,8 @@ class IdentificationProblem:
 def build_problem(
     family: Family, observations: Observations, artefact: Artefact, options: Options
 ) -> IdentificationProblem:
-    """Build the problem, linearised at the rigid poses that fit the measured points best.
+    """Build the identification problem, linearised at the rigid poses of the artefact that fit the measured points
+    best.
 
     Raise DataError if a measured ball is not on the artefact, or if the prior is invalid.
     """

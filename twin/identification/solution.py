@@ -1,5 +1,6 @@
-"""Solution of the equations of one formulation: estimation of the scales, Gauss-Newton iterations on the exact model,
-and computation of the covariance."""
+"""Solution of the equations of an identification, in one formulation (ball centres or pairwise distances): estimation
+of the scales (factors on standard deviations), Gauss-Newton iterations on the exact model, and computation of the
+covariance."""
 
 from __future__ import annotations
 
@@ -28,12 +29,13 @@ Equations = CentreEquations | DistanceEquations
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution of an identification problem. It contains the unknowns z (P,), the poses, both sides of the exact
-    equations at z, and the equations and the prior from which z was derived.
+    """Solution of an identification problem. It contains the P unknowns z (P,), the poses of the artefact, the left and
+    the right side of the exact measurement equations at z, and the equations and the prior from which z was derived.
 
     `covariance` (P, P) is the covariance of the true minus the estimated z; it is valid for the parameters and the
-    misfit. `scales_estimated` is True if the scales were estimated from the data. `alternatives` contains solutions for
-    other plausible scales; it is empty until the uncertainty of the scales has been included.
+    misfit. `scales_estimated` is True if `scales`, the factors on the standard deviations of noise, prior and misfit,
+    were estimated from the data. `alternatives` contains solutions for other plausible scales; it is empty until the
+    uncertainty of the scales has been included by `average_over_scales`.
     """
 
     equations: Equations
@@ -78,8 +80,8 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
 
 
 def average_over_scales(solution: Solution) -> Solution:
-    """Return the solution with z and its covariance averaged over all plausible scales, instead of z and its covariance
-    at the likeliest scales."""
+    """Return the solution with z and its covariance averaged over all plausible scales (factors on the standard
+    deviations of noise, prior and misfit), instead of z and its covariance at the likeliest scales."""
     if not solution.scales_estimated:
         return solution
     equations, scales = solution.equations, solution.scales
@@ -91,9 +93,10 @@ def average_over_scales(solution: Solution) -> Solution:
 
 
 def log_evidence_and_scales(problem: IdentificationProblem, options: Options) -> tuple[float, Scales]:
-    """Return the log evidence and the likeliest scales, computed from ball centres with full weights.
+    """Return the log evidence (marginal likelihood) of the model in `problem` and the likeliest scales (factors on the
+    standard deviations of noise, prior and misfit). Both are computed from ball centres weighted by their covariances.
 
-    Terms of the log evidence that depend only on the rows are omitted.
+    Terms of the log evidence that depend only on the measured rows are omitted.
     """
     equations = _equations(problem, "centres", unit_weights=False)
     normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)

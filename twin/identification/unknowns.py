@@ -21,10 +21,10 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class UnknownBlocks:
-    """Slices that select each kind of unknown from the vector z.
+    """Slices that select each kind of unknown from the vector z of all unknowns of an identification.
 
-    The slice `misfit` is divided into the consecutive slices `kinds`, one for each kind of misfit. `drifting` is the
-    number of drift unknowns, which form the last block.
+    The slice `misfit` is divided into the consecutive slices `kinds`, one for each kind of misfit (errors that the
+    model cannot represent). `drifting` is the number of unknowns of the machine's drift, which form the last block.
     """
 
     parameters: slice
@@ -38,7 +38,8 @@ class UnknownBlocks:
     def of(
         cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = (), drift: int = 0
     ) -> UnknownBlocks:
-        """Return consecutive blocks of the given sizes. `misfit` contains the block size of each kind of misfit."""
+        """Return consecutive blocks of the given sizes (numbers of unknowns). `misfit` contains the block size of each
+        kind of misfit."""
         ends = np.cumsum([parameters, certificate, strain, *misfit]).tolist()
         first, second, third, *kinds = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
         return cls(first, second, third, slice(third.stop, ends[-1]), tuple(kinds), drift)
@@ -57,8 +58,8 @@ class ArtefactErrors:
     """Uncertain quantities of one artefact with N balls, and its identity.
 
     `balls` (N, 3) in mm and `cte_per_k` are the certified values. `certificate` (3N, m) is a matrix L in mm; the
-    covariance of the certificate is L Lᵀ. The number of columns m is 0 for a perfect certificate. A standard
-    uncertainty of 0 means that the CTE or the thermometer is exact.
+    covariance of the certified ball centres is L Lᵀ. The number of columns m is 0 for a perfect certificate. A standard
+    uncertainty of 0 means that the coefficient of thermal expansion (CTE) or the thermometer is exact.
     """
 
     balls: Array
@@ -69,7 +70,7 @@ class ArtefactErrors:
 
     @property
     def strain_names(self) -> tuple[str, ...]:
-        """Names of the thermal unknowns, in the order in which they appear in the vector z."""
+        """Names of the thermal unknowns, in the order in which they appear in the vector z of all unknowns."""
         doubts = (
             ("cte", self.cte_standard_uncertainty_per_k),
             ("thermometer", self.thermometer_standard_uncertainty_k),
@@ -77,8 +78,9 @@ class ArtefactErrors:
         return tuple(name for name, doubt in doubts if doubt > 0.0)
 
     def strain_rows(self, warmer_k: Array) -> Array:
-        """Return the strain (n, s) of the artefact in n rows per unit of each of the s thermal unknowns. `warmer_k`
-        (n,) is the temperature of the artefact in each row minus the reference temperature, in K."""
+        """Return the strain (n, s) of the artefact in n rows (measured balls) per unit of each of the s thermal
+        unknowns. `warmer_k` (n,) is the temperature of the artefact in each row minus the reference temperature, in K.
+        """
         columns = {
             "cte": self.cte_standard_uncertainty_per_k * warmer_k,
             "thermometer": np.full(len(warmer_k), self.cte_per_k * self.thermometer_standard_uncertainty_k),
@@ -87,7 +89,8 @@ class ArtefactErrors:
         return np.stack(chosen, axis=1) if chosen else np.zeros((len(warmer_k), 0))
 
     def matches(self, artefact: Artefact) -> bool:
-        """Return True if `artefact` has the same balls, CTE and certificate as the artefact described here."""
+        """Return True if `artefact` has the same balls, coefficient of thermal expansion and certificate as the
+        artefact described here."""
         if self.balls.shape != artefact.balls.shape or not np.array_equal(self.balls, artefact.balls):
             return False
         doubt = (self.cte_per_k, self.cte_standard_uncertainty_per_k)
@@ -100,13 +103,15 @@ class ArtefactErrors:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Meaning of each element of the vector z (P,) of unknowns. The vector consists of five consecutive blocks.
+    """Meaning of each element of the vector z (P,) of the P unknowns of an identification. The vector consists of five
+    consecutive blocks.
 
     The first block gives the parameters of `model`: each parameter in mm or rad is its element of z multiplied by its
     element of `scale` (p,). The second and third blocks give the certificate errors and the thermal strain of
-    `artefact`. The fourth block contains the coefficients of the misfit modes `modes`; the misfit field in mm is the
-    sum of all modes, each multiplied by its coefficient and by `misfit_mm`. The fifth block gives the drift of the
-    machine during the measurement, as defined by `drift`. It is empty if `drift` is None, as in a stored estimate.
+    `artefact`. The fourth block contains the coefficients of the modes `modes` of the misfit (errors that the model
+    cannot represent); the misfit field in mm is the sum of all modes, each multiplied by its coefficient and by
+    `misfit_mm`. The fifth block gives the drift of the machine during the measurement, as defined by `drift`. It is
+    empty if `drift` is None, as in a stored estimate.
     """
 
     model: ErrorModel
@@ -137,7 +142,7 @@ class Unknowns:
         return f"drift {index - blocks.drift.start}"
 
     def parameters(self, z: Array) -> Array:
-        """Return the parameters (p,) in mm or rad from z (P,)."""
+        """Return the p model parameters (p,) in mm or rad from the vector z (P,) of all unknowns."""
         return np.asarray(self.scale * z[self.blocks.parameters])
 
     def physical_covariance(self, unit: Array) -> Array:

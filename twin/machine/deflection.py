@@ -46,7 +46,7 @@ class DeflectionGrid:
     def at(self, axis_positions: ArrayLike) -> Array:
         """Return the displacements (n, 3) in mm at axis positions (n, 3) in mm, by trilinear interpolation.
 
-        Raises ModelError if a point is outside the grid; the message names the first such point.
+        Raises ModelError if an axis position is outside the grid; the message names the first such position.
         """
         points = as_points(axis_positions, "axis positions")
         self._check_inside(points)
@@ -63,7 +63,7 @@ class DeflectionGrid:
         return displacement
 
     def covers(self, ranges_mm: tuple[tuple[float, float], ...]) -> bool:
-        """Return True if every axis range lies inside the grid."""
+        """Return True if every axis range in `ranges_mm` lies inside the grid."""
         return all(
             nodes[0] <= low + _ROUNDING_MM and high <= nodes[-1] + _ROUNDING_MM
             for nodes, (low, high) in zip(self.nodes, ranges_mm, strict=True)
@@ -121,10 +121,10 @@ def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStr
     `x`, `y` and `z` are the grid nodes in mm. The deflection is zero in the middle of the grid, where the machine was
     levelled.
 
-    Four effects are added. First, the moment of the ram bends the column. This is the cross-effect: a displacement
-    along Y and a rotation about X that grow with height. Second, the ram bends under its own weight and the weight of
-    the head. Third, the joint of the ram and the joint at the foot of the column rotate under the moment. Fourth, the
-    bed and the column rails yield locally.
+    Four effects are added. First, the moment of the ram's weight bends the column. This is the cross-effect: a
+    displacement along Y and a rotation about X that grow with height. Second, the ram bends under its own weight and
+    the weight of the head. Third, the joint of the ram and the joint at the foot of the column rotate under this
+    moment. Fourth, the bed and the column rails yield locally.
     """
     parts = structure or CantileverStructure()
     x3, y3, z3 = np.meshgrid(x, y, z, indexing="ij")

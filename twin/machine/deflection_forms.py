@@ -1,9 +1,10 @@
-"""Random deflection fields of several kinds of structure, for tests of the misfit model.
+"""Random deflection fields of several kinds of structure, for tests of the model of the misfit (errors that the error
+model of a machine cannot represent).
 
-The misfit model of an identification consists of products of Legendre polynomials. The fields of this module are not
+In an identification, the misfit model consists of products of Legendre polynomials. The fields of this module are not
 products of Legendre polynomials. They consist of bending lines of beams, sines of any pitch, exponentials and random
-waves. No Legendre series of one axis can represent them either. A coverage probability found with these fields is
-therefore a meaningful test of the misfit model.
+waves. No Legendre series of one axis can represent them either. A coverage probability (fraction of machines whose true
+error lies in the stated region) found with these fields is therefore a meaningful test of the misfit model.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Derivatives of the tool point deviation with respect to the parameters of the error model, in closed form."""
+"""Derivatives of the tool point deviation with respect to the parameters of the error model of a machine, in closed
+form."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ ColumnIndices = np.ndarray[Any, np.dtype[np.int64]]
 def deviation_basis(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, scale: Array | None = None
 ) -> Array:
-    """Return the derivative (n, 3, p) of the deviation at axis positions (n, 3) with respect to the p parameters, taken
-    at zero parameters.
+    """Return the derivative (n, 3, p) of the tool point deviation at axis positions (n, 3) with respect to the p
+    parameters of the error model. The derivative is taken where all parameters are zero.
 
     Each parameter displaces the tool point by an effect multiplied by a function of the axis positions. There are
     twelve effects: three translations, and three rotations of each of the three axes. `scale` (p,) is the unit of each
@@ -48,15 +49,16 @@ def deviation_basis(
 def linear_deviation(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
 ) -> Array:
-    """Return the deviation (n, 3) in mm at axis positions (n, 3), computed to first order in the parameters (p,)."""
+    """Return the tool point deviation (n, 3) in mm at axis positions (n, 3), computed to first order in the p model
+    parameters (p,)."""
     vector = as_vector(parameters, model.size, "parameters")
     deviation: Array = deviation_basis(model, axis_positions, tool_offset) @ vector
     return deviation
 
 
 def cross_arguments(model: ErrorModel, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return the two arguments v and w of the cross-effect. They are the axis positions of Y and Z as fractions of the
-    axis ranges, from 0 at the lower end to 1 at the upper end."""
+    """Return the two arguments v and w of the cross-effect (bending of the column by the weight of the ram). They are
+    the axis positions of Y and Z as fractions of the axis ranges, from 0 at the lower end to 1 at the upper end."""
     (y_low, y_high), (z_low, z_high) = model.ranges_mm[_Y], model.ranges_mm[_Z]
     return (y - y_low) / (y_high - y_low), (z - z_low) / (z_high - z_low)
 

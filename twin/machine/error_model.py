@@ -55,8 +55,8 @@ Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 class Parameter:
     """Coefficient of the error model.
 
-    `error` is the ISO name of the error, or CROSS for a term of the cross-effect. `order` is the Legendre order; it is
-    0 for a term that is not a Legendre term.
+    `error` is the ISO name of the error, or CROSS for a term of the cross-effect (bending of the column by the weight
+    of the ram). `order` is the Legendre order; it is 0 for a term that is not a Legendre term.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Parameter:
 @dataclass(frozen=True)
 class ErrorModel:
     """Error model of a machine. The model consists of the kinematic chain, the axis ranges, the Legendre order of each
-    error motion and the active cross-effect terms."""
+    error motion and the active terms of the cross-effect (bending of the column by the weight of the ram)."""
 
     chain: Chain
     ranges_mm: Ranges
@@ -95,7 +95,7 @@ class ErrorModel:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the model. Their order is also the order of every parameter vector (p,) and of the columns of
-        every deviation basis."""
+        every derivative of the deviation with respect to the parameters."""
         series = [_term(error, k) for error in ERROR_MOTIONS for k in series_orders(error, self.orders[error])]
         squareness = [Parameter(name, name, 0, "rad", "squareness") for name in SQUARENESS]
         return (*series, *squareness, *(_cross_term(term) for term in self.cross_effect))
@@ -140,7 +140,8 @@ class ErrorModel:
         return highest[0], highest[1], highest[2]
 
     def coefficients(self, axis: int, values: Array) -> Array:
-        """Return the Legendre coefficients (6, highest order + 1) of the six error motions of one axis."""
+        """Return the Legendre coefficients (6, highest order + 1) of the six error motions of one axis, taken from a
+        parameter vector (p,)."""
         table = np.zeros((6, max(self.highest_order) + 1))
         for row, direction in enumerate(DIRECTIONS):
             error = f"E{direction}{AXES[axis]}"
@@ -154,8 +155,8 @@ class ErrorModel:
         return float(values[start]), float(values[start + 1]), float(values[start + 2])
 
     def cross_terms(self, values: Array) -> Mapping[str, float]:
-        """Return the coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect. Terms that are not active are
-        zero."""
+        """Return the coefficients b0, b1, b2 (mm) and c0, c1 (rad) of the cross-effect (bending of the column by the
+        weight of the ram). Terms that are not active are zero."""
         terms = dict.fromkeys(CROSS_TERMS, 0.0)
         terms.update(zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True))
         return terms

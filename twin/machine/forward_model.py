@@ -70,11 +70,11 @@ class _Workspace:
 def exact_deviation(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
 ) -> Array:
-    """Return the deviation (n, 3) in mm for axis positions (n, 3) and parameters (p,), computed by the exact product of
-    transforms.
+    """Return the tool point deviation (n, 3) in mm for axis positions (n, 3) and the p model parameters (p,), computed
+    by the exact product of transforms.
 
-    The deviation and the nominal lever arm are computed as separate numbers. The deviation therefore loses no digits,
-    even if the travel is 4 m.
+    The deviation and the nominal vector from the frame of each axis to the tool point (the lever arm) are computed as
+    separate numbers. The deviation therefore loses no digits, even if the travel is 4 m.
     """
     points = as_points(axis_positions, "axis positions")
     offset = as_vector(tool_offset, 3, "tool offset")

@@ -1,11 +1,11 @@
 """Sums of polynomial fields over a grid of axis positions, computed from far fewer points.
 
-The columns of a deviation basis are polynomials in the axis positions. Let d be their degree in the position of one
-axis. The sum of a polynomial of degree 2 d + 1 over the grid points of this axis is computed exactly from d + 1 nodes.
-The nodes are the Gauss nodes of the discrete measure that has weight 1 at every grid point (Golub and Welsch 1969). For
-example, 60×20×20 points reduce to 7×7×7 nodes. A field that is not a polynomial is projected onto the nodes with the
-Lagrange polynomials of the nodes. The sum of the products of the projected field with columns of degree d is then the
-same as on the grid.
+The derivatives of the tool point deviation with respect to the model parameters (the columns of a deviation basis) are
+polynomials in the axis positions. Let d be their degree in the position of one axis. The sum of a polynomial of degree
+2 d + 1 over the grid points of this axis is computed exactly from d + 1 nodes. The nodes are the Gauss nodes of the
+discrete measure that has weight 1 at every grid point (Golub and Welsch 1969). For example, 60×20×20 points reduce to
+7×7×7 nodes. A field that is not a polynomial is projected onto the nodes with the Lagrange polynomials of the nodes.
+The sum of the products of the projected field with columns of degree d is then the same as on the grid.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from twin.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class GridQuadrature:
-    """Quadrature rule that replaces a sum over `count` points by a weighted sum over m nodes.
+    """Quadrature rule that replaces a sum over `count` points (axis positions of a grid) by a weighted sum over m
+    nodes.
 
     For two vector fields a and b, the sum of a(X)ᵀ b(X) over all points X is replaced by the sum of w a(N)ᵀ b(N) over
     all nodes N with their weights w. Both sums are equal if a and b are polynomials up to the given degrees. `nodes`
@@ -35,7 +36,7 @@ class GridQuadrature:
 
     @classmethod
     def for_points(cls, points: Array, degrees: tuple[int, int, int]) -> GridQuadrature:
-        """Return the rule for points (n, 3) in mm and for polynomials up to the given degrees in x, y and z.
+        """Return the quadrature rule for points (n, 3) in mm and for polynomials up to the given degrees in x, y and z.
 
         If the points do not form a grid, the nodes are the points themselves, each with weight 1.
         """
@@ -48,7 +49,8 @@ class GridQuadrature:
         return cls(len(points), nodes, weights, tuple(rule[2] for rule in rules))
 
     def gather(self, field: Array) -> Array:
-        """Return the projection g (m, 3) onto the nodes of a field f (n, 3) that is given at the points.
+        """Return the projection g (m, 3), onto the m nodes of the quadrature rule, of a field f (n, 3) that is given at
+        the n points of the sum.
 
         Let a field a be a polynomial up to the degrees of the rule. The sum of a(X)ᵀ f(X) over all points X is then
         equal to the sum of a(N)ᵀ g(N) over all nodes N.

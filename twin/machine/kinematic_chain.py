@@ -42,8 +42,8 @@ class Chain:
 
 
 def parse_chain(text: str) -> Chain:
-    """Parse a chain such as `tool-Y-Z-X-bed-workpiece` in upper or lower case. Raises ModelError if the text is not
-    valid."""
+    """Parse a kinematic chain such as `tool-Y-Z-X-bed-workpiece` in upper or lower case. Raises ModelError if the text
+    is not valid."""
     links = [link.strip().lower() for link in text.split("-")]
     for word, link, where in (("tool", links[0], "begin"), ("workpiece", links[-1], "end")):
         if link != word:

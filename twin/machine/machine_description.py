@@ -1,4 +1,4 @@
-"""Description of a machine for the model, the planner and the simulator. It is read from a machine file."""
+"""Description of a machine for the error model, the planner and the simulator. It is read from a machine file."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ class MachineDescription:
 
     `model` contains the kinematic chain and the axis ranges. `limits` contains the travel limits in mm, which include
     the axis ranges. `tools` maps the name of each tool to its offset (3,) in mm from the reference point of the ram to
-    the stylus centre. `amplitudes` contains the half-widths, as written in the machine file, of the coefficients in the
-    family of machines. From these half-widths the family can also be built for another Legendre order.
+    the stylus centre. `amplitudes` contains the half-widths, as written in the machine file, of the parameters in the
+    family of machines (the prior population). From these half-widths the family can also be built for another Legendre
+    order.
     """
 
     name: str
@@ -56,7 +57,7 @@ class MachineDescription:
     def with_order(self, order: int) -> MachineDescription:
         """Return the same machine with one Legendre order for all 18 error motions.
 
-        The family of machines is computed from `amplitudes` for that order.
+        The family of machines (prior population) is computed from `amplitudes` for that order.
         """
         orders = dict.fromkeys(ERROR_MOTIONS, order)
         return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))

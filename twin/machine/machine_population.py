@@ -19,7 +19,8 @@ DEFAULT_DECAY = 0.6
 
 @dataclass(frozen=True)
 class Family:
-    """Distribution of machines in which parameter i of `model` is uniform between -a_i and +a_i.
+    """Distribution of machines (prior population) in which parameter i of the error model `model` is uniform between
+    -a_i and +a_i.
 
     The half-width a_i is element i of `half_widths` (p,), in mm or rad.
     """
