@@ -1,4 +1,4 @@
-"""Reconstruction of an estimate from the journal, for a report."""
+"""Reconstruction of an estimate of the machine's errors from the journal of its run, for a report."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from twin.machine.error_model import ErrorModel
 
 @dataclass(frozen=True, eq=False)
 class JournalEstimate:
-    """Estimate that was read from the journal; it implements `agent.reports.page.ReportedEstimate`.
+    """Estimate of a machine's errors that was read from the journal of a run; it implements
+    `agent.reports.page.ReportedEstimate`.
 
-    `misfit` is None if the run did not estimate a misfit.
+    `misfit` is the estimated part of the error field that the error model cannot represent; it is None if the run did
+    not estimate it.
     """
 
     model: ErrorModel
@@ -35,7 +37,7 @@ class JournalEstimate:
 
     @property
     def standard_uncertainty(self) -> Array:
-        """Standard uncertainties (p,) of the p parameters, each in mm or rad."""
+        """Standard uncertainties (p,) of the p parameters of the error model, each in mm or rad."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
 
@@ -43,8 +45,9 @@ def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEs
     """Return the estimate of a run in the form that a report shows. `stored` is the estimate as the journal contains
     it.
 
-    `unresolved_mm2` is the variance, in mm² for each direction, of a part of the misfit. This part varies over
-    distances too short for the functions (modes) by which the misfit is estimated.
+    `unresolved_mm2` is the variance, in mm² for each direction, of a part of the misfit (the error field that the error
+    model cannot represent). This part varies over distances too short for the functions (modes) by which the misfit is
+    estimated.
     """
     document = stored.document
     return JournalEstimate(

@@ -15,7 +15,8 @@ GOOD = (Decision.WITHIN, Decision.FUSED, Decision.WRITTEN, Decision.FULL_DONE)
 
 
 def night_of(record: RunRecord) -> Mapping[str, Any] | None:
-    """Return the recorded result of the nightly run or verification; None if the run has no such result."""
+    """Return the result of a nightly run or a verification from the record of the run; None if `record` contains no
+    such result."""
     outcome = record.decision(OUTCOME) or {}
     found: Mapping[str, Any] | None = outcome.get("night") or record.decision("night") or record.decision("verify")
     return found

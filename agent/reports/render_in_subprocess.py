@@ -36,7 +36,8 @@ def render_in_subprocess(directory: Path, run_id: str, *, pdf: bool) -> dict[str
 
 
 def render_html_in_subprocess(directory: Path, run_id: str) -> dict[str, str | bytes]:
-    """Return the HTML report, rendered in a subprocess. The service uses this function as its `ReportRenderer`."""
+    """Return the HTML report of a run, rendered in a subprocess. The service uses this function as its
+    `ReportRenderer`, the function that renders reports."""
     return render_in_subprocess(directory, run_id, pdf=False)
 
 

@@ -45,7 +45,7 @@ def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> Rep
     """Return the report data of a run that has ended or was interrupted.
 
     `trend` is an SVG that shows the main results of all runs up to this run. Raises InputError if the run did not
-    record its inputs.
+    record its inputs (machine, artefact and input files).
     """
     inputs = record.decision(INPUTS)
     if inputs is None:

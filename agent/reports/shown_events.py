@@ -1,7 +1,8 @@
 """Selection of the events that a report shows, and their wording.
 
-The displacement of the first ball is recorded in every position. The report summarises all displacements in one line,
-and lists a single displacement only if it exceeds a limit. The report lists every event that required a decision.
+At the end of every position, the first ball is measured again, and its displacement is recorded. The report summarises
+all these displacements in one line, and lists a single displacement only if it exceeds a limit. The report lists every
+event that required a decision.
 """
 
 from __future__ import annotations

@@ -79,8 +79,8 @@ class TableExportResult:
     table_crc32: str
 
     def as_json(self) -> dict[str, Any]:
-        """Return the JSON object that `--json` prints. The file `export.json` has the keys of this object and the key
-        `software`."""
+        """Return the JSON object that the command-line option `--json` prints. The file `export.json` has the keys of
+        this object and the key `software`."""
         table, loss = self.source.table, self.loss
         points = self.request.points or table.corrections.shape[:3]
         return {
@@ -110,7 +110,8 @@ class TableExportResult:
 
 
 def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
-    """Return the table from the folder of a run or from a CSV file, with the path of an estimate of the machine.
+    """Return the compensation table from `path`, the folder of a run or a CSV file, with the path of an estimate of the
+    machine.
 
     If `estimate` is None, the file `estimate.json` beside the table is used if it exists. Raises InputError if the
     table cannot be read.
@@ -126,8 +127,8 @@ def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
 
 
 def export_table(source: TableToExport, request: TableExportRequest) -> TableExportResult:
-    """Write the files of the requested format and `export.json` into `request.out`. If UserError is raised, no file has
-    been written."""
+    """Write the files of the table in the requested format and `export.json` into `request.out`. If UserError is
+    raised, no file has been written."""
     with translated(InputError, file=source.origin):
         full = ExportSource(source.table, _load_estimate(source.estimate_file))
         require_small_corrections(full.table, 1e-3 * request.largest_um)

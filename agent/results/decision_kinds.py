@@ -1,7 +1,7 @@
 """Names of the kinds of decision with which the journal records the results of a run.
 
-The names are in a module of their own. The history can therefore import them without loading the modules that compute
-the results.
+The names are in a module of their own. The history of runs can therefore import them without loading the modules that
+compute the results.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Estimation of the machine's errors from measured balls.
 
 The module computes the estimate, the predicted accuracy and the compensation table. It also proves the table with
-held-out balls.
+held-out balls (measured, but not used for the estimate).
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class EstimationResult:
-    """Estimate from `observations`, and the compensation table made from the estimate.
+    """Estimate of the machine's errors from `observations`, and the compensation table made from the estimate.
 
     `volumetric` contains the estimated volumetric error (VE) of the machine without compensation and the predicted
-    volumetric error (VCE) of the compensated machine.
+    volumetric compensated error (VCE), the volumetric error that remains with the table active.
     """
 
     observations: Observations
@@ -79,8 +79,9 @@ def estimate_machine(
     not possible.
 
     If `order` is "evidence", the order with the largest Bayesian evidence is used. The evidence of several orders can
-    be compared only if the prior population is used; otherwise, the order of the machine file is used. If an earlier
-    estimate is carried over, the order of that estimate is used in any case.
+    be compared only if the prior population (distribution of the errors of machines of one make) is used; otherwise,
+    the order of the machine file is used. If an earlier estimate is carried over, the order of that estimate is used in
+    any case.
     """
     if options.carried_over is not None:
         machine = machine.with_model(options.carried_over.unknowns.model)
@@ -93,7 +94,7 @@ def estimate_machine(
 
 def order_text(estimate: Estimate) -> str:
     """Return a text that states the Legendre order of `estimate`. If several orders were compared, the text also states
-    their evidence."""
+    their Bayesian evidence."""
     used = sorted(set(estimate.model.orders.values()))
     text = " and ".join(str(order) for order in used)
     if not estimate.order_evidence:
@@ -104,13 +105,13 @@ def order_text(estimate: Estimate) -> str:
 
 def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
     """Return one warning for each scale that has reached a bound of its permitted range. A scale is an estimated factor
-    on an assumed standard deviation."""
+    by which an assumed standard deviation is multiplied."""
     return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
 
 
 def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> EstimationResult:
-    """Return the estimate from the balls of a run, and the compensation table made from the estimate. Raises TwinError
-    if the balls do not allow an estimate.
+    """Return the estimate of the machine's errors from the balls measured in a run, and the compensation table made
+    from the estimate. Raises TwinError if the balls do not allow an estimate.
 
     `correction` is the correction that the active table added during the measurement.
     """
@@ -123,8 +124,9 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
 def prove(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
-    """Return the proof of a new table at the held-out balls. The balls `after` were measured with the new table active.
-    They are compared with the balls `before`, measured before its activation, and with the prediction.
+    """Return the proof of a new compensation table at the held-out balls (measured, but not used for the estimate). The
+    balls `after` were measured with the new table active. They are compared with the balls `before`, measured before
+    its activation, and with the prediction.
 
     Raises MeasurementFault if too few balls were found for a comparison.
     """

@@ -23,11 +23,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class VolumetricSummary:
-    """Estimated VE of the machine without compensation (`before_raw`, `before_aligned`) and predicted VCE (`after_raw`,
-    `after_aligned`).
+    """Estimated volumetric error (VE) of the machine without compensation (`before_raw`, `before_aligned`) and
+    predicted volumetric compensated error (VCE), which remains with the table active (`after_raw`, `after_aligned`).
 
-    The values ending in `_raw` contain the rigid motion of the workspace. The values ending in `_aligned` are computed
-    after removal of the best-fitting rigid motion.
+    The values whose names end in `_raw` contain the rigid motion of the workspace. The values whose names end in
+    `_aligned` are computed after removal of the best-fitting rigid motion.
     """
 
     before_raw: Quantity
@@ -73,9 +73,10 @@ class ArtefactFacts:
 class TableFacts:
     """Summary of a compensation table.
 
-    `nodes` contains the numbers of nodes along X, Y and Z. `largest_um` contains the largest absolute correction of
-    each axis. `extrapolated` is the number of nodes outside the measured region. `crc32` is the CRC-32 checksum of the
-    table's CSV file.
+    `nodes` contains the numbers of grid nodes along X, Y and Z. `largest_um` contains the largest absolute correction
+    of each axis. `extrapolated` is the number of nodes outside the measured region. `anchor_mm` is the point at which
+    the correction is zero, with the reference directions `primary` and `secondary`. `crc32` is the CRC-32 checksum of
+    the table's CSV file.
     """
 
     nodes: tuple[int, int, int]
@@ -114,8 +115,8 @@ def triple(values: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class ProbeRing:
-    """Touches of the stylus qualification at one latitude of the ball, and the pretravel map at that latitude. The pole
-    has the latitude 90°.
+    """Touches of the stylus qualification at one latitude of the ball, and the map of the pretravel (travel of the tip
+    between contact and trip) at that latitude. The pole, which faces the stylus, has the latitude 90°.
 
     `angle_deg` (k,) and `residual_um` (k,) contain the angle about the stylus and the residual of each of the k
     touches. `map_angle_deg` (m,) contains m angles, and `map_um` (m,) contains the pretravel at these angles. If there

@@ -1,5 +1,5 @@
-"""Gates that an estimate and its table must pass before the table is written. All functions are free of side
-effects."""
+"""Gates (limits) that an estimate and its compensation table must pass before the table is written. All functions are
+free of side effects."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ collision, and must then be calibrated again."""
 
 @dataclass(frozen=True)
 class Gate:
-    """Condition that a result must meet before a table is written.
+    """Condition that a result must meet before a compensation table is written.
 
     `passed` is True if `value` meets `limit`. `text` explains the condition and states the unit of `value` and `limit`.
     """
@@ -37,12 +37,13 @@ class Gate:
 def estimate_gates(
     estimate: Estimate, expected: VolumetricRms, before: VolumetricRms, limits: GateSettings
 ) -> tuple[Gate, ...]:
-    """Return the three gates on the estimate: the fit of the residuals, the number of redundant measurements, and the
-    gain in accuracy.
+    """Return the three gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
+    and the gain in accuracy.
 
     `before` is the estimated volumetric error of the machine without compensation. It contains no contribution of its
-    own uncertainty. `expected` is the predicted volumetric error with the table active. The aligned values of both are
-    compared, because a rigid motion of the workspace is not an error of the machine.
+    own uncertainty. `expected` is the predicted volumetric error with the table active. The values of both after
+    removal of the best-fitting rigid motion are compared, because a rigid motion of the workspace is not an error of
+    the machine.
     """
     share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")
     return (
@@ -72,7 +73,8 @@ def estimate_gates(
 
 
 def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> Gate:
-    """Return the gate on the change of the machine's error field since the last accepted night.
+    """Return the gate (limit) for the change of the machine's error field since the last accepted night (the last run
+    whose estimate was accepted as the reference).
 
     `change_um` is the rms of the change over the workspace after removal of the best-fitting rigid motion.
     `expected_um` is the rms that is expected from the uncertainties and from the drift since that night.
@@ -88,13 +90,13 @@ def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> G
 
 
 def table_gates(table: CompensationTable, store: StoreLimits, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the gates that `table` must pass before it is written to the controller."""
+    """Return the gates (limits) that `table` must pass before it is written to the controller."""
     return (*shape_gates(table, store, limits), extrapolation_gate(table, limits))
 
 
 def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the two gates on the values of the table: one limits the largest correction, the other the steepest
-    slope."""
+    """Return the two gates (limits) for the values of the table: one limits the largest correction, the other the
+    steepest slope."""
     largest_um = float(np.abs(table.corrections).max()) * 1e3
     allowed_um = min(limits.max_correction_um, store.max_correction_mm * 1e3)
     slope = _largest_slope_um_per_mm(table)
@@ -117,7 +119,7 @@ def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateSettin
 
 
 def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
-    """Return the gate on the fraction of nodes that lie outside the measured region."""
+    """Return the gate (limit) for the fraction of the table's nodes that lie outside the measured region."""
     outside = float(np.mean(table.extrapolated))
     return Gate(
         "extrapolation",
@@ -129,8 +131,8 @@ def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
 
 
 def with_consent(gates: Sequence[Gate]) -> list[Gate]:
-    """Return `gates` with the gate `CHANGE` marked as passed. The operator must have consented to the change of the
-    machine."""
+    """Return `gates` with the gate `CHANGE` (limit of the machine's change) marked as passed. The operator must have
+    consented to the change of the machine."""
     return [
         replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
         for gate in gates
@@ -138,7 +140,8 @@ def with_consent(gates: Sequence[Gate]) -> list[Gate]:
 
 
 def require_passed(gates: Sequence[Gate]) -> None:
-    """Raise GateRefused if a gate did not pass. The message names every such gate."""
+    """Raise GateRefused if one of `gates` (limits of the estimate and the table) was not passed. The message names
+    every such gate."""
     failed = [gate for gate in gates if not gate.passed]
     if failed:
         reasons = "; ".join(

@@ -1,5 +1,5 @@
-"""Journal entries that a run makes in addition to its steps. With them, a report or a comparison of runs needs only the
-journal.
+"""Entries that a run makes in its journal in addition to its steps. With them, a report or a comparison of runs needs
+only the journal.
 
 The files that are named in the settings may be changed or deleted later. For this reason, the journal stores all data
 of the machine, the artefact and the result that a report shows.
@@ -100,11 +100,12 @@ def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estima
 def record_held_out(
     journal: RunJournal, job: Job, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> None:
-    """Write to the journal the rms residual of each held-out position before and after activation of the table, in µm.
+    """Write to the journal the rms residual of each held-out position (measured, but not used for the estimate), before
+    and after activation of the new table, in µm.
 
-    Residuals are computed at displayed axis positions. A position is left out if too few balls were found after
-    activation to determine its pose. If too few balls were found before activation, the rms residual before activation
-    is None.
+    Residuals are computed at displayed axis positions, to which the corrections of the table are not added. A position
+    is left out if too few balls were found after activation to determine its pose. If too few balls were found before
+    activation, the rms residual before activation is None.
     """
     rows = []
     for position in job.held_out:
@@ -130,8 +131,8 @@ def _rms_um(job: Job, balls: Sequence[MeasuredBall]) -> float | None:
 
 
 def record_outcome(journal: RunJournal, outcome: Outcome) -> None:
-    """Write the outcome of the run to the journal. The entry is the JSON object that `--json` prints, without the path
-    of the report."""
+    """Write the outcome of the run to the journal. The entry is the JSON object that the command-line option `--json`
+    prints, without the path of the report."""
     journal.decision(OUTCOME, {name: value for name, value in outcome.as_json().items() if name != "report"})
 
 

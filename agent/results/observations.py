@@ -22,8 +22,8 @@ def observations_of(
     correction: Correction,
     thermal_regressors: Array | None = None,
 ) -> Observations:
-    """Return the observations of the machine without compensation. Their axis positions are the displayed positions
-    plus the corrections of the active table.
+    """Return the observations (measured ball centres with their temperatures) of the machine without compensation.
+    Their axis positions are the displayed positions plus the corrections of the active table.
 
     `correction` maps n displayed axis positions (n, 3) in mm to the corrections (n, 3) in mm that the controller adds.
     `thermal_regressors` (n, w) contains the values in K of w regressors of the thermal drift; it is None if the machine
@@ -44,8 +44,8 @@ def observations_of(
 
 
 def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
-    """Return the residuals of the artefact's balls at displayed axis positions. The residuals contain the effect of the
-    table that was active during the measurement."""
+    """Return the residuals of the artefact's balls at displayed axis positions, to which the corrections of the active
+    table are not added. The residuals contain the effect of the table that was active during the measurement."""
     displayed = observations_of(balls, tool_offset_mm, no_correction)
     return held_out_residuals(displayed, displayed.axis_positions + tool_offset_mm, artefact)
 

@@ -37,10 +37,11 @@ def load_part_setup(path: Path) -> PartSetup:
 def correct_file(
     part: Path, out: Path | None, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
 ) -> CorrectionSummary:
-    """Correct the part program `part` and write the result to `out`. If `out` is None, only compute the summary.
+    """Correct the part program `part` and write the result to `out`. If `out` is None, only compute the summary of the
+    correction, which is returned in both cases.
 
-    `name` is the name of the table; it is written into the corrected program. Raises InputError if a block cannot be
-    corrected. The error names the file and the line, and `out` is not changed in this case.
+    `name` is the name of the table; it is written into the corrected program. Raises InputError if a block (line of the
+    program) cannot be corrected. The error names the file and the line, and `out` is not changed in this case.
     """
     if out is not None and out.resolve() == part.resolve():
         message = "the corrected program would replace the original program"

@@ -1,4 +1,5 @@
-"""Prediction of the accuracy of a run from the ball positions of its preflight.
+"""Prediction of the accuracy of a run from the ball positions of its preflight (simulated execution of the complete
+run).
 
 The prediction is possible because the covariance of the estimate depends on the ball positions, but not on the measured
 values.
@@ -25,9 +26,11 @@ class PredictedAccuracy:
 
 
 def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy:
-    """Return the rank of the estimate and the VCE that are predicted for the positions `measured` in a preflight.
+    """Return the rank of the estimate and the volumetric compensated error (VCE) that are predicted for the positions
+    `measured` in a preflight (simulated run).
 
-    The held-out positions are not used. Raises ConfigurationError if the other positions cannot identify the machine.
+    The held-out positions, which serve only for the proof of the table, are not used. Raises ConfigurationError if the
+    other positions cannot identify the machine.
     """
     estimate = preflight_estimate(job, measured)
     grid = evaluation_grid(job.machine.model.ranges_mm)
@@ -36,7 +39,8 @@ def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy
 
 
 def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
-    """Return the estimate from the balls of a preflight. Its covariance is the covariance predicted for the run.
+    """Return the estimate from the balls of a preflight (simulated run). Its covariance is the covariance predicted for
+    the run.
 
     Raises ConfigurationError if the position set cannot identify the machine.
     """

@@ -12,7 +12,7 @@ from agent.probing.reversal import AxisReversal
 
 @dataclass(frozen=True)
 class Proof:
-    """Result of the proof of a new table at held-out positions.
+    """Result of the proof of a new compensation table at held-out positions (measured, but not used for the estimate).
 
     `before_um` and `after_um` are the rms residuals per ball before and after activation of the table. `predicted_um`
     is the prediction of `after_um`. `chi2_normalised` compares the residuals after activation with their prediction.
@@ -58,7 +58,8 @@ class SuspectedError:
 
 @dataclass(frozen=True)
 class NightReport:
-    """Comparison of the machine with the last accepted night, and the decision of this nightly run or verification.
+    """Comparison of the machine with the last accepted night (the last run whose estimate was accepted as the
+    reference), and the decision of a nightly run or verification.
 
     `since` is the identity of the run of the last accepted night, and `nights` is the number of nights since then.
 
@@ -66,8 +67,9 @@ class NightReport:
     the active table at the end of the last accepted night. `ve_now_um` is expected with the active table now.
     `ve_after_um` is expected with a table made from the present estimate.
 
-    `held_out_um` is the rms residual of the held-out balls at displayed axis positions, and `held_out_predicted_um` is
-    its prediction. `chi2_normalised` compares all ball centres with their prediction.
+    `held_out_um` is the rms residual of the held-out balls (measured, but not used for the estimate) at displayed axis
+    positions, and `held_out_predicted_um` is its prediction. `chi2_normalised` compares all ball centres with their
+    prediction.
 
     `jumped` lists the errors for which there is sufficient evidence of a jump. `likeliest` lists the errors whose jump
     would best explain the measurement, the likeliest first. It is filled even if the evidence is not sufficient.
@@ -126,8 +128,8 @@ class Outcome:
     reason: str = ""
 
     def as_json(self) -> dict[str, object]:
-        """Return this outcome as the JSON object that docs/reference/json.md describes. `verified` is null if there was
-        no proof."""
+        """Return this outcome as the JSON object that docs/reference/json.md describes. `verified` is null if no new
+        table was proved."""
         return {
             "kind": self.kind,
             "state": self.state.value,

@@ -1,4 +1,4 @@
-"""Conversion between the compensation table of the twin and the integers that a controller stores."""
+"""Conversion between the compensation table of the machine model (twin) and the integers that a controller stores."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from twin.compensation.table import Anchor, CompensationTable
 
 
 def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
-    """Return `table` as integers in units of the resolution with which the controller stores tables. Raises GateRefused
-    if the grid of the table has too many nodes for the controller."""
+    """Return the compensation table `table` as integers in units of the resolution with which the controller stores
+    tables. Raises GateRefused if the grid of the table has too many nodes for the controller."""
     shape = table.corrections.shape[:3]
     if any(n > most for n, most in zip(shape, limits.max_nodes, strict=True)) or (
         np.prod(shape) > limits.max_total_nodes
@@ -32,8 +32,8 @@ def table_of(image: TableImage, tool_offset_mm: Array) -> CompensationTable:
     """Return the compensation table with the corrections that a controller applies if it stores `image`. The controller
     interpolates between the nodes trilinearly and keeps the corrections constant outside the grid.
 
-    A controller stores neither the anchor nor the measured region. In the returned table, the anchor is therefore the
-    first node of the grid, and no node counts as extrapolated.
+    A controller stores neither the anchor (point at which the correction is zero) nor the measured region. In the
+    returned table, the anchor is therefore the first node of the grid, and no node counts as extrapolated.
     """
     nodes = [
         origin + step * np.arange(count, dtype=np.float64)

@@ -1,5 +1,5 @@
-"""Treatment of the machine's thermal drift during a run: selection of the balls, thermal regressors and options of the
-fit."""
+"""Treatment of the machine's thermal drift during a run: selection of the balls, thermal regressors (temperature
+changes on which the drift depends) and options of the identification."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from twin.identification import CarriedOverPrior, Options
 
 
 def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBall]:
-    """Return the measured balls for the estimate. These are all balls except those of held-out positions.
+    """Return the measured balls for the estimate. These are all balls except those of held-out positions, which serve
+    only for the proof of the table.
 
     The first ball of each position is measured again at the end of the position. If the machine drifted, these repeated
     measurements are included.
@@ -32,8 +33,8 @@ def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBa
 
 
 def is_drifting(temperature: TemperatureSettings, balls: Sequence[MeasuredBall]) -> bool:
-    """Return True if the settings ask for a fit of the drift and the machine's temperature has changed by at least
-    `temperature.min_change_k`."""
+    """Return True if the settings ask for a fit of the machine's thermal drift and the machine's temperature has
+    changed by at least `temperature.min_change_k`."""
     return temperature.fit_machine_drift and change_k(temperature, balls) >= temperature.min_change_k
 
 
@@ -45,7 +46,8 @@ def change_k(temperature: TemperatureSettings, balls: Sequence[MeasuredBall]) ->
 
 def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Observations:
     """Return the observations of the machine without compensation. If the machine drifted, the observations contain
-    regressors of the thermal drift and smoothed temperatures of the artefact."""
+    regressors of the thermal drift (temperature changes on which it depends) and smoothed temperatures of the
+    artefact."""
     if not is_drifting(job.settings.temperature, balls):
         return observations_of(balls, job.tool_offset_mm, correction)
     instants_s = np.array([ball.conditions.instant_s for ball in balls])
@@ -60,7 +62,7 @@ def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction:
 def identification_options(
     identification: IdentificationSettings, temperature: TemperatureSettings, observations: Observations
 ) -> Options:
-    """Return the options for an identification without a prior from earlier nights.
+    """Return the options for an identification of the machine's errors without a prior from earlier nights.
 
     If the machine drifted, the estimate describes the machine at the time of the last observation.
     """
@@ -73,8 +75,8 @@ def identification_options(
 
 
 def fusion_options(temperature: TemperatureSettings, observations: Observations, known: CarriedOverPrior) -> Options:
-    """Return the options for an identification that combines the observations of a night with the prior `known` from
-    earlier nights."""
+    """Return the options for an identification of the machine's errors that combines the observations of a night with
+    the prior `known` from earlier nights."""
     return replace(_drift_options(temperature, observations), carried_over=known)
 
 

@@ -1,5 +1,5 @@
-"""Estimated volumetric error (VE) of the machine without compensation, and predicted volumetric error (VCE) of the
-compensated machine."""
+"""Estimated volumetric error (VE) of the machine without compensation, and predicted volumetric compensated error
+(VCE), the volumetric error that remains with compensation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 
 def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:
-    """Return the estimated VE of the machine without compensation and the VCE expected after compensation.
+    """Return the estimated volumetric error (VE) of the machine without compensation and the volumetric compensated
+    error (VCE) expected with compensation.
 
     Both are computed over the standard grid of the workspace, in µm.
     """

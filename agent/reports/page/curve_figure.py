@@ -1,7 +1,8 @@
-"""Figures of the geometric error functions and of the cross-effect.
+"""Figures of the geometric error functions and of the cross-effect (bending of the column by the weight of the extended
+ram).
 
-The figure of the geometric error functions has a row for each axis and a column for each of the six errors of ISO
-230-1.
+The figure of the geometric error functions has a row for each axis and a column for each of the six error motions of an
+axis according to ISO 230-1.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ DISPLACEMENTS = 3
 
 
 def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
-    """Return an SVG of the 18 geometric error functions. An error that is not in the model gets an empty panel."""
+    """Return an SVG of the 18 geometric error functions (six for each of X, Y and Z). An error that is not in the error
+    model gets an empty panel."""
     by_name = {curve.name: curve for curve in curves}
     drawing = Drawing("error-curves", 10.4, 4.9)
     with drawing as figure:
@@ -39,8 +41,8 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
 
 
 def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
-    """Return an SVG of the cross-effect of ram and column with the ram fully extended. Each contribution is drawn as a
-    function of the height."""
+    """Return an SVG of the cross-effect, that is, the bending of the column by the weight of the ram, with the ram
+    fully extended. The contribution to each error is drawn as a function of the height Z."""
     drawing = Drawing("cross-effect", 5.6, 1.9)
     with drawing as figure:
         figure.subplots_adjust(wspace=0.35)

@@ -1,7 +1,7 @@
 """Data that a report shows.
 
-If the data come from an identification from files, `ReportData.run` is empty. A run on a machine adds decisions, the
-verification and events. The page omits every section whose value is None or empty.
+If the data come from an identification of the machine's errors from files, `ReportData.run` is empty. A run on a
+machine adds decisions, the verification and events. The report omits every section whose value is None or empty.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from twin.identification import Estimate, FieldKnowledge, Scales
 
 
 class ReportedEstimate(FieldKnowledge, Protocol):
-    """Interface of an estimate with the properties that a report shows. The estimate comes from an identification that
-    has just been made, or from the journal."""
+    """Interface of an estimate of the machine's errors with the properties that a report shows. The estimate comes from
+    an identification that has just been made, or from the journal of a run."""
 
     @property
     def formulation(self) -> str: ...
@@ -59,10 +59,10 @@ class Header:
 
 @dataclass(frozen=True)
 class VerifiedPosition:
-    """Held-out position with its rms residuals in µm.
+    """Held-out position (measured, but not used for the estimate) with its rms residuals in µm.
 
-    `before_um` and `after_um` are the rms residuals of the position's balls before and after activation of the table.
-    `predicted_um` is the predicted rms residual after activation.
+    `before_um` and `after_um` are the rms residuals of the position's balls before and after activation of the new
+    compensation table. `predicted_um` is the predicted rms residual after activation.
     """
 
     label: str
@@ -73,10 +73,11 @@ class VerifiedPosition:
 
 @dataclass(frozen=True)
 class VerificationFacts:
-    """Result of the verification by held-out positions, before and after activation of the new table.
+    """Result of the verification of a new compensation table by held-out positions (measured, but not used for the
+    estimate).
 
-    `before` and `after` are the rms residuals per ball; `before` is None if it was not measured. `predicted_um` is the
-    prediction of `after`.
+    `before` and `after` are the rms residuals per ball before and after activation of the table; `before` is None if it
+    was not measured. `predicted_um` is the prediction of `after`.
     """
 
     accepted: bool
@@ -125,8 +126,8 @@ class QuestionFacts:
 class NightFacts:
     """Decision of a nightly run or a verification.
 
-    `since` is the identity of the run of the last accepted night. `rows` contains the name and the text of each value
-    on which the decision is based.
+    `since` is the identity of the run of the last accepted night (the last run whose estimate was accepted as the
+    reference). `rows` contains the name and the text of each value on which the decision is based.
     """
 
     decision: str
@@ -153,10 +154,10 @@ class Provenance:
 class RunFacts:
     """Data of a run on a machine.
 
-    `times` contains table rows about the start and the end of the run. `banks` contains table rows about the former
-    table, the table that was written, and the bank that is active at the end. `trend` is an SVG that shows the main
-    results of all runs up to this run. `drifts_um` contains one value in µm for each position: the displacement of the
-    position's first ball when it was measured again at the end of the position.
+    `times` contains table rows about the start and the end of the run. `banks` contains table rows about the
+    compensation table before the run, the table that was written, and the controller's bank that is active at the end.
+    `trend` is an SVG that shows the main results of all runs up to this run. `drifts_um` contains one value in µm for
+    each position: the displacement of the position's first ball when it was measured again at the end of the position.
     """
 
     touches: int | None = None
@@ -178,7 +179,7 @@ class RunFacts:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationData:
-    """Result of an identification, as a report shows it.
+    """Result of an identification of the machine's errors, as a report shows it.
 
     `positions` is the list of positions to which the indices in `observations.position` refer. `residuals_mm` (n, 3)
     holds the residuals of the n observations, in the order of the observations.
@@ -207,9 +208,10 @@ class IdentificationData:
 class ReportData:
     """Complete data of a report.
 
-    `tool_offset` (3,) is the tool offset in mm to which the table and all volumetric errors refer. `identification` is
-    None if the run has no estimate. `gates_enforced` is False if the gates are shown for information only and do not
-    decide whether a table is written.
+    `tool_offset` (3,) is the vector in mm from the ram's reference point to the stylus centre (tool offset), to which
+    the table and all volumetric errors refer. `identification` is None if the run has no estimate. `gates_enforced` is
+    False if the gates (limits for the estimate and the table) are shown for information only and do not decide whether
+    a table is written.
     """
 
     header: Header

@@ -1,4 +1,4 @@
-"""Curves of the error functions and their uncertainty, computed from the parameters and the covariance of an
+"""Curves of the machine's error functions and their uncertainty, computed from the parameters and the covariance of an
 estimate."""
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ErrorCurve:
 def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
     """Return the curves of the error motions: first all error motions of X, then all of Y, then all of Z.
 
-    Error motions that have no coefficient in the model are left out.
+    Error motions that have no coefficient in the error model are left out.
     """
     curves = []
     for axis, limits in zip("XYZ", model.ranges_mm, strict=True):
@@ -63,10 +63,10 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
 
 
 def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
-    """Return the curves of the contributions of the cross-effect to EYZ and EAZ with the ram fully extended, as
-    functions of Z.
+    """Return the curves of the contributions of the cross-effect (bending of the column by the weight of the ram) to
+    the error motions EYZ and EAZ with the ram fully extended, as functions of Z.
 
-    The result is empty if the model has no cross-effect.
+    The result is empty if the error model has no cross-effect.
     """
     place = np.linspace(*model.ranges_mm[2], SAMPLES)
     w = (place - place[0]) / (place[-1] - place[0])

@@ -16,8 +16,8 @@ from twin.arrays import Array
 
 
 def report_figures(data: ReportData) -> dict[str, str]:
-    """Return a mapping from the name of each figure in the template to its SVG. The SVG is an empty text if there is
-    nothing to draw."""
+    """Return a mapping from the name of each figure in the report's HTML template to its SVG. The SVG is an empty text
+    if there is nothing to draw."""
     traces, probe, identification = data.run.temperatures, data.run.probe, data.identification
     figures = {
         "qualification": draw_qualification(probe) if probe and probe.rings else "",

@@ -1,5 +1,5 @@
-"""Sections of the report about the identification: summary, squareness, residuals, fit, null directions, table and
-parameters."""
+"""Sections of the report about the identification of the machine's errors: summary, squareness, residuals, fit, null
+directions (combinations of parameters that the measurement does not determine), compensation table and parameters."""
 
 from __future__ import annotations
 
@@ -110,8 +110,8 @@ def table_rows(identification: IdentificationData) -> Rows | None:
 
 
 def parameters(identification: IdentificationData) -> list[list[tuple[str, str, str, str]]]:
-    """Return the parameters in three columns of rows. Each row contains the name, the value, the standard uncertainty
-    and the unit of a parameter."""
+    """Return the parameters of the error model in three columns of rows. Each row contains the name, the value, the
+    standard uncertainty and the unit of a parameter."""
     estimate = identification.estimate
     sigma = estimate.standard_uncertainty
     rows = []

@@ -1,5 +1,5 @@
-"""Figure with maps of the workspace. A map shows the length of a deviation over an XY plane; there are maps at several
-heights."""
+"""Figure with maps of the workspace. A map shows the length of the deviation, or its uncertainty, over an XY plane;
+there are maps at several heights."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ HIGHEST_IN = 4.0
 
 
 def draw_planes(name: str, planes: Sequence[PlaneMap], label: str, *, dots: bool) -> str:
-    """Return an SVG with the maps of all planes side by side. All maps have one colour scale, which starts at zero. If
-    `dots` is set, the measured balls are drawn as dots."""
+    """Return an SVG with the maps of all `planes` (XY planes of the workspace) side by side. All maps have one colour
+    scale, which starts at zero. If `dots` is set, the measured balls are drawn as dots."""
     top = max(float(plane.length_um.max()) for plane in planes) or 1.0
     width, high = _panel_size(planes)
     total = high + ROOM.bottom + ROOM.top

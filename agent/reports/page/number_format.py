@@ -49,8 +49,8 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def micrometres(quantity: Quantity | None) -> str:
-    """Return a text such as `12.3 ± 0.8 µm`, in which the second number is the expanded uncertainty. The text is a dash
-    if `quantity` is None."""
+    """Return a text such as `12.3 ± 0.8 µm`, in which the second number is the expanded uncertainty (k = 2). The text
+    is a dash if `quantity` is None."""
     if quantity is None:
         return "–"
     decimals = 1 if quantity.value_um >= 10.0 else 2

@@ -1,7 +1,7 @@
 """PDF of the report. It shows the content of the HTML page on A4 paper, with a running header and page numbers.
 
-WeasyPrint cannot use the page's CSS variables and `currentColor` in SVG figures. Both are therefore replaced by print
-colours.
+WeasyPrint, the library that makes the PDF, cannot use the page's CSS variables and `currentColor` in SVG figures. Both
+are therefore replaced by print colours.
 """
 
 from __future__ import annotations

@@ -23,8 +23,9 @@ class BallResiduals:
     """Residuals of n measured balls.
 
     `position` (n,) and `ball` (n,) are indices counted from 0. `residual_um` (n, 3) holds the residuals in µm, and
-    `standardised` (n, 3) holds the residuals divided by their standard deviations. `accepted` (n,) is False for
-    rejected balls. `station_starts` contains the index of the first position of every station after the first station.
+    `standardised` (n, 3) holds the residuals divided by their standard deviations. `accepted` (n,) is False for balls
+    that the identification rejected as outliers. `station_starts` contains the index of the first position of every
+    station after the first station.
     """
 
     position: Indices
@@ -44,8 +45,8 @@ class BallResiduals:
 
 
 def draw_by_position(residuals: BallResiduals) -> str:
-    """Return an SVG of the residuals over the positions. The balls of a position are drawn side by side, and rejected
-    balls are circled."""
+    """Return an SVG of the residuals over the positions. The balls of a position are drawn side by side, and balls
+    rejected as outliers are circled."""
     drawing = Drawing("residuals-by-position", 10.4, 2.9)
     with drawing as figure:
         panel = figure.subplots()
