@@ -1,5 +1,5 @@
-"""Calibration run. It begins with the check of permissions and ends with the proof of the new table, which is then
-accepted or removed."""
+"""Calibration run. It begins with the check that motion is permitted, and ends with the proof of the new compensation
+table. The table is then accepted, or the former table is reactivated."""
 
 from __future__ import annotations
 
@@ -31,10 +31,11 @@ from twin.formats.estimate_file import format_estimate
 
 
 class CalibrationRun(GuardedRun):
-    """Run that calibrates the machine of a `Job`.
+    """Run that calibrates the machine of a job (machine, artefact, settings and positions to measure).
 
-    `reference` is the last accepted night of this machine, against which the change of the machine is judged; it is
-    None if there is no accepted night. `nights` is the number of nights since then.
+    `reference` is the last accepted night of this machine (the last run whose estimate was accepted), against which the
+    change of the machine is judged; it is None if there is no accepted night. `nights` is the number of nights since
+    then.
     """
 
     def __init__(
@@ -56,8 +57,9 @@ class CalibrationRun(GuardedRun):
         self.calibrate(prepared.standing_at)
 
     def calibrate(self, standing_at: int | None) -> None:
-        """Measure all positions of the set, estimate the machine's errors, write the new table and prove it.
-        `standing_at` is the station at which the artefact stands, or None.
+        """Measure all positions of the run's position set, estimate the machine's errors, write the new compensation
+        table and prove it. `standing_at` is the station at which the artefact stands; it is None if the station is not
+        known.
 
         The state of the run must be MEASURING, and the active compensation must have been read before.
         """

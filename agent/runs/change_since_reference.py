@@ -1,4 +1,5 @@
-"""Change of a machine since the last accepted night: the expected change, and the change according to an estimate."""
+"""Change of a machine since the last accepted night (the last run whose estimate was accepted as the reference): the
+expected change, and the change according to a new estimate."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ SCALES = ("EXX[1]", "EYY[1]", "EZZ[1]")
 
 @dataclass(frozen=True)
 class Change:
-    """Change of the machine's error field according to an estimate (`found_um`), and the expected change
-    (`expected_um`).
+    """Change of the machine's error field since the last accepted estimate, according to a new estimate (`found_um`),
+    and the expected change (`expected_um`).
 
     Both values are rms values over the workspace in µm, after removal of the best-fitting rigid motion.
     """
@@ -31,8 +32,8 @@ class Change:
 
 
 def night_noise(job: Job, model: ErrorModel) -> Array:
-    """Return the standard deviation of the change of each of the p parameters in one night, as an array (p,) in mm or
-    rad."""
+    """Return the standard deviation of the change of each of the p parameters of the error model in one night (24 h),
+    as an array (p,) in mm or rad."""
     chosen = job.settings.nightly
     family = job.machine.with_model(model).family
     noise = process_noise(family, MM_PER_UM * chosen.drift_um, job.tool_offset_mm)
@@ -44,19 +45,19 @@ def night_noise(job: Job, model: ErrorModel) -> Array:
 
 
 def prior_tonight(job: Job, reference: ReferenceState, nights: float) -> CarriedOverPrior:
-    """Return the estimate of the last accepted night as a prior. Its uncertainty is increased by the drift that is
-    expected in `nights` nights."""
+    """Return the estimate of the last accepted night, `reference`, as a prior for the identification of this night. Its
+    uncertainty is increased by the drift that is expected in `nights` nights."""
     return reference.estimate.carried_over().after(night_noise(job, reference.estimate.model), nights)
 
 
 def change_since(
     job: Job, reference: ReferenceState, nights: float, estimate: Estimate, *, fused: bool = False
 ) -> Change:
-    """Return the change of the machine from the last accepted night to `estimate`.
+    """Return the change of the machine from the last accepted night, `reference`, to `estimate`.
 
     `fused` is True if the estimate of that night was the prior of `estimate`. In this case, the covariance of the
-    expected difference is the covariance of the prior minus the covariance of `estimate`. If the two estimates are
-    independent, the covariance of the expected difference is the sum of both covariances.
+    expected difference between the two is the covariance of the prior minus the covariance of `estimate`. If the two
+    estimates are independent, the covariance of the expected difference is the sum of both covariances.
     """
     offset, old = job.tool_offset_mm, reference.estimate
     grid = evaluation_grid(old.model.ranges_mm)

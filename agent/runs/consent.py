@@ -20,14 +20,14 @@ class Consent(Enum):
 
 
 def opens_by_consent(gate: Gate, consent: Consent) -> bool:
-    """Return True if `gate` is the gate `CHANGE`, did not pass, and the request of the run already contains the
-    consent."""
+    """Return True if `gate` is the gate `CHANGE` (limit of the machine's change), did not pass, and the request of the
+    run already contains the consent."""
     return gate.name == CHANGE and not gate.passed and consent is Consent.GIVEN
 
 
 def ask_consent(gates: Sequence[Gate]) -> Plan[bool]:
-    """Ask the operator for consent if `CHANGE` is the only gate that did not pass. Return True if the operator
-    consents.
+    """Ask the operator for consent to a changed machine if `CHANGE` (limit of the machine's change) is the only one of
+    `gates` that did not pass. Return True if the operator consents.
 
     In all other cases, the operator is not asked and the result is False. Raises Aborted if the operator answers no.
     """

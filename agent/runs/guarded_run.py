@@ -32,8 +32,8 @@ from drivers.roles import Activation
 class RunProgress:
     """Results that a run has so far. They are stored during the run and are therefore not lost if the run fails.
 
-    `found` is the compensation that was active at the start. `job` is the job to which the positions in `measured`
-    belong; it is None if this is the job with which the run began.
+    `found` is the compensation that was active at the start of the run. `job` is the job to which the positions in
+    `measured` belong; it is None if this is the job with which the run began.
     """
 
     found: publish.ActiveCompensation | None = None
@@ -68,8 +68,8 @@ class GuardedRun(ABC):
         """Do all work up to a final state. Raise GateRefused if the run decides not to continue."""
 
     def carry_out(self) -> RunProgress:
-        """Carry out the run until it reaches a final state, and return its results. A `VolcalError` is not raised but
-        stored in `progress.error`."""
+        """Carry out the run until it reaches a final state, and return its results. A `VolcalError` (base class of the
+        program's own errors) is not raised but stored in `progress.error`."""
         try:
             self._work_or_refuse()
         except VolcalError as error:
@@ -110,12 +110,13 @@ class GuardedRun(ABC):
 
     @property
     def activation(self) -> Activation:
-        """Event after which the controller uses a bank that has been activated."""
+        """Event after which the controller uses a bank (memory for one compensation table) that has been activated."""
         return self._rig.store.store_limits().activation
 
     @property
     def rules(self) -> PositionRules:
-        """Rules of measurement. If the stylus has been qualified in this run, they contain the result."""
+        """Rules of measurement. If the stylus has been qualified in this run, the rules contain the qualified
+        stylus."""
         prepared = self.progress.prepared
         return self._job.rules if prepared is None else prepared.rules
 

@@ -32,12 +32,13 @@ NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE
 
 @dataclass(frozen=True)
 class IdentificationRequest:
-    """Files and options of an identification from files.
+    """Files and options of an identification of a machine's errors from files.
 
-    `tool` is the tool for which the table is made; if it is None, the tool with which most balls were measured is used.
-    `carried_over` is the file of an earlier estimate that serves as prior. `process_noise_um` is the possible change of
-    the machine's error field since that estimate. It is an rms over the workspace in µm, after removal of the
-    best-fitting rigid motion. `gates` contains the limits of the gates that a run on a machine would have to pass.
+    `tool` is the tool for which the compensation table is made; if it is None, the tool with which most balls were
+    measured is used. `carried_over` is the file of an earlier estimate that serves as prior. `process_noise_um` is the
+    possible change of the machine's error field since that estimate. It is an rms over the workspace in µm, after
+    removal of the best-fitting rigid motion. `gates` contains the limits (gates) that the estimate and the table would
+    have to meet in a run on a machine.
     """
 
     balls: Path
@@ -54,8 +55,8 @@ class IdentificationRequest:
 
 @dataclass(frozen=True)
 class IdentificationInput:
-    """Contents of the input files: machine, artefact, measured balls and options. `tool` is the tool for which the
-    table is made."""
+    """Contents of the input files of an identification: machine, artefact, measured balls and options. `tool` is the
+    tool for which the compensation table is made."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -75,8 +76,8 @@ class IdentificationResult:
     report: Path
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
-        """Return the result as a JSON object with the keys that the outcome of a run has. A value that exists only for
-        a run on a machine is None."""
+        """Return the result as a JSON object with the keys that the JSON object of a run's outcome has. A value that
+        exists only for a run on a machine is None."""
         estimate, volumetric = self.estimation.estimate, self.estimation.volumetric
         return {
             "state": "complete",
@@ -127,7 +128,7 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
 
 
 def read_material(request: IdentificationRequest) -> IdentificationInput:
-    """Return the contents of the input files.
+    """Return the contents of the input files of an identification.
 
     Raises UserError if a part of a file cannot be used. The message names the file and the key or the row.
     """

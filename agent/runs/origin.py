@@ -1,5 +1,5 @@
-"""Origin of a run, as the journal stores it. It contains the data needed to build an interrupted run again and to
-detect changed input files."""
+"""Origin of a run (settings, kind and start conditions), as the journal stores it. It contains the data needed to build
+an interrupted run again and to detect changed input files."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
 
 @dataclass(frozen=True)
 class Origin:
-    """Settings, kind and start conditions of a run that has passed its preflight.
+    """Settings, kind and start conditions of a run that has passed its preflight (simulated execution).
 
     `base` is the directory to which relative paths refer. `files` maps the path of each input file to the SHA-256 of
     the file. `begun_s` is the time of the machine's clock in s at the end of the preflight, and `begun_at` is the UTC
-    time.
+    time of that instant.
     """
 
     run_id: str
@@ -44,7 +44,7 @@ class Origin:
     begun_at: str
 
     def require_unchanged(self) -> None:
-        """Raise PlanDiverged if an input file has changed since the run began. The error names the file."""
+        """Raise PlanDiverged if an input file has changed since the run began. The error names the file and the run."""
         for name, digest in digests(self.settings, self.base).items():
             if self.files.get(name) != digest:
                 raise PlanDiverged(
@@ -70,7 +70,7 @@ def origin_record(settings: Settings, kind: Kind, base: Path, start: StartCondit
 
 def read_origin(reader: JournalReader, run: int) -> Origin:
     """Return the origin of the run with the number `run`. Raises InputError if the journal does not contain the origin,
-    or if the run did not pass its preflight."""
+    or if the run did not pass its preflight (simulated execution)."""
     row = reader.origin(run)
     if row is None or row.begun_s is None or row.begun_at is None:
         raise InputError("the journal does not store how this run began", hint="start a new run")
@@ -89,7 +89,7 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
 
 
 def digests(settings: Settings, base: Path) -> dict[str, str]:
-    """Return a mapping from the path of each input file to the SHA-256 of the file.
+    """Return a mapping from the path of each input file of a run to the SHA-256 of the file.
 
     The input files are the machine file, the artefact file, the files named in these two, and the position file if
     there is one.

@@ -1,5 +1,5 @@
-"""Planned run. It contains the job that will be measured, the start conditions and the preflight. The machine has not
-moved yet."""
+"""Planned run. It contains the job (machine, artefact, settings and positions to measure), the start conditions, and
+the result of the preflight (simulated execution of the run). The machine has not moved yet."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class StartConditions:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """Run that has passed its preflight. `job` is the job that will be measured. `begin` is the function that creates
-    the run object."""
+    """Run that has passed its preflight (simulated execution). `job` holds the machine, the artefact, the settings and
+    the positions that will be measured. `begin` is the function that creates the run object."""
 
     job: Job
     kind: Kind
@@ -49,7 +49,8 @@ class Kind(Protocol):
     def name(self) -> str: ...
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        """Decide what will be measured, and simulate the run in a preflight with the start conditions `start`.
+        """Decide what will be measured, and simulate the run in a preflight (simulated execution) with the start
+        conditions `start`.
 
         Equal start conditions give equal plans. `watch` is called repeatedly during planning. It does not influence the
         plan, but it may raise an error, which interrupts the planning. Raises PlanRefused or UserError if the run

@@ -1,7 +1,9 @@
-"""Comparison of the controller's compensation with the journal after a start of the program, and repair if necessary.
+"""Comparison of the controller's active compensation with the journal of earlier runs after a start of the program, and
+repair if necessary.
 
-Only one state must be repaired: a table is active that was never proved. In this case, the former table is reactivated.
-All other states are complete and consistent, because a bank is never written while it is active.
+Only one state must be repaired: a table is active that was never proved by measurement. In this case, the former table
+is reactivated. All other states are complete and consistent, because a bank (memory of the controller for one table) is
+never written while it is active.
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ from drivers.roles import MotionState
 
 @dataclass(frozen=True)
 class RecordedBank:
-    """Number of a bank, with the CRC-32 of the table in it. The CRC-32 is None for an empty bank and for bank 0 (no
-    compensation)."""
+    """Number of a bank (memory of the controller for one compensation table), with the CRC-32 of the table in it. The
+    CRC-32 is None for an empty bank and for bank 0 (no compensation)."""
 
     number: int
     crc32: int | None
@@ -34,7 +36,7 @@ class RecordedBank:
 
 @dataclass(frozen=True)
 class LastCompensation:
-    """State of the compensation after the last run that read it, according to the journal.
+    """State of the controller's compensation after the last run that read it, according to the journal.
 
     `former` is the bank that was active before that run. `staged` is the bank that the run wrote, or None if the run
     wrote no bank. `accepted` is True if the written table was accepted.
@@ -52,13 +54,13 @@ class LastCompensation:
 
 
 def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, restore: bool = True) -> Reconciliation:
-    """Compare the controller's compensation with the journal. If a table is active that was never proved, reactivate
-    the former table.
+    """Compare the controller's compensation with the journal. If a table is active that was never proved by
+    measurement, reactivate the table that was active before it.
 
-    The former table is reactivated only if `restore` is set and the machine permits it. `rig` must be open; the machine
-    does not move. The comparison refers to the run with the number `of_run`. If `of_run` is None, it refers to the last
-    run that read the compensation. Raises DeviceError if the controller cannot be read or refuses an action, and
-    InputError if the journal cannot be read.
+    The former table is reactivated only if `restore` is set and the machine permits it. `rig` (the devices of the
+    machine) must be open; the machine does not move. The comparison refers to the run with the number `of_run`. If
+    `of_run` is None, it refers to the last run that read the compensation. Raises DeviceError if the controller cannot
+    be read or refuses an action, and InputError if the journal cannot be read.
     """
     last = _last_compensation(state_directory, of_run)
     unfinished = unfinished_run(state_directory) if of_run is None else None
@@ -76,8 +78,8 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
 
 
 def has_compensation_record(state_directory: Path) -> bool:
-    """Return True if a run in the journal has read the compensation. Otherwise, the journal contains no state with
-    which the controller could be compared."""
+    """Return True if a run in the journal has read the controller's active compensation. Otherwise, the journal
+    contains no state with which the controller could be compared."""
     return _last_compensation(state_directory, None) is not None
 
 

@@ -20,7 +20,7 @@ class CompensationState(Enum):
 
 
 class ReconcileAction(Enum):
-    """Repair that the reconciliation has made."""
+    """Repair that the comparison of the controller with the journal has made."""
 
     NOTHING = "nothing had to be done"
     RESTORED = "the former table acts again"
@@ -30,7 +30,8 @@ class ReconcileAction(Enum):
 
 @dataclass(frozen=True)
 class Reconciliation:
-    """Result of a reconciliation.
+    """Result of a reconciliation, that is, of the comparison of the controller's compensation with the journal and of
+    its repair.
 
     `active_bank` is the bank that is active after the repair. `waiting_bank` is the bank that the controller will
     activate later, or None. `unfinished` is the interrupted run, or None. `instruction` states the action that a person
@@ -46,6 +47,6 @@ class Reconciliation:
 
     @property
     def text(self) -> str:
-        """Text for people in one line, with the state, the repair and the instruction."""
+        """Text for people in one line, with the state of the compensation, the repair and the instruction."""
         parts = [f"{self.state.value} (bank {self.active_bank} is active)", self.action.value, self.instruction]
         return "; ".join(part for part in parts if part)

@@ -1,9 +1,10 @@
-"""Reference state of a machine: the estimate of the last accepted night, and the table that has been active since then.
+"""Reference state of a machine: the estimate of the last accepted night (the last run whose estimate was accepted as
+the reference), and the table that has been active since then.
 
-The journal is the only source of the reference state. One kind of decision in it accepts an estimate and names the
-table that is active from then on. Another kind states that a full calibration is needed; such a decision is valid until
-a later night is accepted. A copy of the accepted estimate is written beside the journal. It is made for people and for
-`volcal identify --carried-over`, and runs do not read it.
+The journal, the database of all runs, is the only source of the reference state. One kind of decision in it accepts an
+estimate and names the table that is active from then on. Another kind states that a full calibration is needed; such a
+decision is valid until a later night is accepted. A copy of the accepted estimate is written beside the journal. It is
+made for people and for `volcal identify --carried-over`, and runs do not read it.
 """
 
 from __future__ import annotations
@@ -38,10 +39,11 @@ ACTIVATING_DECISIONS = frozenset({_ACCEPTED, TABLE_RESTORED})
 
 @dataclass(frozen=True, eq=False)
 class AcceptedTable:
-    """Table that has been active since its acceptance.
+    """Compensation table that has been active since its acceptance.
 
-    `written` (p,) contains the p parameters in mm or rad that the table corrects. `tool` is the tool for which the
-    table is valid. `crc32` is the CRC-32 of the table's integers, as the controller stores them.
+    `written` (p,) contains the values in mm or rad of the p parameters of the error model that the table corrects.
+    `tool` is the tool for which the table is valid. `crc32` is the CRC-32 of the table's integers, as the controller
+    stores them.
     """
 
     machine: str
@@ -58,7 +60,8 @@ class AcceptedTable:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceState:
-    """Estimate and table of the last accepted night. A full calibration counts as a night here.
+    """Estimate and compensation table of the last accepted night (the last run whose estimate was accepted as the
+    reference). A full calibration counts as a night here.
 
     `run_id` is the run of that night. `since` is the UTC time of its acceptance in ISO 8601. `table` is the table that
     has been active since then. `estimate` is the estimate of that night, which becomes the prior of the next night.
@@ -70,16 +73,16 @@ class ReferenceState:
     estimate: StoredEstimate
 
     def nights_until(self, now: str) -> float:
-        """Return the number of nights (periods of 24 h) from the acceptance until `now` (UTC, ISO 8601). The number may
-        have a fraction; it is at least 0."""
+        """Return the number of nights (periods of 24 h) from the acceptance of this estimate until `now` (UTC, ISO
+        8601). The number may have a fraction; it is at least 0."""
         passed = datetime.fromisoformat(now) - datetime.fromisoformat(self.since)
         return max(passed.total_seconds() / S_PER_DAY, 0.0)
 
 
 @dataclass(frozen=True)
 class FullCalibrationNeed:
-    """Decision that a full calibration is needed. It was made by the run `run_id`; the next slot that permits a full
-    calibration is used for it."""
+    """Decision that a full calibration is needed. It was made by the run `run_id`; the next slot (machine time
+    available for a night) that permits a full calibration is used for it."""
 
     run_id: str
     since: str
@@ -87,17 +90,19 @@ class FullCalibrationNeed:
 
 
 def record_accepted(journal: RunJournal, accepted: AcceptedTable) -> None:
-    """Record in the journal that the estimate of the run and the table `accepted` have been accepted."""
+    """Record in the journal that the estimate of the run and the compensation table `accepted` have been accepted."""
     journal.decision(_ACCEPTED, {**vars(accepted), "written": accepted.written.tolist()})
 
 
 def record_full_calibration_need(journal: RunJournal, reason: str) -> None:
-    """Record in the journal that a full calibration is needed in the next slot that permits it."""
+    """Record in the journal that a full calibration is needed in the next slot (machine time available for a night)
+    that permits it."""
     journal.decision(_FULL_NEEDED, {"reason": reason})
 
 
 def write_copy(directory: Path, run_id: str) -> None:
-    """Write a copy of the estimate of `run_id` beside the journal, but only if that run is the last accepted night.
+    """Write a copy of the estimate of `run_id` beside the journal, but only if that run is the last whose estimate was
+    accepted.
 
     Raises InputError if the journal cannot be read or the copy cannot be written.
     """
@@ -107,7 +112,8 @@ def write_copy(directory: Path, run_id: str) -> None:
 
 
 def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState | None:
-    """Return the last accepted night among the runs with numbers below `before_run`; None if there is no such night.
+    """Return the estimate and the table of the last accepted night among the runs with numbers below `before_run`; None
+    if there is no such night.
 
     Raises InputError if the journal cannot be read.
     """
@@ -124,7 +130,7 @@ def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState
 def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCalibrationNeed | None:
     """Return the last decision that requires a full calibration, among the runs with numbers below `before_run`.
 
-    The result is None if there is no such decision, or if a later night was accepted.
+    The result is None if there is no such decision, or if the estimate of a later run was accepted.
     """
     if not has_journal(directory):
         return None
@@ -137,15 +143,15 @@ def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCal
 
 
 def reference_for(job: Job, before_run: int = ANY_RUN) -> ReferenceState | None:
-    """Return the last accepted night. The result is None if there is no accepted night, or if that night does not
-    belong to the job's machine, artefact and tool."""
+    """Return the estimate and the table of the last accepted night. The result is None if there is no accepted night,
+    or if that night does not belong to the job's machine, artefact and tool."""
     reference = read_reference(job.settings.state_directory, before_run)
     return None if reference is None or mismatch(job, reference) else reference
 
 
 def require_reference(job: Job, before_run: int = ANY_RUN) -> ReferenceState:
-    """Return the last accepted night. Raises ConfigurationError, with the reason, if there is no accepted night, or if
-    that night does not belong to the job's machine, artefact and tool."""
+    """Return the estimate and the table of the last accepted night. Raises ConfigurationError, with the reason, if
+    there is no accepted night, or if that night does not belong to the job's machine, artefact and tool."""
     directory = job.settings.state_directory
     reference = read_reference(directory, before_run)
     if reference is None:

@@ -1,4 +1,4 @@
-"""Job and kind of a run, made from the request for the run."""
+"""Job (machine, artefact, settings and positions to measure) and kind of a run, made from the request for the run."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from agent.settings.schema import Settings
 
 
 def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
-    """Return the job for a request. Raises UserError if the request does not fit the machine.
+    """Return the job (machine, artefact, settings and positions to measure) for a request. Raises UserError if the
+    request does not fit the machine.
 
-    `base` is the directory to which relative paths refer. A request for a calibration may name stations; the
-    calibration then measures only at these. A request for a night may name the station of the artefact. If that night
+    `base` is the directory to which relative paths refer. A request for a calibration may name stations; the artefact
+    is then measured only at these stations. A request for a night may name the station of the artefact. If that night
     makes a full calibration, it uses all stations.
     """
     stations = request.stations if request.kind == "calibrate" else None
@@ -30,9 +31,9 @@ def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
 def kind_of(request: RunRequest, *, slot_minutes: float | None = None, nights: float | None = None) -> Kind:
     """Return the kind of run for a request.
 
-    `slot_minutes` is the length of the night's slot; if it is None, the length is taken from the settings. `nights` is
-    the number of nights since the last accepted night; if it is None, the number is computed from the date. Raises
-    UserError if the request names several stations for a kind of run that measures at one station.
+    `slot_minutes` is the machine time available for the night; if it is None, the time is taken from the settings.
+    `nights` is the number of nights since the last accepted night; if it is None, the number is computed from the date.
+    Raises UserError if the request names several stations for a kind of run that measures at one station.
     """
     match request.kind:
         case "calibrate":

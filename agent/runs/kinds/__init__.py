@@ -1,1 +1,2 @@
-"""Kinds of run: calibration, verification, night and restoration. Each kind has its own measurements and decisions."""
+"""Kinds of run: calibration, verification, nightly run and restoration of a table. Each kind has its own measurements
+and decisions."""

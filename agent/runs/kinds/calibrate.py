@@ -1,5 +1,5 @@
-"""Kind of run `calibrate`. The run measures the whole position set, writes a new table and proves it with held-out
-positions."""
+"""Kind of run `calibrate`. The run measures the whole position set, writes a new compensation table and proves it with
+held-out positions (measured, but not used for the estimate)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from agent.runs.reference_state import ReferenceState, reference_for
 
 @dataclass(frozen=True)
 class FullCalibration:
-    """Kind of run that measures the whole position set and writes a new table.
+    """Kind of run that measures the whole position set and writes a new compensation table.
 
-    `nights` is the number of nights since the last accepted night; if it is None, the number is computed from the date.
-    `consent` states whether a table may be written although the machine has changed.
+    `nights` is the number of nights since the last accepted night (the last run whose estimate was accepted as the
+    reference); if it is None, the number is computed from the date. `consent` states whether a table may be written
+    although the machine has changed.
     """
 
     nights: float | None = None
@@ -38,7 +39,8 @@ class FullCalibration:
 
 
 def nights_since(reference: ReferenceState | None, stated: float | None, at: str) -> float:
-    """Return the number of nights since the last accepted night.
+    """Return the number of nights since the last accepted night (the last run whose estimate was accepted as the
+    reference).
 
     If `stated` is not None, it is returned. Otherwise, the number is computed from the date `at` (UTC); it is 0 if
     there is no accepted night.

@@ -1,7 +1,7 @@
-"""Check measurement that is made in a verification and at the beginning of a night.
+"""Check measurement that is made in a verification and at the beginning of a nightly run.
 
-The measurement requires that the last accepted table is active. The measured ball centres are compared with their
-prediction.
+The measurement requires that the last accepted compensation table is active. The measured ball centres are compared
+with their prediction from the last accepted estimate.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from twin.artefact.position_set import Position
 
 
 def require_table_of(reference: ReferenceState, found: ActiveCompensation) -> None:
-    """Raise GateRefused if the active table is not the last accepted table."""
+    """Raise GateRefused if the active compensation table is not the last accepted one."""
     if found.table is None or table_digest(found.table) != reference.table.crc32:
         raise GateRefused(
             f"bank {found.bank} is active, and it does not hold the table accepted in run {reference.run_id}",
@@ -41,14 +41,14 @@ def measure(
     rules: PositionRules,
     mount_poses: Mapping[int, MountPoseEstimate] | None = None,
 ) -> MeasuredPositions:
-    """Measure the given positions of a night. The key of every step begins with `prefix`."""
+    """Measure the given positions of a nightly run or a verification. The key of every step begins with `prefix`."""
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, mount_poses))
 
 
 def judge_measurement(
     judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction
 ) -> Judgement:
-    """Compare all measured balls, including those of held-out positions, with the prediction from the last accepted
-    night."""
+    """Compare all measured balls, including those of held-out positions (measured, but not used for the estimate), with
+    the prediction from the last accepted night, the reference of `judge`."""
     held_out = job.balls_of(measured, held_out=True)
     return judge.judge_balls(plan.station, [*held_out, *job.balls_of(measured, held_out=False)], held_out, correction)

@@ -1,4 +1,5 @@
-"""Comparison of a machine with the prediction from the last accepted night, and diagnosis of a change."""
+"""Comparison of a machine with the prediction from the last accepted night (the last run whose estimate was accepted as
+the reference), and diagnosis of a change."""
 
 from __future__ import annotations
 
@@ -30,9 +31,10 @@ _LIKELIEST = 5
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Result of the comparison of a machine with the last accepted night.
+    """Result of the comparison of a machine with the last accepted night (the last run whose estimate was accepted as
+    the reference).
 
-    `report` is the result for people and for the journal; its reason is empty if everything is within limits. `found`
+    `report` is the result for people and for the journal; its `reason` is empty if everything is within limits. `found`
     contains the statistics on which `report` is based.
     """
 
@@ -46,8 +48,8 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Comparison of the ball centres of one night with their prediction from the last accepted night. `nights` is the
-    number of nights between the two."""
+    """Comparison of the ball centres of one night with their prediction from the last accepted night (the last run
+    whose estimate was accepted as the reference). `nights` is the number of nights between the two."""
 
     job: Job
     reference: ReferenceState
@@ -55,8 +57,8 @@ class Judge:
 
     @cached_property
     def prior(self) -> CarriedOverPrior:
-        """Prior for this night: the estimate of the last accepted night, with its uncertainty increased by the drift
-        since then."""
+        """Prior for the identification of this night: the estimate of the last accepted night, with its uncertainty
+        increased by the drift since then."""
         return prior_tonight(self.job, self.reference, self.nights)
 
     @cached_property
@@ -71,7 +73,8 @@ class Judge:
 
     @property
     def before_um(self) -> float:
-        """Volumetric error (VE) in µm that was expected with the active table at the end of the last accepted night.
+        """Volumetric error (VE) in µm that was expected with the active compensation table at the end of the last
+        accepted night.
 
         It is computed after removal of the best-fitting rigid motion.
         """
@@ -79,8 +82,8 @@ class Judge:
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, self.reference.table.written).aligned_um
 
     def expected_ve_um(self, estimate: Estimate, written: Array) -> float:
-        """Return the VE in µm that is expected from `estimate` if the active table corrects the p parameters `written`
-        (p,).
+        """Return the volumetric error (VE) in µm that is expected from `estimate` if the active compensation table
+        corrects the p parameters of the error model by the values `written` (p,).
 
         It is computed after removal of the best-fitting rigid motion.
         """
@@ -89,10 +92,12 @@ class Judge:
     def judge_balls(
         self, station: int, balls: Sequence[MeasuredBall], held_out: Sequence[MeasuredBall], correction: Correction
     ) -> Judgement:
-        """Compare `balls` with their prediction. All of them must have been measured with the active table.
+        """Compare the measured `balls` with their prediction from the last accepted night. All of them must have been
+        measured with the active table.
 
-        `held_out` contains the balls among `balls` that were measured in held-out positions. `correction` is the
-        correction that the active table adds. Raises MeasurementFault if too few balls were found for a comparison.
+        `held_out` contains the balls among `balls` that were measured in held-out positions (measured, but not used for
+        the estimate). `correction` is the correction that the active table adds to displayed axis positions. Raises
+        MeasurementFault if too few balls were found for a comparison.
         """
         with translated(MeasurementFault):
             observations = observations_of(balls, self.job.tool_offset_mm, correction)

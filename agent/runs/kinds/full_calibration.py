@@ -1,5 +1,5 @@
-"""Full calibration that an earlier night found necessary. Until a slot permits the calibration, all nights are only
-verifications."""
+"""Full calibration that an earlier night found necessary. Until a slot (machine time available for a night) permits the
+calibration, all nights are only verifications."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class PendingCalibration:
-    """Night for which an earlier run has requested a full calibration.
+    """Nightly run for which an earlier run has requested a full calibration.
 
     `here` is the job with the artefact at `station`. `pending` is the recorded decision that requires the calibration.
+    `slot` is the machine time available for the night.
     """
 
     kind: Kind
@@ -54,8 +55,8 @@ class PendingCalibration:
     pending: FullCalibrationNeed
 
     def plan(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        """Plan the full calibration. If the slot does not permit it or is too short for it, plan a verification
-        instead.
+        """Plan the full calibration. If the slot (machine time available for a night) does not permit it or is too
+        short for it, plan a verification instead.
 
         Raises PlanRefused if the slot is too short even for the verification.
         """
@@ -95,7 +96,8 @@ class PendingCalibration:
 
 
 class FullCalibrationRun(GuardedRun):
-    """Run that makes the full calibration that an earlier night found necessary. It is used if the slot permits it."""
+    """Run that makes the full calibration that an earlier night found necessary. It is used if the slot (machine time
+    available for a night) permits it."""
 
     def __init__(self, job: Job, context: RunContext, judge: Judge, station: int, pending: FullCalibrationNeed) -> None:
         super().__init__(job, context)
@@ -120,8 +122,8 @@ class FullCalibrationRun(GuardedRun):
 
 
 class CalibrationPendingRun(GuardedRun):
-    """Run that makes a verification because the required full calibration cannot be done in this slot. It writes no
-    table."""
+    """Run that makes a verification because the required full calibration cannot be done in this slot (machine time
+    available for a night). It writes no compensation table."""
 
     def __init__(
         self, job: Job, context: RunContext, judge: Judge, plan: NightPlan, pending: FullCalibrationNeed
@@ -146,8 +148,8 @@ class CalibrationPendingRun(GuardedRun):
 def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Judge, report: NightReport) -> None:
     """Continue `run` as a full calibration of `job`. The results that `run` has so far are kept.
 
-    The operator is not asked for consent to the change of the machine, because the permission for a full calibration
-    includes this consent.
+    The operator is not asked for consent to a table for the changed machine, because the permission for a full
+    calibration includes this consent.
     """
     full = CalibrationRun(job, context, judge.reference, judge.nights, Consent.GIVEN)
     full.progress = run.progress

@@ -1,6 +1,8 @@
-"""Plan of a night. It is made and checked by a preflight before the machine moves.
+"""Plan of a nightly run. It is made, and checked by a preflight (simulated execution of the complete run), before the
+machine moves.
 
-The positions can be chosen before the night, because the choice depends only on the covariance of the prior.
+The positions can be chosen before the night, because the choice depends only on the covariance of the prior, the
+estimate of the last accepted night.
 """
 
 from __future__ import annotations
@@ -30,10 +32,11 @@ _MOST = 100
 
 @dataclass(frozen=True, eq=False)
 class NightPlan:
-    """Positions of a night at `station`, in the order in which they are measured.
+    """Positions of a nightly run at `station`, in the order in which they are measured.
 
-    The verification measures `held_out` and then `check_positions`. The positions `further` follow. At the end,
-    `held_out` is measured again for the proof.
+    The verification of the machine measures `held_out` and then `check_positions`. The positions `further` follow. At
+    the end, `held_out` is measured again for the proof of the new table. These held-out positions are not used for the
+    estimate.
     """
 
     station: int
@@ -47,7 +50,7 @@ class NightPlan:
 
     def job(self, job: Job) -> Job:
         """Return `job` with the positions of this night: the positions that enter the estimate, and the held-out
-        positions."""
+        positions, which do not."""
         return replace(
             job_at_station(job, self.station),
             positions=(*self.check_positions, *self.further),
@@ -61,15 +64,16 @@ class NightPlan:
 
 
 def job_at_station(job: Job, station: int) -> Job:
-    """Return `job` with the artefact at `station` and without the reversal check, which would take too long in a
-    slot."""
+    """Return `job` with the artefact at `station` and without the reversal check (measurement of lost motion), which
+    would take too long in a slot (machine time available for a night)."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
     preparation = replace(job.preparation, reversal=None)
     return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
 
 
 def station_of(job: Job, named: int | None) -> int:
-    """Return the station of the artefact. It is `named`, or the station in the settings if `named` is None.
+    """Return the station of the artefact for a nightly run or a verification. It is `named`, or the station in the
+    settings if `named` is None.
 
     Raises ConfigurationError if neither names a station, or if the machine has no such station.
     """
@@ -86,7 +90,8 @@ def station_of(job: Job, named: int | None) -> int:
 
 
 def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
-    """Return the plan of a night that consists of the verification only."""
+    """Return the plan of a night in which the machine is only verified, that is, compared with the last accepted
+    night."""
     chosen = chooser.job.settings.nightly
     held_out = _held_out(chooser, chosen.held_out_positions)
     checked = chooser.detecting_jumps(judge.prior, chosen.check_positions, held_out)
@@ -96,8 +101,8 @@ def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
 def night_plan(
     chooser: PositionChooser, judge: Judge, slot_minutes: float, start_mm: Point, watch: Callable[[], None]
 ) -> tuple[NightPlan, PreflightResult]:
-    """Plan as many positions as fit into the slot minus its reserve. Return the plan and its preflight, from which the
-    duration is taken.
+    """Plan as many positions as fit into the slot (machine time available for a night) minus its reserve. Return the
+    plan and its preflight (simulated execution of the run), from which the duration is taken.
 
     Raises PlanRefused if the slot is too short.
     """
@@ -129,7 +134,8 @@ def night_plan(
 
 
 def whole_night(plan: NightPlan) -> Procedure:
-    """Return the measuring procedure of a whole night for the preflight: verification, further positions and proof."""
+    """Return the measuring procedure of a whole night for the preflight (simulated run): verification of the machine,
+    further positions and proof of the new table."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         prepared = yield from job.preparation_plan()
@@ -146,10 +152,10 @@ def whole_night(plan: NightPlan) -> Procedure:
 
 
 def verification_only(plan: NightPlan) -> Procedure:
-    """Return the measuring procedure of a verification for the preflight.
+    """Return the measuring procedure of a verification for the preflight (simulated run).
 
-    A procedure returns the measurements of the run and of its proof. A verification has no proof; this procedure
-    returns its only measurement twice.
+    A procedure returns the measurements of the run and of the proof of its table. A verification has no proof; this
+    procedure returns its only measurement twice.
     """
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
@@ -161,7 +167,8 @@ def verification_only(plan: NightPlan) -> Procedure:
 
 
 def additional_positions(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
-    """Return the procedure that measures `positions` in addition to a night, without another check of the probe."""
+    """Return the measuring procedure that measures `positions` in addition to the positions of a nightly run, without
+    another check of the probe."""
 
     def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
         measured = yield from measure_positions(plan.order(prefix, positions), job.layout, job.rules)

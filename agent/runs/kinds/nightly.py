@@ -62,9 +62,11 @@ SUSPECTS = 8
 class Night:
     """Kind of run that verifies the machine and improves the estimate.
 
-    `slot_minutes` is the length of the slot. `full_allowed` is True if, in this night, a person moves the artefact
-    between stations and consents to a table for a changed machine. If `slot_minutes` or `full_allowed` is None, it is
-    taken from the settings. `station` and `nights` have the same meaning as in `Verification`.
+    `slot_minutes` is the length of the slot (machine time available for a night). `full_allowed` is True if, in this
+    night, a person moves the artefact between stations and consents to a table for a changed machine. If `slot_minutes`
+    or `full_allowed` is None, it is taken from the settings. `station` is the station of the artefact; if it is None,
+    the station is taken from the settings. `nights` is the number of nights since the last accepted night; if it is
+    None, the number is computed from the date.
     """
 
     slot_minutes: float | None = None
@@ -100,9 +102,9 @@ class Night:
 
 
 class NightlyRun(CalibrationRun):
-    """Run of a night. It verifies the machine, measures further positions in the rest of the slot, and combines the
-    measurements with the earlier estimate. If the expected gain is large enough, it also writes an updated table and
-    proves it."""
+    """Run of a night. It verifies the machine, measures further positions in the rest of the slot (machine time
+    available for a night), and combines the measurements with the earlier estimate. If the expected gain in accuracy is
+    large enough, it also writes an updated compensation table and proves it."""
 
     def __init__(
         self,
@@ -155,11 +157,11 @@ class NightlyRun(CalibrationRun):
         return tuple(further)
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """Return an error if too little of the slot is left to resume the run, and None otherwise. The time of an
-        interruption counts as part of the slot.
+        """Return an error if too little of the slot (machine time available for a night) is left to resume the run, and
+        None otherwise. The time of an interruption counts as part of the slot.
 
-        The time left must suffice for the rest of the verification, because an incomplete verification is useless.
-        `following` is the first moving step of the resumed run.
+        The time left must suffice for the rest of the verification at the beginning of the run, because an incomplete
+        verification is useless. `following` is the first moving step of the resumed run.
         """
         at_s = self._preflight_result.timeline.get(following.key)
         needed = 0.0 if at_s is None else (self._preflight_result.machine_seconds - at_s) / S_PER_MIN

@@ -27,7 +27,7 @@ from twin.monitoring.step_detection import SuspectedJump
 
 @dataclass(frozen=True, eq=False)
 class PositionChooser:
-    """Choice of positions at one `station`, where the artefact stands during the whole night."""
+    """Choice of the positions of a night at one `station`, where the artefact stands during the whole night."""
 
     job: Job
     station: int
@@ -40,8 +40,9 @@ class PositionChooser:
         return sum(self.feasibility.minutes(position) for position in positions)
 
     def held_out(self, count: int) -> tuple[Position, ...]:
-        """Return held-out positions at this station. They are the first `count` orientations of the settings
-        `verification.positions_deg` that can be measured here, or fewer if there are not enough."""
+        """Return held-out positions (measured, but not used for the estimate) at this station. They are the first
+        `count` orientations of the setting `verification.positions_deg` that can be measured here, or fewer if there
+        are not enough."""
         candidates = [
             Position(self.station, azimuth, elevation)
             for azimuth, elevation in self.job.settings.verification.positions_deg
@@ -57,10 +58,11 @@ class PositionChooser:
         measured: Sequence[Position] = (),
         left_out: Sequence[Position] = (),
     ) -> Iterator[Position]:
-        """Yield at most `most` positions in descending order of gain per minute, as long as they fit into `minutes`.
+        """Yield at most `most` positions in descending order of gain per minute of machine time, as long as they fit
+        into `minutes`.
 
-        The gain is the reduction of the uncertainty that remains after `prior` and the positions `measured`. Positions
-        in `left_out` are never chosen.
+        The gain is the reduction of the predicted uncertainty that remains after `prior` and the positions `measured`.
+        Positions in `left_out` are never chosen.
         """
         offered = [position for position in self._offered() if position not in left_out]
         search, places = self._search(prior, [*measured, *offered])
@@ -78,7 +80,7 @@ class PositionChooser:
         self, prior: CarriedOverPrior, count: int, measured: Sequence[Position]
     ) -> tuple[Position, ...]:
         """Return `count` positions that, together with the positions `measured`, best detect a sudden change (jump) of
-        any error."""
+        any machine error."""
         ranked = self._ranked(prior, JumpQuestions.any_jump(prior.unknowns), measured)
         return tuple(islice(ranked, count))
 
@@ -90,9 +92,10 @@ class PositionChooser:
         minutes: float,
         measured: Sequence[Position],
     ) -> tuple[Position, ...]:
-        """Return the positions that best distinguish which of the errors `suspects` has jumped.
+        """Return the positions that best distinguish which of the machine errors `suspects` has jumped.
 
-        As many positions are returned as fit into `minutes`. Positions in `measured` are not returned again.
+        As many positions are returned as fit into `minutes` of machine time. Positions in `measured` are not returned
+        again.
         """
         names, scale = prior.unknowns.model.names, prior.unknowns.scale
         jumps = np.zeros((len(suspects), prior.unknowns.blocks.size))

@@ -1,4 +1,5 @@
-"""Kind of run `restore`. The run reactivates a table that is stored in the journal. The machine does not move."""
+"""Kind of run `restore`. The run reactivates a compensation table that is stored in the journal. The machine does not
+move."""
 
 from __future__ import annotations
 
@@ -30,26 +31,27 @@ _NOTHING = MeasuredPositions((), (), 0, None, {})
 
 @dataclass(frozen=True)
 class Restoration:
-    """Kind of run that reactivates a table stored in the journal. It is the latest table that the run `run_id` stored
-    in the given role. `role` is "backup" (table active before the run), "staged" (table written by the run) or
-    "restored" (table that the run reactivated)."""
+    """Kind of run that reactivates a compensation table stored in the journal, namely the latest table that the run
+    `run_id` stored in the role `role`. The role is "backup" (table active before the run), "staged" (table written by
+    the run) or "restored" (table that the run reactivated)."""
 
     run_id: str
     role: TableRole = "backup"
     name: str = "restore"
 
     def plan(self, job: Job, start: StartConditions, _: Callable[[], None]) -> PlannedRun:
-        """Return the planned run. Raises InputError if the journal does not contain the table."""
+        """Return the planned run. Raises InputError if the journal does not contain the table to be restored."""
         image = stored_table(job.settings.state_directory, self.run_id, self.role)
         preflight = PreflightResult(_NOTHING, _NOTHING, {}, (), 0.0, 0.0, 0)
         return PlannedRun(job, self, start, preflight, lambda context: RestorationRun(job, context, image, self))
 
 
 class RestorationRun(GuardedRun):
-    """Run that stages the stored table, activates it and checks the active bank.
+    """Run that writes a compensation table stored in the journal to an inactive bank (memory of the controller for one
+    table), activates this bank and checks that it is active.
 
-    If one of these steps fails, the previous table is reactivated. If the stored state is without compensation, no
-    table is staged and bank 0 is activated.
+    If one of these steps fails, the table active before the run is reactivated. If the stored state is without
+    compensation, no table is written and bank 0 is activated.
     """
 
     def __init__(self, job: Job, context: RunContext, image: TableImage | None, kind: Restoration) -> None:
@@ -87,8 +89,8 @@ class RestorationRun(GuardedRun):
 
 
 def stored_table(directory: Path, run_id: str, role: str) -> TableImage | None:
-    """Return the last table that the run `run_id` stored in the role `role`. The result is None if the record states
-    that no compensation was active.
+    """Return the last compensation table that the run `run_id` stored in the journal in the role `role` ("backup",
+    "staged" or "restored"). The result is None if the record states that no compensation was active.
 
     Raises InputError if the run stored no such table.
     """

@@ -1,4 +1,5 @@
-"""Proof, by the held-out positions of a night, of the table that the nightly run has updated.
+"""Proof of the compensation table that a nightly run has updated, by the held-out positions of the night (measured, but
+not used for the estimate).
 
 The proof of a full calibration requires that the table removes most of the error. From one night to the next, however,
 a table changes by less than the repeatability of the touches. The proof of an update therefore has only two conditions.
@@ -31,8 +32,9 @@ _COVERAGE = 3.0
 def prove_update(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
-    """Return the proof of an updated table. The held-out balls `before`, measured before activation of the new table,
-    are compared with the held-out balls `after`, measured after its activation.
+    """Return the proof of an updated compensation table. The held-out balls `before` (balls not used for the estimate),
+    measured before activation of the new table, are compared with the same balls `after`, measured after its
+    activation.
 
     Raises MeasurementFault if too few held-out balls were measured.
     """

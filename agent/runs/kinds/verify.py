@@ -1,7 +1,7 @@
 """Kind of run `verify`.
 
-A few positions are measured with active compensation and compared with the last accepted night. The run writes no
-table.
+A few positions are measured with active compensation and compared with the last accepted night (the last run whose
+estimate was accepted as the reference). The run writes no compensation table.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ class Verification:
     """Kind of run that only verifies the machine.
 
     `station` is the station of the artefact; if it is None, the station is taken from the settings. `nights` is the
-    number of nights since the last accepted night; if it is None, the number is computed from the date.
+    number of nights since the last accepted night (the last run whose estimate was accepted as the reference); if it is
+    None, the number is computed from the date.
     """
 
     station: int | None = None
@@ -53,8 +54,8 @@ class Verification:
 
 
 class VerifyRun(GuardedRun):
-    """Run that measures a few positions and compares them with their prediction. It does not change the
-    compensation."""
+    """Run that measures a few positions and compares them with their prediction from the last accepted night. It does
+    not change the compensation."""
 
     def __init__(self, job: Job, context: RunContext, judge: Judge, plan: NightPlan) -> None:
         super().__init__(job, context)
