@@ -43,8 +43,8 @@ class UnfinishedRun:
 def unfinished_run(state_directory: Path) -> UnfinishedRun | None:
     """Return the last run if it was interrupted. Return None if it ended regularly or if the journal contains no run.
 
-    Only the owner of the machine may call this function, because a run in progress looks like an interrupted one. Raise
-    InputError if the journal cannot be read.
+    Only the process that owns the machine may call this function, because a run in progress looks like an interrupted
+    one. Raise InputError if the journal cannot be read.
     """
     if not has_journal(state_directory):
         return None

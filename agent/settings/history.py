@@ -39,7 +39,7 @@ class HistorySettings(StrictModel):
     parameter_tolerances: dict[Error, PositiveFloat] = Field(default={})
 
     def resolved(self, base: Path) -> Self:
-        """Return these settings with relative paths resolved against `base`."""
+        """Return these settings with relative paths resolved against the directory `base`."""
         if self.credentials_file is None:
             return self
         return self.model_copy(update={"credentials_file": (base / self.credentials_file).resolve()})

@@ -29,7 +29,7 @@ class OpcUaSettings(StrictModel):
     anonymous_reading: bool = False
 
     def resolved(self, base: Path) -> OpcUaSettings:
-        """Return these settings with relative paths resolved against `base`."""
+        """Return these settings with relative paths resolved against the directory `base`."""
         if self.trusted_clients is None:
             return self
         return self.model_copy(update={"trusted_clients": (base / self.trusted_clients).resolve()})

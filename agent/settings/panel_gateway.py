@@ -50,7 +50,7 @@ class GatewaySettings(StrictModel):
     on_panel_timeout: Literal["note", "hold"] = "note"
 
     def resolved(self, base: Path) -> GatewaySettings:
-        """Return these settings with relative paths resolved against `base`."""
+        """Return these settings with relative paths resolved against the directory `base`."""
         if self.access_code_file is None:
             return self
         return self.model_copy(update={"access_code_file": (base / self.access_code_file).resolve()})

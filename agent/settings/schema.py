@@ -32,8 +32,8 @@ Order = Literal["evidence", "file"] | Annotated[int, Field(ge=1, le=15)]
 class ClockSettings(StrictModel):
     """Clock of the run.
 
-    `kind` is ``real`` on a machine. With simulators it is ``scaled`` (machine time runs at `factor` times wall-clock
-    time) or ``lockstep`` (the time server of the simulator at `host` and `port` sets the time).
+    `kind` is ``real`` on a real machine. With simulators it is ``scaled`` (machine time runs at `factor` times
+    wall-clock time) or ``lockstep`` (the time server of the simulator at `host` and `port` sets the time).
     """
 
     kind: Literal["real", "scaled", "lockstep"] = "real"
@@ -79,7 +79,7 @@ class StationSettings(StrictModel):
     park_distance_mm: PositiveFloat = 1000.0
 
     def resolved(self, base: Path) -> StationSettings:
-        """Return these settings with relative paths resolved against `base`."""
+        """Return these settings with relative paths resolved against the directory `base`."""
         if self.artefacts is None:
             return self
         return self.model_copy(update={"artefacts": [(base / path).resolve() for path in self.artefacts]})
@@ -156,9 +156,9 @@ class QualificationSettings(StrictModel):
 class ReversalSettings(StrictModel):
     """Reversal test of the linear axes on the datum ball.
 
-    At each of two points per axis the ball is touched `touches` times from either side. Lost motion above `limit_um`
-    raises a warning. If `on_excess` is ``stop`` and the lost motion exceeds the limit by more than its uncertainty, the
-    run ends.
+    At each of two points per axis the ball is touched `touches` times from either side. Lost motion (difference of the
+    positions reached from either direction) above `limit_um` causes a warning. If `on_excess` is ``stop`` and the lost
+    motion exceeds the limit by more than its uncertainty, the run ends.
     """
 
     enabled: bool = True
@@ -182,8 +182,8 @@ class IdentificationSettings(StrictModel):
 
 
 class TableSettings(StrictModel):
-    """Grid and anchor of the compensation table. `step_mm` is the node distance per axis. `anchor_mm` contains the axis
-    positions at which the correction is zero."""
+    """Grid and anchor of the compensation table. `step_mm` is the distance of the grid nodes per axis. `anchor_mm`
+    contains the axis positions at which the correction is zero."""
 
     step_mm: Coordinates = (100.0, 100.0, 100.0)
     anchor_mm: Coordinates | None = None
@@ -341,7 +341,7 @@ class Settings(StrictModel):
         return self
 
     def resolved(self, base: Path) -> Settings:
-        """Return these settings with relative paths resolved against `base`."""
+        """Return these settings with relative paths resolved against the directory `base`."""
         paths = {name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
         doors = {name: getattr(self, name).resolved(base) for name in ("service", "gateway", "opcua", "history")}
         return self.model_copy(update={**paths, **doors, "stations": self.stations.resolved(base)})

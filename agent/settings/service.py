@@ -73,7 +73,7 @@ class ServiceSettings(StrictModel):
         return self
 
     def resolved(self, base: Path) -> ServiceSettings:
-        """Return these settings with relative paths resolved against `base`."""
+        """Return these settings with relative paths resolved against the directory `base`."""
         named = {name: getattr(self, name) for name in ("certificate_file", "key_file", "token_file")}
         return self.model_copy(
             update={name: (base / path).resolve() for name, path in named.items() if path is not None}

@@ -28,8 +28,8 @@ class TemperatureSettings(StrictModel):
 
     The thermal drift of the machine is fitted if the machine temperature changes by at least `min_change_k`. If the
     machine has no sensor, the change is assumed to be `declared_change_k`. The prior standard deviations per kelvin are
-    `scale_um_per_m_k` for scales, `bending_um_per_m_k` for bending and tilt of guides, and `tip_um_per_k` for the
-    position of the tip. The position of the tip includes the growth of the scales at mid-travel.
+    `scale_um_per_m_k` for the scales of the axes, `bending_um_per_m_k` for bending and tilt of guides, and
+    `tip_um_per_k` for the position of the tip. The position of the tip includes the growth of the scales at mid-travel.
 
     The first `repeat_positions` positions at the first station are measured again at the end of the run if the machine
     temperature has changed by at least `repeat_after_change_k`.

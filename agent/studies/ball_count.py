@@ -30,7 +30,7 @@ AXIS_LABEL = "balls over the same length"
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Results of one identification variant for each number of balls in `COUNTS`.
+    """Results of one identification variant for each number of balls in `COUNTS` (3 to 15).
 
     `verdicts` contains the volumetric error after compensation (VCE) for each number of balls. `shares` contains the
     gain (reduction of the volumetric error) as a share of the largest gain. A share is None if the machine is not
@@ -51,7 +51,7 @@ class Curve:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate bars that have the length of the case's bar and 3 to 15 balls, in the position set of the case."""
+    """Evaluate artefact bars with 3 to 15 balls, all as long as the bar of `case`, in the position set of `case`."""
     bar, evaluator, variants, positions = (
         Bar.of(case.artefact),
         ProcedureEvaluator(case),

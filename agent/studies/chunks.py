@@ -47,7 +47,7 @@ class Chunk(Generic[Item]):
 
 
 def split_into_chunks(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
-    """Split the items into chunks of equal size for `workers` workers; the last chunk may be shorter."""
+    """Split the items into chunks of equal size for `workers` worker processes; the last chunk may be shorter."""
     size = max(1, min(_MAX_ITEMS, -(-len(items) // (_CHUNKS_PER_WORKER * workers))))
     return [Chunk(start, items[start : start + size]) for start in range(0, len(items), size)]
 

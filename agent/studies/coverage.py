@@ -1,9 +1,9 @@
 """Study of how often the 95 % confidence regions of an estimate contain the true errors (coverage), for machines that
 have more errors than the model describes.
 
-Each machine is drawn with one of several forms of elastic deflection. It is measured in the position set of the case
-and in the held-out positions. Two estimates are made: one with the Legendre order of the machine file, and one with the
-order that has the largest evidence from the measurements.
+Each machine is drawn with one of several forms of elastic deflection. It is measured in the position set of the study's
+case and in the held-out positions. Two estimates are made: one with the Legendre order of the machine file, and one
+with the order that has the largest evidence from the measurements.
 """
 
 from __future__ import annotations

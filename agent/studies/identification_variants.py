@@ -29,7 +29,8 @@ class IdentificationVariant:
 
     @property
     def title(self) -> str:
-        """Label of the variant. The label of the published method also says that it is the published method."""
+        """Label of the identification variant in figures. The label of the published method also says that it is the
+        published method."""
         published = IdentificationVariant(PUBLISHED).label == self.label
         return f"{self.label} (published method)" if published else self.label
 

@@ -25,7 +25,7 @@ Verdicts = Sequence[tuple[Verdict, ...]]
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Evaluate the bar of the case with each tilt of its ball holders, in the position sets S2 and S2+S3."""
+    """Evaluate the artefact bar of `case` with each tilt of its ball holders, in the position sets S2 and S2+S3."""
     bar, evaluator, variants = Bar.of(case.artefact), ProcedureEvaluator(case), identification_variants(case.options)
     cases = [(name, tilt) for name in SETS for tilt in TILTS_DEG]
     trials = [ProcedureVariant.of(case, bar.with_(tilt_deg=tilt), case.positions(name)) for name, tilt in cases]

@@ -53,7 +53,8 @@ class SimulatedMachine:
 
 @dataclass(frozen=True, eq=False)
 class ProcedureTask:
-    """Task that draws the machine with a given number and simulates the procedure on it.
+    """Task that draws the machine with a given number and simulates the measuring procedure and the identification on
+    it.
 
     If assumptions and seed are the same, a given number stands for the same machine and artefact in all procedures.
     """
@@ -68,8 +69,8 @@ class ProcedureTask:
 
     @classmethod
     def of(cls, case: StudyCase, planned: Observations, options: Options | None = None) -> ProcedureTask:
-        """Return the task for the artefact and machines of the case. If `options` is None, the options of the case are
-        used."""
+        """Return the task for the artefact and machines of `case`. If `options` is None, the identification options of
+        `case` are used."""
         chosen = options or case.options
         family = case.machine.family
         return cls(planned, case.artefact, family, case.assumptions, chosen, case.tool_offset, case.seed)
@@ -114,7 +115,7 @@ class ErrorSample:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Simulate `case.machines` machines, measured in the position set of the case, and compare their volumetric errors
+    """Simulate `case.machines` machines, measured in the position set of `case`, and compare their volumetric errors
     before and after compensation (VE and VCE) with the values computed in closed form."""
     planned = case.procedure.plan(case.positions()).observations
     grid = evaluation_grid(case.machine.model.ranges_mm)

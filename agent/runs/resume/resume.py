@@ -1,6 +1,7 @@
 """Resumption of an interrupted run.
 
-`resume` is the counterpart of `agent.runs.session.carry_out` and returns the same type of result.
+`resume` is the counterpart of `agent.runs.session.carry_out`, which begins a new run; both return the same type of
+result.
 """
 
 from __future__ import annotations

@@ -21,7 +21,8 @@ _BEAT = PANEL[0].address
 
 
 class PanelSession:
-    """Registers and abort coil of one panel connection, as a `RegisterTable`. Only one thread may use the object."""
+    """Registers and abort coil of one panel connection, with the interface `RegisterTable`, through which decoded
+    requests read and write them. Only one thread may use the object."""
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway

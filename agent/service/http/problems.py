@@ -48,7 +48,8 @@ class Problem(BaseModel):
 
 
 class RequestRefused(Exception):
-    """Error raised if the HTTP endpoint itself refuses a request, before the request reaches the control."""
+    """Error raised if the HTTP endpoint itself refuses a request, before the request reaches the `Control` of the
+    service."""
 
     def __init__(self, status: HTTPStatus, detail: str, hint: str = "", headers: dict[str, str] | None = None) -> None:
         super().__init__(detail)
@@ -74,7 +75,7 @@ def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONRespo
 
 
 def install(app: FastAPI) -> None:
-    """Install the handlers that turn every error of a request into a problem document."""
+    """Install in the HTTP application the handlers that turn every error of a request into a problem document."""
 
     @app.exception_handler(errors.VolcalError)
     def volcal_error(_: Request, error: errors.VolcalError) -> JSONResponse:

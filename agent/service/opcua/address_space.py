@@ -1,5 +1,5 @@
-"""OPC UA address space. It consists of the nodes of `agent.service.opcua.model`, which are updated from the status, and
-of the events of the service."""
+"""OPC UA address space. It consists of the nodes defined in `agent.service.opcua.model`, which are updated from the
+status of the service, and of the events of the service."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class AddressSpace:
         await self._add_events(root)
 
     async def show(self, status: Status) -> None:
-        """Update the nodes with all values of the status that have changed since the last call."""
+        """Update the nodes with all values of the service status that have changed since the last call."""
         for variable in VARIABLES:
             await self._write(variable.path, variable.of(status))
         refusal = self._calls.last_refusal

@@ -40,7 +40,8 @@ class ServerFiles:
 
 
 class OpcUaServer:
-    """OPC UA server for a `Control`. The server shows the status of the control and offers its methods to clients."""
+    """OPC UA server for a `Control`, the interface to the owner of the machine. The server shows the status that the
+    control reports and offers the methods of the control to clients."""
 
     def __init__(self, settings: OpcUaSettings, files: ServerFiles, control: Control) -> None:
         self._settings = settings

@@ -37,7 +37,7 @@ log = structlog.get_logger()
 
 
 class Owner:
-    """Owner of the machine, which implements `Control`."""
+    """Owner of the machine, which implements `Control`, the interface that all endpoints use."""
 
     def __init__(self, settings: Settings, parts: OwnerParts) -> None:
         self.settings = settings

@@ -20,7 +20,8 @@ REPORT = "report.html"
 
 
 def no_report_yet(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
-    """Return no files. This function is the `ReportRenderer` of a run whose report is rendered only after its end."""
+    """Return no files. This function takes the place of the function that renders the report (`ReportRenderer`) in a
+    run whose report is rendered only after its end."""
     return {}
 
 

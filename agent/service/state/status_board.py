@@ -43,8 +43,8 @@ class IdleStatus:
 
 @dataclass
 class StatusBoard:
-    """Board with the current status of the service. Any thread may read it. Every change of the state is published as
-    an event."""
+    """Current status of the service, from which all endpoints read. Any thread may read it. Every change of the state
+    is published as an event."""
 
     machine: str
     event_log: EventLog

@@ -35,8 +35,8 @@ _MOVING = frozenset({S.MEASURING, S.VERIFYING, S.HELD})
 
 
 def doing(state: RunState, step: str, kind: str | None) -> str:
-    """Return the current activity as one line of text. During a measurement the line includes the station, the
-    orientation and the ball."""
+    """Return the current activity of the service as one line of text. During a measurement the line includes the
+    station, the orientation and the ball."""
     words = _STATES[state]
     place = _place(step) if state in _MOVING else ""
     if state is S.MEASURING and not place and kind is not None:
