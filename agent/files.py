@@ -1,7 +1,8 @@
 """Reading of files with plain error messages, and writing of files that are either complete and durable or absent.
 
-This module reads and writes the text of files; `twin.formats` converts text to values. `translated` turns errors of the
-package `twin` into errors of the application, with the same message, locations and hint.
+This module reads and writes the text of files; the package `twin.formats` converts text to values. The function
+`translated` turns errors of the package `twin` into errors of the application, with the same message, locations and
+hint.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ FILE_MODE = 0o644
 
 
 def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
-    """Return the text of a file. Raises `error` if the file cannot be read or is not UTF-8 text."""
+    """Return the text of a file. Raises an error of class `error` if the file cannot be read or is not UTF-8 text."""
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
@@ -39,9 +40,11 @@ def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
 
 @contextmanager
 def translated(error: type[VolcalError] = InputError, **where: str | int) -> Iterator[None]:
-    """Turn a `TwinError` raised in the block into an `error` with the same message, locations and hint.
+    """Turn a `TwinError` (an error of the package `twin`) raised in the `with` block into an error of the class `error`
+    with the same message, locations and hint.
 
-    `where` contains further locations to be added to the error, such as the name of a file.
+    Locations say what the error refers to, such as a file or a settings key. `where` contains further locations to be
+    added to the error.
     """
     try:
         yield
@@ -50,7 +53,7 @@ def translated(error: type[VolcalError] = InputError, **where: str | int) -> Ite
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write `text` to `path` durably.
+    """Write `text` to the file `path`, so that it is on the disk when the function returns.
 
     If the write is interrupted, the file at `path` contains either its old text or the new text.
     """
@@ -58,7 +61,7 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write several files into one directory. The directory is created if it is missing.
+    """Write several files into `directory`, which is created if it is missing. `contents` maps file names to contents.
 
     All files are written completely to the disk under temporary names before the first file is renamed. If a file
     cannot be written, InputError is raised and none of the files appears.
@@ -110,8 +113,8 @@ def _file_in_the_way(path: Path) -> InputError:
 def streamed_atomically(path: Path) -> Iterator[TextIO]:
     """Yield a temporary text file that the caller writes piece by piece.
 
-    At the end of the block, the temporary file is renamed to `path`. If the block raises an error, the temporary file
-    is deleted.
+    At the end of the `with` block, the temporary file is renamed to `path`. If the block raises an error, the temporary
+    file is deleted.
 
     Bytes that were not valid UTF-8 when they were read with the error handler `surrogateescape` are written unchanged.
     Line ends are not changed.

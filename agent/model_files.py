@@ -1,7 +1,8 @@
-"""Reading of machine, artefact, position and ball files. The functions return objects of the package `twin`.
+"""Reading of machine, artefact, position and ball files. The functions return objects of the package `twin`, which
+contains the numerical model of the machine.
 
-This module is separate from `agent.files` so that a command that needs none of these files does not import the
-numerical code of `twin`.
+This module is separate from `agent.files`, which reads and writes any text file, so that a command that needs none of
+the model files does not import the numerical code of `twin`.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ def load_machine(path: Path) -> MachineDescription:
 def load_artefact(path: Path) -> Artefact:
     """Return the artefact described by an artefact file.
 
-    If the artefact file names a covariance file, this file is read too. Its path is relative to the artefact file.
+    If the artefact file names a file with the covariance of the ball centres, this file is read too. Its path is
+    relative to the artefact file.
     """
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):
@@ -48,7 +50,7 @@ def load_positions(path: Path) -> tuple[Position, ...]:
 
 
 def load_balls(path: Path, machine: MachineDescription) -> BallFile:
-    """Return the ball centres of a CSV file.
+    """Return the measured ball centres from a CSV file.
 
     Raises InputError if the file cannot be used or names a tool that `machine` does not have.
     """

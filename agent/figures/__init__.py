@@ -1,1 +1,1 @@
-"""House style of figures: colours, fonts and axes of reports and studies."""
+"""Common style of all figures: the colours, fonts and axes of the figures in reports and studies."""

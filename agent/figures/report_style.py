@@ -1,10 +1,10 @@
-"""Style of report figures, with one set of colours. Text and axes follow the light or dark theme of the page.
+"""Style of report figures, with one set of colours. Text and axes follow the light or dark theme of the report page.
 
 Figures are drawn with placeholder colours, which are replaced by CSS variables of the page in the finished SVG. The
 same drawing can therefore be shown on a light screen, on a dark screen and on paper.
 
-The series colours are those of Okabe and Ito, which can be distinguished with the common forms of colour blindness. The
-lightness of the map colours (viridis) increases evenly.
+The colours of lines and points are those of Okabe and Ito, which can be distinguished with the common forms of colour
+blindness. The colours of maps are those of viridis, whose lightness increases evenly.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins around the panels of a figure, in inches.
+    """Margins around the panels of a report figure, in inches.
 
     The margins are fixed, because computing them from each drawing would double the time that a report takes.
     """
@@ -84,7 +84,7 @@ class Margins:
 
 
 class Drawing:
-    """Figure in the house style, rendered as SVG. `width_in` and `height_in` are in inches.
+    """Figure in the style of the reports, rendered as SVG. `width_in` and `height_in` are in inches.
 
     The object is a context manager that yields an empty matplotlib figure, in which the caller draws. After the block,
     the method `svg` returns the result.
@@ -119,7 +119,9 @@ class Drawing:
             self._context.__exit__(None, None, None)
 
     def svg(self) -> str:
-        """Return the `<svg>` element for a page. The text is empty until the `with` block has ended."""
+        """Return the text of the `<svg>` element of the figure, for use in a page. The text is empty until the `with`
+        block, in which the caller draws, has ended.
+        """
         return self._svg
 
 

@@ -1,7 +1,8 @@
 """Style of study figures, which have a light background, one set of colours, and labels with units.
 
-The series colours are those of Okabe and Ito, which can be distinguished with the common forms of colour blindness. The
-lightness of the map colours (viridis) increases evenly. Each drawing is rendered both as PNG and as SVG.
+The colours of lines and points are those of Okabe and Ito, which can be distinguished with the common forms of colour
+blindness. The colours of maps are those of viridis, whose lightness increases evenly. Each drawing is rendered both as
+PNG and as SVG.
 """
 
 from __future__ import annotations
@@ -78,16 +79,17 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Picture:
-    """Drawing that has been rendered both as PNG and as SVG."""
+    """Figure that has been rendered both as PNG and as SVG."""
 
     png: bytes
     svg: str
 
 
 def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
-    """Return a figure in the house style, rendered as PNG and as SVG. The function `draw` draws the figure.
+    """Return a figure in the style of the studies, rendered as PNG and as SVG. The function `draw` receives the empty
+    figure and draws on it.
 
-    `size_in` contains the width and the height in inches. The same input gives the same bytes.
+    `size_in` contains the width and the height in inches. The same input always gives the same bytes.
     """
     with mpl.rc_context(_SETTINGS):
         mpl.rcParams["svg.hashsalt"] = name
@@ -97,7 +99,7 @@ def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
 
 
 def from_zero(axes: Axes, label: str) -> None:
-    """Set the label of the vertical axis to `label`, and start the scale of this axis at zero."""
+    """Set the label of the vertical axis of the plot `axes` to `label`, and start the scale of this axis at zero."""
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
 

@@ -1,4 +1,5 @@
-"""History of the runs of all machines, with trends and alarms.
+"""History of the calibration runs of all machines, with the trends of their results and alarms of these trends.
 
-The history is derived from the journals, which remain the authoritative record.
+The history is derived from the journals, the databases in which each machine records its runs. The journals remain the
+authoritative record.
 """

@@ -1,4 +1,6 @@
-"""Address of the history database, derived from the settings. The password is read from a file and is never shown."""
+"""Address of the database that stores the history of runs. The address is derived from the settings. The password is
+read from a file and is never shown.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ class DatabaseAddress:
 
 
 def database_address(settings: Settings) -> DatabaseAddress:
-    """Return the address of the history database.
+    """Return the address of the history database as given in `settings`.
 
     Raises ConfigurationError if the URL is not supported or contains a password, or if the credentials file can be read
     by users other than the owner of the file.

@@ -1,4 +1,4 @@
-"""Export of the history as CSV or JSON, without internal columns."""
+"""Export of the history of runs as CSV or JSON, without columns that serve only the history database."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
 
 
 def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
-    """Return one run as a document with the keys of docs/reference/json.md.
+    """Return one run as a mapping that can be written as JSON. The keys are described in docs/reference/json.md.
 
-    If `whole` is True, the document includes the parameters, temperatures and decisions.
+    If `whole` is True, the mapping includes the estimated parameters, the temperatures and the decisions of the run.
     """
     document = {name: _plain(getattr(run, name)) for name in COLUMNS}
     if whole:
@@ -35,7 +35,7 @@ def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
 def as_csv(runs: Sequence[StoredRun]) -> str:
     """Return CSV text with one line per run.
 
-    The last columns hold the value and the standard uncertainty of each parameter.
+    The last columns hold the value and the standard uncertainty of each parameter of the error model.
     """
     names = list(dict.fromkeys(p.name for run in runs for p in run.parameters))
     units = {p.name: p.unit for run in runs for p in run.parameters}

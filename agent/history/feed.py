@@ -1,4 +1,4 @@
-"""Update of the history after a run.
+"""Update of the history database after a run.
 
 `update_history` writes logs. It is therefore separate from `agent.history.sync`, which does not write logs.
 """
@@ -19,10 +19,10 @@ log = structlog.get_logger()
 
 
 def update_history(settings: Settings, run_id: str) -> str:
-    """Add the run `run_id`, and all other runs that are missing, to the history.
+    """Add the run `run_id`, and all other runs of the journal that are missing, to the history database.
 
-    Return an empty text on success. If the history cannot be updated, log the error and return its text; the run is not
-    affected.
+    Return an empty text on success. If the database cannot be updated, log the error and return its text; the run is
+    not affected.
     """
     try:
         with closing(HistoryStore(database_address(settings))) as store:

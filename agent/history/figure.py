@@ -1,5 +1,5 @@
-"""Figure of trends. It shows values, uncertainties, fitted lines, uncertainty bands, steps, control limits and
-tolerances.
+"""Figure of the trends of a machine's results. It shows values, uncertainties, fitted lines with uncertainty bands,
+sudden changes (steps), control limits and tolerances.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def trends_png(trends: Sequence[Trend]) -> bytes:
 
 
 def trends_svg(trends: Sequence[Trend]) -> str:
-    """Return the figure of `trends_png` as SVG for a report.
+    """Return an SVG image for a report with one panel per trend and two panels in each row.
 
     The colours of the figure follow the theme of the report page.
     """

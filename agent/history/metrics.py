@@ -1,4 +1,6 @@
-"""Metrics of one machine in the text format of Prometheus, from the history and the current status."""
+"""Metrics of one machine in the text format of the monitoring system Prometheus, computed from the history of runs and
+the current status.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,11 @@ ACCEPTED = "complete"
 def metrics_text(
     machine: str, runs: Sequence[StoredRun], trends: Sequence[Trend], live: Mapping[str, float] | None = None
 ) -> str:
-    """Return all metrics as text. `runs` contains all runs of the machine, sorted with the oldest run first.
+    """Return all metrics of `machine` in the text format of Prometheus. `runs` contains all runs of the machine, sorted
+    with the oldest run first.
 
     `live` contains the values of further metrics of the service by name. The metric `link_errors`, for example, is
-    written as `volcal_link_errors`. Metrics of the process itself are not included.
+    written as `volcal_link_errors`. Metrics of the service process itself, such as its memory, are not included.
     """
     registry = CollectorRegistry()
     _of_runs(registry, machine, runs)

@@ -15,7 +15,7 @@ _MOST_SHOWN = 6
 
 
 def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
-    """Return the trends of all series of one machine's runs.
+    """Return the trends of all series of values that are computed from the runs of one machine.
 
     The runs must be sorted, with the oldest run first.
     """
@@ -23,10 +23,10 @@ def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Tre
 
 
 def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:
-    """Return the trends of the series with the given names.
+    """Return those of `trends` whose series have the given names.
 
-    The name of a geometric error such as `EXX` also selects the trends of its coefficients. Raises InputError if there
-    is no series with one of the names.
+    The name of a geometric error such as `EXX` also selects the trends of its Legendre coefficients. Raises InputError
+    if there is no series with one of the names.
     """
     by_name = {trend.series.name: trend for trend in trends}
     found: dict[str, Trend] = {}
@@ -42,9 +42,10 @@ def select_trends(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend,
 def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Trend, ...]:
     """Return at most `most` trends, the most relevant trends first.
 
-    The trends of the volumetric errors and of the held-out balls come first, in the order of `trends`. Of the other
-    trends, those with a tolerance come before those without. In each of these two groups, trends with an alarm come
-    first. Trends that are still equal are sorted by the significance of their drift, the most significant first.
+    The trends of the volumetric errors and of the held-out balls (balls not used for the estimate) come first, in the
+    order of `trends`. Of the other trends, those with a tolerance come before those without. In each of these two
+    groups, trends with an alarm come first. Trends that are still equal are sorted by the significance of their drift,
+    the most significant first.
     """
     volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
     others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]
@@ -53,9 +54,11 @@ def most_relevant(trends: Sequence[Trend], most: int = _MOST_SHOWN) -> tuple[Tre
 
 
 def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
-    """Return the alarms of the volumetric errors, of the held-out balls and of the series with a tolerance.
+    """Return the alarms of three kinds of trends: those of the volumetric errors, of the held-out balls (balls not used
+    for the estimate), and of all series with a tolerance.
 
-    Other alarms are omitted, because among a hundred coefficients some exceed their control limits by chance.
+    Other alarms are omitted, because among a hundred coefficients of the error model some exceed their control limits
+    by chance.
     """
     return tuple(
         alarm

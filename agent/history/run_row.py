@@ -1,4 +1,6 @@
-"""Conversion of a run's record in the journal to rows of the history database. The database is not accessed."""
+"""Conversion of a run's record in the journal to rows of the history database. The history database itself is not
+accessed.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,10 @@ _TOO_BIG = ("written",)
 
 @dataclass(frozen=True)
 class RunRows:
-    """Database rows of one run.
+    """Rows of one run for the history database.
 
-    `run` contains the values of the columns of `StoredRun` except the digest. Each of the other fields contains the
-    rows for the database table of the same name.
+    `run` contains the columns of the run's row (those of `StoredRun` except the digest) and their values. `parameters`,
+    `temperatures` and `decisions` contain the rows for the database tables that store these values of a run.
     """
 
     run: Mapping[str, Any]
@@ -40,9 +42,9 @@ class RunRows:
 
 
 def machine_name(settings: Mapping[str, Any]) -> str:
-    """Return the machine's name from the history settings.
+    """Return the name that the machine has in the history database, from the section `history` of the settings.
 
-    If the history settings contain no name, return the name of the machine file without its suffix.
+    If this section contains no name, return the name of the machine file without its suffix.
     """
     named = settings.get("history", {}).get("machine")
     return str(named or Path(settings["machine"]).stem)

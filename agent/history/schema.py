@@ -1,8 +1,9 @@
-"""Database tables of the history of all machines. The columns `machine` and `run_id` together identify a run.
+"""Tables of the database that stores the runs of all machines (the history). The columns `machine` and `run_id`
+together identify a run.
 
-The columns of a table are derived from the fields of its row class. The row classes are plain dataclasses, and the
-tables use SQLAlchemy Core. The object-relational mapper of SQLAlchemy is not used, because it would add about 0.2 s to
-the start of `volcal history list`.
+The columns of a table are derived from the fields of a Python class that represents its rows. These row classes are
+plain dataclasses, and the tables use SQLAlchemy Core. The object-relational mapper of SQLAlchemy is not used, because
+it would add about 0.2 s to the start of `volcal history list`.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ Sha256 = Annotated[str, String(64)]
 
 @dataclass(frozen=True)
 class StoredParameter:
-    """Parameter of the error model with its ISO 230-1 name, its value and its standard uncertainty.
+    """Estimated parameter of the machine's error model, with its ISO 230-1 name, its value and its standard
+    uncertainty.
 
     `unit` is the unit of the value and of the standard uncertainty, either µm or µrad. `place` is the index of the
     parameter in the error model.
@@ -69,7 +71,8 @@ class StoredTemperature:
 
 @dataclass(frozen=True)
 class StoredDecision:
-    """Decision of a run, such as a gate, a verification or an acceptance.
+    """Decision of a run, such as the check of an estimate against its limits, a verification, or the acceptance of a
+    table.
 
     `place` is the index of the decision among the stored decisions of the run. `record` is the content of the decision
     as JSON text.
@@ -91,13 +94,14 @@ class StoredRun:
     is removed. A value is None if the run ended before the value was known, or if runs of this kind do not have the
     value.
 
-    `since` is the identity of the last run whose result was accepted as reference, and `nights` is the number of nights
-    since that run. `ve_before_um` is the VE estimated without a table. `ve_after_um` is the VE predicted with the new
-    table. `ve_now_um` is the VE that a verify or nightly run expects with the table that was active at the start of the
-    run. `acting_um` is the VE with the table that is active at the end of the run.
+    `since` is the identity of the last run whose result was accepted as reference before this run, and `nights` is the
+    number of nights since that run. `ve_before_um` is the VE estimated without a compensation table. `ve_after_um` is
+    the VE predicted with the new table. `ve_now_um` is the VE that a verify or nightly run expects with the table that
+    was active at the start of the run. `acting_um` is the VE with the table that is active at the end of the run.
 
-    `digest` is a hash of all stored values. An unchanged run is recognised by its digest and is not written again. The
-    last three fields contain the rows of the run in the other tables; they are not columns.
+    `digest` is a hash of all stored values. An unchanged run is recognised by its digest and is not written again.
+    `parameters`, `temperatures` and `decisions` contain the rows of the run in other tables of the database; they are
+    not columns.
     """
 
     machine: Name

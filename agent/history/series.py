@@ -1,6 +1,7 @@
-"""Series of values over the nights, computed from the runs of one machine.
+"""Series of values from night to night, computed from the runs of one machine.
 
-The series cover the volumetric errors, the 21 geometric errors and the single parameters.
+There are series of the volumetric errors, of the 21 geometric errors and of each individual parameter of the error
+model.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ class Series:
     unit `unit`, shape (n,). `sigmas` contains the standard uncertainties of the values in the same unit, shape (n,).
     `stated` is True if the standard uncertainties are known; otherwise all elements of `sigmas` are 1.
 
-    `tolerance` is the tolerance of the value, or None if there is none. `two_sided` is True if values may have either
-    sign. `steps` contains the nights at which the machine or its table is known to have changed.
+    `tolerance` is the largest acceptable absolute value, or None if there is none. `two_sided` is True if values may
+    have either sign. `steps` contains the nights at which the machine or its table is known to have changed.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Series:
 
 
 def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Series, ...]:
-    """Return all series of one machine's runs. Series without values are omitted.
+    """Return all series of values that are computed from the runs of one machine. Series without values are omitted.
 
     The runs must be sorted, with the oldest run first.
     """
@@ -67,7 +68,7 @@ def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Se
 
 
 def nights_of(runs: Sequence[StoredRun]) -> Array:
-    """Return the number of nights between the first run and each run, shape (n_runs,).
+    """Return the number of nights between the first of `runs` and each of them, shape (n_runs,).
 
     A run may record the number of nights since the last run whose result was accepted as reference. For such a run, the
     returned number is computed from the recorded number. For any other run, it is computed from the calendar.
@@ -147,7 +148,8 @@ def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySetting
 
 
 def title_of(parameter: str) -> str:
-    """Return the title of a parameter, such as `EXX slope`, `EYX bow` or `EXX order 4`.
+    """Return a readable title of the parameter `name` of the error model, such as `EXX slope`, `EYX bow` or `EXX order
+    4`. The order is that of the Legendre polynomial.
 
     A name that is not the name of a Legendre coefficient is returned unchanged.
     """

@@ -1,6 +1,6 @@
-"""Storage of the history in its database.
+"""Storage of the history of runs in a database.
 
-Each run of a machine has one row. If the run has changed, the row is replaced.
+Each run of a machine has one row in the table of runs. If the run has changed, its row is replaced.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ _CHILDREN: Mapping[str, tuple[Table, type, str]] = {
 class RunEnd:
     """End of a run.
 
-    `ended` is the UTC time of the end, or None if the run has not ended. `state` is the state of the run, and `reason`
-    is the reason for this state.
+    `ended` is the UTC time of the end, or None if the run has not ended. `state` is the last state of the run, and
+    `reason` is the reason for this state.
     """
 
     ended: datetime | None
@@ -85,18 +85,24 @@ class HistoryStore:
         self._engine.dispose()
 
     def digests(self, machine: str) -> Mapping[str, str]:
-        """Return a mapping from the identity of each run of `machine` to the stored digest of the run."""
+        """Return a mapping from the identity of each run of `machine` to the stored digest (hash of all values) of the
+        run.
+        """
         rows = self._read(select(RUNS.c.run_id, RUNS.c.digest).where(RUNS.c.machine == machine))
         return {run_id: digest for run_id, digest in rows}  # noqa: C416  a Row is no pair
 
     def ends(self, machine: str) -> Mapping[str, RunEnd]:
-        """Return a mapping from the identity of each run of `machine` to the stored end of the run."""
+        """Return a mapping from the identity of each run of `machine` to the stored end of the run: its time, state and
+        reason.
+        """
         query = select(RUNS.c.run_id, RUNS.c.ended, RUNS.c.state, RUNS.c.reason)
         rows = self._read(query.where(RUNS.c.machine == machine))
         return {run_id: RunEnd(utc_time(ended), state, reason) for run_id, ended, state, reason in rows}
 
     def put(self, rows: RunRows) -> None:
-        """Insert the rows of a run, or replace the stored rows of this run, in one transaction."""
+        """Insert `rows`, the rows of one run, into the database, or replace the stored rows of this run, in one
+        transaction.
+        """
         values = {**rows.run, "digest": rows.digest, **{at: _parse_time(rows.run[at]) for at in ("started", "ended")}}
         key = {name: values[name] for name in ("machine", "run_id")}
         with self._translated_errors(), self._engine.begin() as connection:
@@ -189,7 +195,8 @@ class HistoryStore:
 
 
 def stored_run(rows: RunRows) -> StoredRun:
-    """Return the run that `HistoryStore.runs` would return after `HistoryStore.put` had stored `rows`.
+    """Return the run that `rows` describes, as it would be read from the history database (`HistoryStore.runs`) after
+    `rows` had been stored there (`HistoryStore.put`).
 
     No database is used.
     """

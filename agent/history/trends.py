@@ -1,6 +1,6 @@
-"""Trend of a series: the drift per night, the control limits, and the alarms.
+"""Trend of a series of values from night to night: the drift per night, the control limits, and the alarms.
 
-An alarm can be raised before a tolerance is reached.
+An alarm can be raised before a value reaches its tolerance.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ MIN_CHARTED = 8
 
 
 class AlarmKind(Enum):
-    """Kind of a trend alarm.
+    """Kind of an alarm about the trend of a value.
 
-    `LIMIT` means that the tolerance is reached. `TREND` means that the tolerance will soon be reached. `CONTROL` means
-    that the newest value is outside the control limits of the series.
+    `LIMIT` means that the value has reached its tolerance. `TREND` means that it will reach its tolerance soon.
+    `CONTROL` means that the newest value, or the smoothed mean of the values, is outside its control limits.
     """
 
     LIMIT = "limit"
@@ -56,9 +56,10 @@ class TrendAlarm:
 class Trend:
     """Trend of a series.
 
-    `drift` is None if there are too few values. `chart` and `smoothed` are control charts of the values since the last
-    step; both are None if there are fewer than `MIN_CHARTED` such values. `crossing` predicts the time at which the
-    series will reach its tolerance; it is None if there is no tolerance or no drift.
+    `drift` is the fitted change per night; it is None if there are too few values. `chart` and `smoothed` are control
+    charts of the values, and of their exponentially weighted mean, since the last sudden change (step). Both are None
+    if there are fewer than `MIN_CHARTED` (8) such values. `crossing` predicts the time at which the series will reach
+    its tolerance; it is None if there is no tolerance or no drift.
     """
 
     series: Series
@@ -69,7 +70,7 @@ class Trend:
     alarms: tuple[TrendAlarm, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Return the trend as a document with the keys of docs/reference/json.md."""
+        """Return the trend as a mapping to be written as JSON. The keys are described in docs/reference/json.md."""
         series, drift, chart, reach = self.series, self.drift, self.chart, self.crossing
         return {
             "name": series.name,

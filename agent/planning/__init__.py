@@ -1,1 +1,3 @@
-"""Planning of a run before anything moves: job, measuring order, cycle time and preflight."""
+"""Planning of a run before anything moves: preparation of the job from the settings, measuring order, cycle time, and
+preflight (simulated execution of the whole plan).
+"""

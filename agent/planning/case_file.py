@@ -1,4 +1,6 @@
-"""Cases for studies and design: jobs read from a settings file without contacting a device."""
+"""Jobs for simulation studies and for the design of position sets. A job is a calibration prepared from a settings
+file; no device is contacted.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ def load_case(
     stations: int | None = None,
     tool: str | None = None,
 ) -> Job:
-    """Return the job of a settings file.
+    """Return the job (prepared calibration) that the settings file `config` describes.
 
     If `machine`, `artefact` or `tool` is given, it replaces the machine file, the artefact file or the tool of the
     settings. If `stations` is given, the stations of the settings are replaced by this number of stations, spaced

@@ -1,9 +1,9 @@
 """Machine time of a set of positions, computed before anything moves. The plan of the run is executed on an ideal
-machine.
+machine, which only adds up the times of the steps.
 
 No physics is simulated and no device is contacted. The execution of several thousand steps takes a fraction of a
-second. The costs of many designs can therefore be compared. In contrast, `agent.planning.preflight` also simulates the
-physics; both modules use the same `TimeModel`.
+second. The machine times of many position sets can therefore be compared. In contrast, `agent.planning.preflight` also
+simulates the physics; both modules use the same `TimeModel`, the motion laws and latencies of the machine.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ _MOTION = {OrientTo: TURNING, MoveTo: MOVING, TouchTowards: TOUCHING}
 
 @dataclass(frozen=True)
 class TimedStep:
-    """Step with its time in s.
+    """Step of a plan with the time in s that it takes.
 
-    `motion_s` is the time in which the axes or the mount move. `overhead_s` is the latency of the command or, for a
-    question to the operator, the time that the operator takes.
+    `motion_s` is the time in which the axes or the mount move. `overhead_s` is the additional time: the latency of the
+    command or, for a question to the operator, the time that the operator takes.
     """
 
     step: Step
@@ -78,7 +78,7 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
     """Return the machine time for measuring `positions` in the given order.
 
     Positions at the same station must be contiguous. At the start, the axes are at the lower end of their travel, and
-    both angles of the mount are zero. The time of the held-out positions is not included.
+    both angles of the mount are zero. Only `positions` are timed; the held-out positions of `job` are not included.
     """
     order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)
     _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules))
@@ -96,8 +96,9 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
 def position_minutes(job: Job, position: Position) -> float:
     """Return the machine minutes that one more position adds at its station.
 
-    With free paths, the time begins at the end of a measurement of ball 0 with both mount angles zero, and ends after
-    the last ball of `position`. With plain paths, the tip starts and ends at the park location.
+    If the settings ask for free paths (shortest collision-free paths), the time begins at the end of a measurement of
+    ball 0 with both mount angles zero, and ends after the last ball of `position`. If they ask for plain paths (by way
+    of the retreat plane), the tip starts and ends at the park location beside the station.
     """
     retreat = job.rules.retreat
     if retreat.path_rules is None:
@@ -111,7 +112,8 @@ def position_minutes(job: Job, position: Position) -> float:
 
 
 def without_optimisation(job: Job) -> Job:
-    """Return a copy of `job` with plain paths and with an order that is not optimised.
+    """Return a copy of `job` with plain paths, which lead by way of the retreat plane, and with a measuring order that
+    is not optimised.
 
     Stations and positions are then measured in the order in which they are listed.
     """
@@ -121,7 +123,8 @@ def without_optimisation(job: Job) -> Job:
 
 
 def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
-    """Return the machine minutes of each station, divided into the parts listed in `PARTS`.
+    """Return the machine minutes of each station, divided into the parts carrying, turning, moving, touching and
+    waiting.
 
     The result maps the number of each station to a mapping from the name of each part to minutes.
     """
@@ -137,7 +140,8 @@ def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
 
 
 def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:
-    """Execute `plan` on an ideal machine. Return the result of the plan and the steps that take time, in order.
+    """Execute `plan` on an ideal machine. Return a pair: the result of the plan, and the steps that take time, in
+    order.
 
     `start_mm` contains the axis positions at the start in mm. If `start_mm` is None, the axes start at the lower end of
     the travel.

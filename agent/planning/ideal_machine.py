@@ -1,7 +1,7 @@
 """Ideal machine for timing a plan. It executes each step at once and reports the time that the step would take.
 
-The ideal machine uses neither simulated physics nor a device. It provides the actions that the engine needs, so the
-plans of a run can be timed without change.
+The ideal machine uses neither simulated physics nor a device. It provides the function that carries out each type of
+step, as the engine needs it. The plans of a run can therefore be timed without change.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from twin.collision.motion_law import StraightPath, entry_distance, straight_pat
 class IdealMachine:
     """Ideal machine whose axes start at `start_mm`.
 
-    A single mount starts with both angles zero. If every station has its own mount, each mount starts at the angles of
-    its first turn, which therefore takes no motion time. The balls are at their nominal locations in `layout`, and the
-    probe trips at contact.
+    A mount that serves all stations starts with both angles zero. If every station has its own mount, each mount starts
+    at the angles of its first turn, which therefore takes no motion time. The balls are at their nominal locations in
+    `layout`, and the probe trips at contact.
 
     `spent(step, motion_s, overhead_s)` is called for every step that takes time, with the time of the motion and the
-    additional time, both in s.
+    additional time, such as the latency of the command, both in s.
     """
 
     def __init__(
@@ -41,7 +41,9 @@ class IdealMachine:
         self._balls: list[Point] = []
 
     def actions(self) -> dict[type, Action]:
-        """Return a mapping from each type of step of a measuring plan to the action that carries it out."""
+        """Return a mapping from each type of step of a measuring plan to the function that carries it out on the ideal
+        machine.
+        """
         return {
             s.MoveTo: self._move,
             s.TouchTowards: self._touch,

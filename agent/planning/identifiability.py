@@ -1,4 +1,5 @@
-"""Identifiability of the errors of a machine by a measuring procedure.
+"""Identifiability of the errors of a machine by a measuring procedure: which errors the measurements determine, and how
+well.
 
 The identifiability is computed before any measurement, from settings files and the names of position sets.
 """
@@ -32,11 +33,12 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class RankRequest:
-    """Files and choices for the function `rank`.
+    """Files and choices for the function `rank`, which determines the errors that a measuring procedure can identify.
 
     `position_set` contains the names of sets joined by +, or the path of a position file. `tools` contains names of
     tools in the machine file. `stations` is a number of stations, which are spaced evenly along X. `formulation` is the
-    formulation of the identification. If a choice is None or `tools` is empty, the value of the settings is used.
+    formulation of the identification (ball centres or distances). If a choice is None or `tools` is empty, the value of
+    the settings is used.
     """
 
     config: Path
@@ -51,10 +53,11 @@ class RankRequest:
 
 @dataclass(frozen=True, eq=False)
 class RankResult:
-    """Result of the function `rank`.
+    """Result of the function `rank`, which determines the errors that a measuring procedure can identify.
 
-    `vce` contains the expected VCE of each error field in `seen.fields`; there is one error field for each tool.
-    `advice` contains proposed additions to the procedure, the best addition first.
+    `seen` says which parameters of the error model the measurements determine. `vce` contains the expected volumetric
+    error after compensation (VCE) of each error field in `seen.fields`; there is one error field for each tool.
+    `advice` contains proposed additions to the measuring procedure, the best addition first.
     """
 
     job: Job
@@ -93,7 +96,7 @@ class RankResult:
 
 
 def rank(question: RankRequest) -> RankResult:
-    """Determine which errors of the machine the measuring procedure in `question` can identify.
+    """Determine which errors of the machine the measuring procedure that `question` describes can identify.
 
     Raises UserError, which names the file, the key and the valid values, if the input is unusable or empty.
     """

@@ -1,4 +1,6 @@
-"""Job of a run. It is prepared from the settings and from the files that the settings name; no device is contacted."""
+"""Job of a run: the calibration prepared from the settings and from the files that the settings name. No device is
+contacted.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ from twin.machine.machine_description import MachineDescription
 class Job:
     """Prepared calibration, which can be listed, checked by a preflight and carried out.
 
-    The positions `held_out` are never used for the estimate.
+    `positions` are measured to estimate the errors of the machine. The positions `held_out` are never used for this
+    estimate; they verify it.
     """
 
     settings: Settings
@@ -60,8 +63,8 @@ class Job:
     def procedure(self) -> Procedure:
         """Measuring procedure for the design of position sets and for the error budget.
 
-        It consists of the layout and of the covariance of the ball centres, and contains neither devices nor a
-        measuring order.
+        It consists of the measuring layout (places of the artefact, reach of the axes) and of the covariance of the
+        measured ball centres. It contains neither devices nor a measuring order.
         """
         probing = self.rules.probing
         covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
@@ -69,7 +72,9 @@ class Job:
 
     @cached_property
     def measuring_order(self) -> MeasuringOrder:
-        """Order in which the position set and the held-out positions are measured before the new table is active."""
+        """Order in which the position set and the held-out positions are measured before the new compensation table is
+        active.
+        """
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
         standing_at = self.settings.stations.standing_at if carried else None
@@ -94,14 +99,16 @@ class Job:
         )
 
     def preparation_plan(self) -> Plan[PreparationResult]:
-        """Return the plan of the checks before all measurements: probe check, qualification and reversal test."""
+        """Return the plan of the checks that precede all measurements: probe check, stylus qualification and reversal
+        test.
+        """
         return prepare_probe(self.measuring_order, self.layout, self.rules, self.preparation)
 
     def verification_order(self, standing_at: int | None) -> MeasuringOrder:
-        """Return the order in which the held-out positions are measured with the new table.
+        """Return the order in which the held-out positions are measured with the new compensation table active.
 
-        `standing_at` is the station of the artefact. The order starts there if held-out positions are measured at this
-        station.
+        `standing_at` is the station at which the artefact stands. The order starts there if held-out positions are
+        measured at this station.
         """
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         if not self.settings.procedure.optimise_order:
@@ -109,7 +116,8 @@ class Job:
         return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
 
     def balls_of(self, measured: MeasuredPositions, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
-        """Return the measured balls of the held-out positions or, if `held_out` is False, of all other positions.
+        """Return those balls in `measured` that belong to held-out positions or, if `held_out` is False, to all other
+        positions.
 
         The balls are numbered as in `artefact`. If `again` is True, the repeated measurement of the first ball of each
         position is included.

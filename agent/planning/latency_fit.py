@@ -1,6 +1,6 @@
-"""Comparison of the time model with a finished run.
+"""Comparison of the time model (the motion laws and latencies by which machine time is predicted) with a finished run.
 
-The comparison gives the predicted and the observed times of the steps, and fitted latencies.
+The comparison gives the predicted and the observed times of the steps, and latencies fitted to the observed times.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _Angles: TypeAlias = tuple[float, float]
 class ObservedStep:
     """Step of a finished run, with times in s.
 
-    `motion_s` is the time of the motion alone, computed with the motion law. `observed_s` is the whole time that the
-    step took in the run.
+    `motion_s` is the time of the motion alone, computed with the motion law of the axes or the mount. `observed_s` is
+    the whole time that the step took in the run.
     """
 
     kind: str
@@ -39,12 +39,12 @@ class ObservedStep:
 
 @dataclass(frozen=True)
 class StepKindTiming:
-    """Times of all steps of one kind, in seconds.
+    """Times of all steps of one kind in a finished run, in seconds.
 
     `observed_s` and `predicted_s` are the sums of the observed and of the predicted times of the steps. `latency_s` is
     the latency of one step according to the settings, and `suggested_latency_s` is the fitted latency. The latency is
     the time of a step minus the time of its motion; for an AskOperator step, it is the whole time. `rest_s` is the rms
-    of the residuals with the fitted latency.
+    of the differences between observed and predicted times with the fitted latency.
     """
 
     kind: str
@@ -59,19 +59,19 @@ class StepKindTiming:
 def observed_steps(steps: Iterable[StepRow], model: TimeModel) -> list[ObservedStep]:
     """Return the steps of a run with their times.
 
-    The positions of the axes and the angles of the mount are tracked from step to step. A step is left out if it starts
-    from an unknown position or did not end.
+    The positions of the axes and the angles of the mount, from which the motion times follow, are tracked from step to
+    step. A step is left out if it starts from an unknown position or did not end.
     """
     replay = _Replay(model)
     return [observed for step in steps if (observed := replay.observed(step)) is not None]
 
 
 def refit(model: TimeModel, observed: Sequence[ObservedStep]) -> TimeModel:
-    """Return a copy of `model` with a fitted latency for each kind of step in `observed`.
+    """Return a copy of the time model `model` with a fitted latency for each kind of step in `observed`.
 
     Motion times and all other latencies are unchanged. The latency of a step is its time minus the time of its motion.
     The fitted latency is the mean over the steps of one kind, which is the least-squares estimate of a constant. A
-    negative mean is replaced by zero; it occurs if the machine is faster than its file states.
+    negative mean is replaced by zero; it occurs if the machine is faster than its machine file states.
     """
     return replace(
         model,
@@ -88,7 +88,7 @@ def _fitted(kind: str, given_s: float, observed: Sequence[ObservedStep]) -> floa
 
 
 def step_kind_timings(model: TimeModel, observed: Sequence[ObservedStep]) -> list[StepKindTiming]:
-    """Return the predicted and the observed times for every kind of step in `observed`."""
+    """Return, for every kind of step in `observed`, the observed times and the times predicted by the time model."""
     given, fitted = _latencies(model), _latencies(refit(model, observed))
     table = []
     for kind in KINDS:
@@ -99,7 +99,9 @@ def step_kind_timings(model: TimeModel, observed: Sequence[ObservedStep]) -> lis
 
 
 def suggested_settings(model: TimeModel) -> dict[str, float]:
-    """Return the latencies of `model` by their keys in the section `timing` of the settings."""
+    """Return the latencies of the time model `model` as a mapping from their keys in the section `timing` of the
+    settings.
+    """
     return {
         "command_latency_s": round(model.command_latency_s, 4),
         "touch_latency_s": round(model.touch_latency_s, 4),

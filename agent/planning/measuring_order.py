@@ -1,9 +1,9 @@
-"""Order of stations and positions that takes the least machine time. The order is computed once before a run.
+"""Order of stations and positions that takes the least machine time. This order is computed once before a run.
 
 The order depends only on the settings, so a resumed run has the same order. The cost of a change of position is the
-time of the mount's turn plus the time of two paths. The first path leads from the last ball to a point clear of the
-turning artefact, and the second leads from that point to the next ball. The cost of a change of station is the time to
-carry the artefact.
+time of the mount's turn plus the time of two paths. The first path leads from the last ball of a position to a point
+clear of the turning artefact, and the second leads from that point to the first ball of the next position. The cost of
+a change of station is the time that the operator needs to carry the artefact.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ Angles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class OrderOptimiser:
-    """Optimiser of the order of positions in one layout.
+    """Optimiser of the order of stations and positions for one measuring layout (artefact, stations and tool).
 
-    If paths are plain, only the turns of the mount are counted. Plain paths lead by way of the retreat plane, and all
-    of them take about the same time.
+    If the rules ask for plain paths between positions, only the turns of the mount are counted. Plain paths lead by way
+    of the retreat plane, which no part of artefact or mount reaches, and all of them take about the same time.
     """
 
     layout: MeasuringLayout
@@ -51,11 +51,12 @@ class OrderOptimiser:
         """Return the stations `listed` in the order in which the artefact has to be carried least often.
 
         The order starts at the station `standing_at`, where the artefact stands. The stations `last_at` are measured
-        afterwards, and the carries to them are counted too. If two orders need the same number of carries, the order
-        with the shorter distance along X is chosen, then the listed order.
+        afterwards, for the verification, and the carries to them are counted too. If two orders need the same number of
+        carries, the order with the shorter carrying distance along X is chosen; if these are equal too, the listed
+        order.
 
-        If there are more than `MAX_PERMUTED_STATIONS` stations, the station `standing_at` comes first and the others
-        follow as listed.
+        If there are more than `MAX_PERMUTED_STATIONS` (7) stations, the station `standing_at` comes first and the
+        others follow as listed.
         """
         if len(listed) > MAX_PERMUTED_STATIONS:
             return (*(s for s in listed if s == standing_at), *(s for s in listed if s != standing_at))
@@ -64,8 +65,8 @@ class OrderOptimiser:
     def positions(self, positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
         """Return the positions in the order of `stations`, with all positions of a station together.
 
-        At each station, the positions are in the fastest order that starts from the previous angles of the mount.
-        Positions with too few balls within reach come last.
+        At each station, the positions are in the fastest order that starts from the angles at which the mount stood
+        before. Positions with fewer than three balls within reach come last.
         """
         angles, done = AT_REST_DEG, list[Position]()
         for station in stations:

@@ -1,7 +1,7 @@
-"""Preflight, which executes the complete plan on a simulated machine before the real machine moves.
+"""Preflight, which executes the complete plan of a run on a simulated machine before the real machine moves.
 
-The simulation runs in virtual time. The simulated machine moves like the real machine, and `agent.planning.time_model`
-adds the latencies of the commands.
+The simulation runs in virtual time. The simulated machine moves like the real machine, and the time model of the run
+(`agent.planning.time_model`) adds the latencies of the commands.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ and the measurements that verify the new table."""
 class PreflightResult:
     """Result of a preflight.
 
+    `measured` contains the simulated measurements for the estimate, and `verified` those that verify the new table.
     `timeline` maps the key of each step to the machine time in s at the end of the step. `steps` contains the steps
-    that take time, in order. `machine_seconds` is the simulated time of the whole plan, and `wall_seconds` is the time
-    of the computation.
+    that take time, in order. `machine_seconds` is the simulated time of the whole plan, `wall_seconds` is the time that
+    the computation took, and `commands` is the number of steps.
     """
 
     measured: MeasuredPositions
@@ -50,7 +51,7 @@ class PreflightResult:
 
 
 def never_interrupted() -> None:
-    """Do nothing. This is the default callback of a preflight that cannot be interrupted."""
+    """Do nothing. A preflight that cannot be interrupted calls this function after every step."""
 
 
 def run_preflight(
@@ -62,11 +63,12 @@ def run_preflight(
     """Execute the plan of a whole run on a simulated machine without errors.
 
     `start_mm` contains the axis positions of the real machine in mm. If `start_mm` is None, the simulated machine
-    starts at its own initial positions. `procedure` returns the plan; by default, it is the plan of a calibration.
-    `watch` is called after every step.
+    starts at its own initial positions. `procedure` is a function that returns the plan; by default, this is the plan
+    of a calibration. `watch` is called after every step and may raise an error to interrupt the preflight.
 
-    Raises PlanRefused if a step breaks a rule or fails; the error names the step and, for a collision, the two bodies.
-    Raises ConfigurationError if no held-out position can be measured. Errors raised by `watch` are passed on.
+    Raises PlanRefused if a step breaks a safety rule or fails; the error names the step and, for a collision, the two
+    bodies that collide. Raises ConfigurationError if no held-out position can be measured. Errors raised by `watch` are
+    passed on.
     """
     plan = (procedure or whole_procedure)(job)
     began = wall_seconds()
@@ -129,10 +131,11 @@ def _require_proof(verified: MeasuredPositions) -> None:
 
 
 def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-    """Return the plan of a calibration, which has three parts.
+    """Return the plan of the calibration `job`, which has three parts.
 
-    The plan first prepares the probe. It then measures the position set and the held-out positions. Finally, it
-    measures the held-out positions again, as a run does to verify the new table.
+    The plan first prepares the probe (probe check, stylus qualification and reversal test). It then measures the
+    position set and the held-out positions. Finally, it measures the held-out positions again, as a run does to verify
+    the new compensation table.
     """
     prepared = yield from job.preparation_plan()
     order = replace(job.measuring_order, standing_at=prepared.standing_at)

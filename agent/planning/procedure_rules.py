@@ -1,4 +1,6 @@
-"""Rules of the procedure, derived from the settings: probing, checks before a run, layout and safe paths."""
+"""Rules of the measuring procedure, derived from the settings: probing of a ball, checks before a run, measuring layout
+and safe paths.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from twin.units import MM_PER_UM
 
 
 def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefact) -> ProbingParameters:
-    """Return the probing parameters. Every ball is touched from the same directions."""
+    """Return the parameters by which the balls of the artefact are probed. Every ball is touched from the same
+    directions.
+    """
     return ProbingParameters(
         directions=approach_directions(chosen.touches_per_ball, STYLUS_AXIS),
         stylus_axis=STYLUS_AXIS,
@@ -57,9 +61,10 @@ def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefa
 def preparation_of(
     settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: ProbingParameters
 ) -> Preparation:
-    """Return the checks that precede a run.
+    """Return the checks that precede a run: probe check, stylus qualification and reversal test.
 
-    Raises ConfigurationError if the artefact does not have the ball that the settings name as datum ball.
+    Raises ConfigurationError if the artefact does not have the ball that the settings name as datum ball, on which the
+    checks are made.
     """
     _refuse_unknown_datum(settings.qualification, artefacts.kind)
     check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
@@ -91,10 +96,9 @@ def _refuse_unknown_datum(qualification: QualificationSettings, artefact: Artefa
 def layout_of(
     settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: ProbingParameters
 ) -> MeasuringLayout:
-    """Return the measuring layout.
+    """Return the measuring layout: the places of the artefact on the machine and the axis positions within reach.
 
-    The limits of the layout are the travel of the axes, reduced by the travel that the touch pattern of `probing` needs
-    around a ball.
+    Its limits are the travel of the axes, reduced by the travel that the touches of `probing` need around a ball.
     """
     travel = np.array(machine.limits)
     below, above = probing.required_travel_mm
@@ -120,7 +124,8 @@ def layout_of(
 def retreat_of(
     stations: StationSettings, procedure: ProcedureSettings, timing: TimingSettings, machine: MachineDescription
 ) -> Retreat:
-    """Return the retreat plane, a park location beside each station, and the rules of the paths.
+    """Return the retreat plane (an axis position that no part of artefact or mount reaches), a park location beside
+    each station, and the rules of the paths of the probe.
 
     Each park location is within the travel of the axes. Raises ConfigurationError if there is no room for a park
     location.
@@ -141,9 +146,9 @@ def retreat_of(
 
 
 def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> FreePathRules:
-    """Return the rules for finding collision-free paths (free paths).
+    """Return the rules for finding short collision-free paths of the probe (free paths).
 
-    The rules use the same dynamics and the same command latency as the computation of machine time.
+    The rules use the same speeds, accelerations and command latency as the computation of machine time.
     """
     times = time_model(machine, timing)
     travel = np.array(machine.limits)

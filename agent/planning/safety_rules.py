@@ -1,6 +1,7 @@
 """Safety rules that apply to every measuring plan.
 
-The preflight checks the rules at each step, because the simulated machine may permit more than the rules.
+The preflight (simulated execution of the plan) checks these rules at each step, because the simulated machine may
+permit more than the rules.
 """
 
 from __future__ import annotations

@@ -32,8 +32,9 @@ from twin.collision.neighbour_stations import neighbour_bodies
 class Artefacts:
     """Artefacts of a run.
 
-    `all` is one artefact with the balls of all artefacts, numbered as in an estimate. `own` maps each station to the
-    artefact that always stands there; it is empty if one artefact is carried.
+    `all` is one artefact that combines the balls of all artefacts. Its ball numbers are those used in an estimate of
+    the machine's errors. `own` maps each station to the artefact that always stands there; it is empty if one artefact
+    is carried.
     """
 
     all: Artefact
@@ -49,7 +50,8 @@ class Artefacts:
 
 
 def load_artefacts(artefact: Path, stations: StationSettings) -> Artefacts:
-    """Read the file `artefact`, or the files of the artefacts at the stations if the settings name them.
+    """Read the file `artefact` or, if the settings `stations` name an artefact file for each station, these files
+    instead.
 
     Raises ConfigurationError if the artefacts cannot be combined.
     """
@@ -61,7 +63,9 @@ def load_artefacts(artefact: Path, stations: StationSettings) -> Artefacts:
 
 
 def station_change(roles: RoleSettings, stations: StationSettings) -> StationChange:
-    """Return the rules for the change from one station to another."""
+    """Return the rules for the change from one station to another: what the operator carries, and the angles of the
+    mounts that are not in use.
+    """
     if isinstance(roles.mount, str):
         return StationChange()
     carried = CarriedItem.ARTEFACT if stations.artefacts is None else CarriedItem.NOTHING
@@ -71,9 +75,11 @@ def station_change(roles: RoleSettings, stations: StationSettings) -> StationCha
 def bodies_around(
     mount: MountGeometry, stations: StationSettings, change: StationChange, artefacts: Artefacts
 ) -> Mapping[int, tuple[Body, ...]]:
-    """Return a mapping from each station to the bodies of the mounts and artefacts at the other stations.
+    """Return a mapping from each station to the solid bodies of the mounts and artefacts that stand at the other
+    stations.
 
-    The probe must avoid these bodies. The mapping is empty if one mount is carried from station to station.
+    The probe must avoid these bodies while it measures at the station. The mapping is empty if one mount is carried
+    from station to station.
     """
     if not change.own_mounts:
         return {}
@@ -82,9 +88,9 @@ def bodies_around(
 
 
 def check_stations(settings: Settings) -> None:
-    """Check the settings of mounts and artefacts.
+    """Check the settings that assign mounts and artefacts to the stations.
 
-    Raises ConfigurationError, which names the key, if the settings contradict each other.
+    Raises ConfigurationError, which names the settings key, if they contradict each other.
     """
     named = settings.roles.mount
     if isinstance(named, str):

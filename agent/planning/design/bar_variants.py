@@ -1,7 +1,7 @@
-"""Variants of the ball bar of a job.
+"""Variants of the ball bar that a job uses as artefact.
 
-A variant has another number of balls or another tilt of the ball holders. All other properties are those of the
-certificate.
+A variant has another number of balls or another tilt of the ball holders. All other properties are those of the bar's
+calibration certificate.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _ALIKE_MM = 1.0  # largest deviation of a calibrated centre from the drawing
 
 @dataclass(frozen=True, eq=False)
 class Bar:
-    """Ball bar with its properties as described by its certificate.
+    """Ball bar with its properties as described by its calibration certificate.
 
     `certified` is the artefact with the calibrated ball centres. `length_mm` is the distance between the two end balls
-    along the bar. `tilt_deg` is the tilt of the ball holders.
+    along the bar. `tilt_deg` is the angle in degrees by which the ball holders are tilted.
     """
 
     certified: Artefact
@@ -53,11 +53,14 @@ class Bar:
 
     @property
     def standard_uncertainty_mm(self) -> float:
-        """Root mean square, in mm, of the standard uncertainties of all ball coordinates in the certificate."""
+        """Root mean square, in mm, of the standard uncertainties of all ball coordinates in the calibration certificate
+        of the bar.
+        """
         return float(np.sqrt(np.diagonal(self.certified.covariance).mean()))
 
     def with_(self, balls: int | None = None, tilt_deg: float | None = None) -> Artefact:
-        """Return a nominal bar of the same length with `balls` balls and with holders tilted by `tilt_deg`.
+        """Return an uncalibrated bar with nominal ball centres. It has the length of this bar, `balls` balls, and
+        holders tilted by `tilt_deg`.
 
         If an argument is None, the value of the certified bar is used.
         """

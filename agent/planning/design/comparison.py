@@ -1,4 +1,6 @@
-"""Comparison of designs for several measuring variants. The design that meets the goal best is marked."""
+"""Comparison of position sets designed for several measuring variants (tools, touches per ball, bars). The design that
+meets the goal of the design best is marked.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,10 @@ from twin.design.goals import Goal, TargetErrorGoal
 
 @dataclass(frozen=True, eq=False)
 class VariantDesign:
-    """Design of one variant.
+    """Position set designed for one measuring variant.
 
-    If the goal cannot be reached with this variant, `design` is None and `reason` states the cause.
+    If the goal of the design cannot be reached with this variant, `design` is None and `reason` states the cause.
+    `best` is True for the best of the designs compared.
     """
 
     variant: Variant
@@ -26,7 +29,7 @@ class VariantDesign:
 
     @property
     def result(self) -> DesignResult:
-        """Design of this variant. Raises ValueError with the text `reason` if `design` is None."""
+        """Position set designed for this variant. Raises ValueError with the text `reason` if `design` is None."""
         if self.design is None:
             raise ValueError(self.reason)
         return self.design
@@ -35,11 +38,11 @@ class VariantDesign:
 def compare_variants(
     variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say
 ) -> list[VariantDesign]:
-    """Return a design for each variant, and mark the best design.
+    """Return a designed position set for each variant, and mark the best design.
 
-    If the goal is a target error, the best design is the one that takes the least time. For any other goal, the best
-    design is the one with the smallest expected VCE. If no variant reaches the goal, the error of the first variant is
-    raised.
+    If `goal` is a target error, the best design is the one that takes the least machine time. For any other goal, the
+    best design is the one with the smallest expected volumetric error after compensation (VCE). If no variant reaches
+    the goal, the error raised for the first variant is raised.
     """
     choices: list[VariantDesign] = []
     errors: list[UserError] = []

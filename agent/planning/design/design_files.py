@@ -1,4 +1,6 @@
-"""Files of a design: one position set per tool, the held-out set, and the Pareto front as CSV, PNG and SVG."""
+"""Files of a designed position set: one position file per tool, a file with the held-out positions, and the Pareto
+front of expected error against machine time as CSV, PNG and SVG.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,10 @@ def check_target(path: Path) -> None:
 
 
 def write_design(found: DesignResult, rivals: Sequence[ReferenceSet], path: Path) -> list[Path]:
-    """Write all files of a design into the folder of `path`, or none of them.
+    """Write all files of the design into the folder that contains `path`, or none of them.
 
     Return the paths of the files, with the position sets first. There is one position file for each tool, because a run
-    uses one tool. The sets `rivals` are drawn in the figure for comparison.
+    uses one tool. The existing position sets `rivals` are drawn in the figure for comparison.
     """
     contents: dict[str, str | bytes] = {}
     by_tool = list(found.problem.by_tool(found.positions))

@@ -1,4 +1,6 @@
-"""Design problem: candidate positions of a job, their cost, and their feasibility."""
+"""Problem of choosing a position set for a job: the candidate positions, the machine time of each, and the check
+whether each can be measured.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,13 @@ _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost car
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """Design problem: candidate positions, their cost and their feasibility.
+    """Problem of choosing a position set: the candidate positions, the machine time of each, and the check whether each
+    can be measured.
 
     `jobs` maps the name of each tool to the job with that tool; the tool of the settings is the first. `grid_deg` is
-    the spacing of the candidate orientations in degrees. `refused` contains the positions that a preflight has refused.
-    `feasibility` maps the name of a tool to the feasibility check with that tool; the checks remain valid if further
-    positions are refused.
+    the spacing of the candidate orientations of the artefact in degrees. `refused` contains the positions that a
+    preflight (simulated execution of the plan) has refused. `feasibility` maps the name of a tool to the feasibility
+    check with that tool; the checks remain valid if further positions are refused.
     """
 
     jobs: Mapping[str, Job]
@@ -43,9 +46,11 @@ class DesignProblem:
 
     @property
     def options(self) -> Options:
-        """Options of the identification whose expected VCE is minimised.
+        """Options of the identification whose expected volumetric error after compensation (VCE) is minimised by the
+        design.
 
-        The identification uses ball centres and takes all uncertainties as stated in the files.
+        This identification of the machine's errors uses ball centres, and takes all uncertainties as stated in the
+        machine and artefact files.
         """
         return Options(estimate_scales=False, outliers="none")
 
@@ -58,7 +63,7 @@ class DesignProblem:
         return replace(self, refused=self.refused | {position})
 
     def feasibility_of(self, position: Position) -> FeasibilityCheck:
-        """Return the feasibility check for the tool of `position`."""
+        """Return the check whether positions can be measured with the tool of `position`."""
         name = position.tool or next(iter(self.jobs))
         if name not in self.feasibility:
             self.feasibility[name] = FeasibilityCheck(self.jobs[name])
@@ -66,10 +71,10 @@ class DesignProblem:
 
     @cached_property
     def candidates(self) -> CandidatePositions:
-        """Candidate positions, and the information about the error field that a measurement of each position would
-        give.
+        """Candidate positions, and the information about the machine's error field that a measurement of each position
+        would give.
 
-        Raises TwinError if no candidate is within reach.
+        Raises TwinError if no candidate position is within reach of the axes.
         """
         job = self.job
         grid = evaluation_grid(job.machine.model.ranges_mm)
@@ -99,9 +104,9 @@ class DesignProblem:
         )
 
     def in_order(self, chosen: Sequence[Position]) -> tuple[Position, ...]:
-        """Return the positions sorted by tool, then by station.
+        """Return the positions `chosen` sorted by tool, then by station.
 
-        The positions at one station are ordered for small turns of the mount.
+        The positions at one station are ordered so that the mount turns little from one to the next.
         """
         ordered: list[Position] = []
         for name in self.jobs:
@@ -112,9 +117,10 @@ class DesignProblem:
         return tuple(ordered)
 
     def by_tool(self, chosen: Sequence[Position]) -> Iterator[tuple[Job, tuple[Position, ...]]]:
-        """Yield the job of each tool in use, together with the positions measured with that tool.
+        """Yield, for each tool in use, a pair of the job with this tool and the positions of `chosen` that are measured
+        with it.
 
-        The yielded positions name no tool, because the job names it.
+        The yielded positions name no tool, because the job does.
         """
         for name, job in self.jobs.items():
             tool = None if name == self.job.settings.tool else name
@@ -125,7 +131,7 @@ class DesignProblem:
     def minutes(self, chosen: Sequence[Position]) -> float:
         """Return the machine minutes of all positions `chosen`, measured in the given order.
 
-        The time is computed from the plan of the run.
+        The time is computed by executing the plan of the run on an ideal machine.
         """
         return sum(machine_minutes(job, own).total for job, own in self.by_tool(chosen))
 

@@ -1,6 +1,7 @@
 """Finished design of a position set.
 
-The positions are selected, put in measuring order, timed with the plan of the run, and checked by a preflight.
+The positions are selected from the candidates, put in measuring order, timed with the plan of the run, and checked by a
+preflight (simulated execution of the plan).
 """
 
 from __future__ import annotations
@@ -34,10 +35,11 @@ _MARGIN = 1.3  # factor on the excess over a slot, so that one more search usual
 class DesignResult:
     """Finished design of a position set.
 
-    `chosen` contains the indices of the selected candidates of `problem`. `positions` contains the selected positions
-    in measuring order. `minutes` is the machine time in minutes, computed from the plan of the run. `held_out` contains
-    the positions for verification, if they were requested. `preflight_passed` is True if a preflight was carried out
-    and passed.
+    `chosen` contains the indices of the selected positions among the candidates of `problem`. `positions` contains the
+    selected positions in measuring order. `minutes` is the machine time in minutes, computed from the plan of the run.
+    `valuation` is the expected volumetric error before and after compensation. `balls` is the number of ball
+    measurements. `held_out` contains the positions for verification, if they were requested. `preflight_passed` is True
+    if a preflight (simulated execution of the plan) was carried out and passed.
     """
 
     problem: DesignProblem
@@ -51,7 +53,9 @@ class DesignResult:
 
     @cached_property
     def front(self) -> tuple[FrontPoint, ...]:
-        """Pareto front of the expected error against machine minutes."""
+        """Pareto front of the expected volumetric error after compensation against machine minutes. It includes this
+        design.
+        """
         return front_of(self.problem.search, self.chosen, self.minutes)
 
     @property
@@ -62,11 +66,13 @@ class DesignResult:
 def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
     """Return the best position set found for `goal`.
 
-    If the preflight refuses a position, the position is excluded and the search is repeated. If `verify` is True,
-    held-out positions are selected too. `say` is called with the name of the current activity.
+    If `with_preflight` is True, the plan of the set found is executed on a simulated machine (preflight). If the
+    preflight refuses a position, the position is excluded and the search is repeated. If `verify` is True, held-out
+    positions for the verification are selected too. `say` is called with the name of the current activity.
 
-    Raises InputError if the goal cannot be reached. Raises ConfigurationError if no position is within reach or if
-    every attempt is refused. Raises PlanRefused if the preflight refuses a step that belongs to no selected position.
+    Raises InputError if the goal cannot be reached. Raises ConfigurationError if no position is within reach or if the
+    preflight refuses the set found in every attempt. Raises PlanRefused if the preflight refuses a step that belongs to
+    no selected position.
     """
     for _ in range(_MAX_ATTEMPTS):
         say("candidates")

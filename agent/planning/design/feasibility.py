@@ -1,9 +1,9 @@
-"""Feasibility of a position. The module checks the plan of the position for collisions and computes the minutes that
-the plan takes.
+"""Feasibility of measuring a position. The module checks the plan for measuring the position for collisions, and
+computes the machine minutes that the plan takes.
 
-A search evaluates hundreds of positions. This module therefore checks only the straight moves of the plan against the
-nominal bodies, which takes milliseconds per position. The finished set is checked by a preflight, which simulates the
-physics.
+A search for a position set evaluates hundreds of positions. This module therefore checks only the straight moves of the
+plan against the bodies of artefact and mount at their nominal locations, which takes milliseconds per position. The
+position set that is found is checked by a preflight, which simulates the physics.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _Key = tuple[float, float, float, float, float, bytes]
 
 @dataclass(frozen=True, eq=False)
 class FeasibilityCheck:
-    """Feasibility check of the positions of a job.
+    """Check whether the positions of a job can be measured without a collision, and how long each takes.
 
-    Results are cached. For the same orientation, a result at one station is used at another station too, if Y, Z, the
-    distance to the park location and the balls within reach are the same.
+    Results are cached. For the same orientation, a result at one station is used at another station too, if the
+    stations have the same Y and Z, the same distance to their park locations, and the same balls within reach.
     """
 
     job: Job
@@ -47,14 +47,16 @@ class FeasibilityCheck:
     _hits: dict[_Key, str] = field(default_factory=dict, init=False, repr=False)
 
     def minutes(self, position: Position) -> float:
-        """Return the machine minutes of `position`, if the artefact already stands at the station of the position."""
+        """Return the machine minutes for measuring `position`, if the artefact already stands at the station of this
+        position.
+        """
         key = self._key(position)
         if key not in self._minutes:
             self._minutes[key] = position_minutes(self.job, position)
         return self._minutes[key]
 
     def hit(self, position: Position) -> str:
-        """Return a text that names the two bodies of the first collision in the plan of `position`.
+        """Return a text that names the two bodies of the first collision in the plan for measuring `position`.
 
         The text is empty if there is no collision.
         """

@@ -1,6 +1,7 @@
-"""Figure of the Pareto front of expected VCE against machine minutes.
+"""Figure of the Pareto front of position sets: expected volumetric error after compensation (VCE) against machine
+minutes.
 
-The figure also shows the design and the reference sets.
+The figure also shows the designed position set, and existing position sets for comparison (reference sets).
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ class ReferenceSet:
 
 
 def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[ReferenceSet]) -> None:
-    """Draw the Pareto front, the design and the reference sets `rivals` on an empty figure in the house style."""
+    """Draw on the empty `figure` the Pareto front `points`, the designed position set among them, and the existing
+    position sets `rivals` for comparison.
+    """
     axes = figure.subplots()
     best = [point for point in points if point.best]
     axes.plot([p.minutes for p in best], [p.vce_um for p in best], "-o", color=BLUE, label="Pareto front of the design")

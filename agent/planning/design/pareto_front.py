@@ -1,4 +1,4 @@
-"""Pareto front of expected error against machine minutes."""
+"""Pareto front of position sets: expected volumetric error after compensation against machine minutes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ FURTHEST = 24
 class FrontPoint:
     """Evaluated set of positions, drawn as one point of the Pareto front.
 
+    `positions` is the number of positions, and `vce_um` the expected volumetric error after compensation (VCE) in µm.
     `valuation` is the expected reduction of the volumetric error in percent. `best` is True if every faster set has a
-    larger expected VCE. `design` is True for the set that is the requested design.
+    larger expected VCE. `design` is True for the set that was designed for the goal of the user.
     """
 
     positions: int
@@ -33,10 +34,11 @@ class FrontPoint:
 
 
 def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> tuple[FrontPoint, ...]:
-    """Return the evaluated sets and the requested design, sorted by machine minutes.
+    """Return one point for each evaluated set of positions and one for the designed set, sorted by machine minutes.
 
-    The evaluated sets grow one position at a time: each set adds to the previous set the position with the largest gain
-    per minute. The design consists of the candidates with the indices `chosen` and takes `minutes`.
+    The evaluated sets grow one position at a time: each set adds to the previous set the position that reduces the
+    expected error most per minute. The designed set consists of the candidates of `search` with the indices `chosen`
+    and takes `minutes`.
     """
     candidates = search.candidates
     before = candidates.vce([]).aligned_um
@@ -58,7 +60,7 @@ def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> t
 
 
 def format_front(points: Sequence[FrontPoint]) -> str:
-    """Return the points as CSV text."""
+    """Return `points` as CSV text with one line per set of positions."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(

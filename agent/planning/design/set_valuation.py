@@ -1,4 +1,4 @@
-"""Valuation of any set of positions before it is measured."""
+"""Valuation of a position set before it is measured: the expected volumetric error before and after compensation."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from twin.machine.volumetric import evaluation_grid
 
 
 def valuation_of(job: Job, positions: Sequence[Position]) -> Valuation:
-    """Return the valuation of `positions`, which contains the expected VE before and after compensation.
+    """Return the valuation of `positions`, which contains the expected volumetric error before and after compensation.
 
-    The valuation assumes that the positions are measured with the rules of `job`, and that the machine is identified
-    from ball centres with the prior. Raises ConfigurationError if none of the positions is within reach.
+    The valuation assumes that the positions are measured with the rules of `job`, and that the errors of the machine
+    are identified from ball centres with the prior of the machine file. Raises ConfigurationError if none of the
+    positions is within reach.
     """
     with translated(ConfigurationError, key="procedure.position_set"):
         return valuation(

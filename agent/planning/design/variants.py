@@ -22,7 +22,8 @@ from twin.artefact.artefact import Artefact
 class Variant:
     """Measuring variant.
 
-    `jobs` maps the name of each tool to the job with that tool. `made_up` is True if a nominal bar replaces the
+    `jobs` maps the name of each tool to the job with that tool. `touches` is the number of touches per ball, and
+    `balls` the number of balls. `made_up` is True if an uncalibrated bar with nominal ball centres replaces the
     artefact of the settings. `theta_deg` is the tilt of the ball holders of the nominal bar in degrees; it is None if
     `made_up` is False.
     """
@@ -43,7 +44,8 @@ def variants_of(
     balls: Sequence[int] = (),
     thetas_deg: Sequence[float] = (),
 ) -> list[Variant]:
-    """Return the variants for all combinations of the given choices.
+    """Return the measuring variants for all combinations of the given tools, touches per ball, numbers of balls and
+    tilts of the ball holders.
 
     If a choice is omitted, the value of `job` is used. Raises ConfigurationError if a tool is unknown, or if the balls
     or the tilt of the artefact cannot be changed.

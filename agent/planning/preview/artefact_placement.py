@@ -1,4 +1,4 @@
-"""Artefact in one position, with the bodies of artefact and mount.
+"""Artefact in one position, with the solid bodies by which the preview shows the artefact and its mount.
 
 For each ball that the probe cannot measure, the reason is given.
 """
@@ -35,7 +35,8 @@ def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> Ar
 
 
 def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
-    """Return the bodies of artefact and mount in `position`, the table and the bodies at neighbouring stations.
+    """Return the solid bodies around the probe: those of artefact and mount in `position`, the machine table, and the
+    bodies at the other stations.
 
     The mount is at its nominal location.
     """
@@ -48,9 +49,10 @@ def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
 
 
 def obstruction_of(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
-    """Return the reason why the probe cannot measure the ball with the number `number`.
+    """Return the reason why the probe cannot measure the ball with the number `number`, as text. `scene` contains the
+    bodies of the probe and the bodies around it.
 
-    `axes_mm` contains the axis positions of the ball in mm, shape (3,).
+    `axes_mm` contains the axis positions in mm at which the stylus tip is at the centre of the ball, shape (3,).
     """
     layout = job.layout
     ends = zip("XYZ", axes_mm.tolist(), layout.lower_mm.tolist(), layout.upper_mm.tolist(), strict=True)

@@ -1,8 +1,8 @@
-"""Preview as one compact JSON text for the page. Lengths are in tenths of a millimetre and times in hundredths of a
-second, both as integers.
+"""Preview of a plan as one compact JSON text for the interactive page. Lengths are in tenths of a millimetre and times
+in hundredths of a second, both as integers.
 
-The path is stored as differences between consecutive points, because the text of ten thousand points is then short. The
-differences are taken between rounded values, so rounding errors do not add up.
+The path of the stylus tip is stored as differences between consecutive points, because the text of ten thousand points
+is then short. The differences are taken between rounded values, so rounding errors do not add up.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Preview as one picture with three views.
+"""Preview of a plan as one picture with three views.
 
 One view is three-dimensional. The other two are views to scale: from above (XY) and along X (YZ).
 """
@@ -42,7 +42,7 @@ _EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4)
 
 
 def draw_png(preview: Preview) -> bytes:
-    """Return a PNG image of the whole plan.
+    """Return a PNG image of the whole plan that `preview` contains.
 
     If the plan was refused because of a collision, the two bodies that would collide are marked.
     """

@@ -1,4 +1,6 @@
-"""Refusal of a plan by the preflight: the step, the two colliding bodies, and the tip centre at the collision."""
+"""Refusal of a plan by the preflight, the simulated execution of the plan: the refused step, the two colliding bodies,
+and the tip centre at the collision.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], vi
     """Return the refusal of a plan as it is shown in the preview.
 
     `refused` is the error raised by the preflight. `waypoints` contains the waypoints of the plan; the last one is that
-    of the refused step. `visit` is the index of the visit to which the refused step belongs.
+    of the refused step. `visit` is the index of the visit (measurement of one position) to which the refused step
+    belongs.
     """
     bodies: tuple[str, ...] = ()
     tip = translate_point(lower_end(job), point(job.tool_offset_mm))
@@ -37,9 +40,10 @@ def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], vi
 
 
 def named_in(message: str, moving: Sequence[Body], standing: Sequence[Body]) -> tuple[str, ...]:
-    """Return the names of the moving body and of the stationary body that `message` contains.
+    """Return the names of the two colliding bodies that `message` contains: one of the bodies `moving` and one of the
+    stationary bodies `standing`.
 
-    The result is empty if `message` does not contain a name of both kinds.
+    The result is empty if `message` does not name one of each.
     """
     groups = [{body.name for body in group if _has(message, body.name)} for group in (moving, standing)]
     return tuple(max(names, key=len) for names in groups) if all(groups) else ()

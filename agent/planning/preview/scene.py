@@ -1,6 +1,7 @@
-"""Contents of a preview as immutable values. This module neither draws nor uses files.
+"""Contents of the preview of a plan as immutable values. This module neither draws nor uses files.
 
-Lengths are in mm, in the workpiece frame. The path is that of the centre of the stylus tip.
+Lengths are in mm, and points are in the workpiece frame. The path of the preview is that of the centre of the stylus
+tip.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from twin.collision.geometry import Box, Point
 
 @dataclass(frozen=True)
 class PreviewBall:
-    """Ball of a preview.
+    """Ball of the artefact as the preview shows it in one position.
 
     `obstruction` is the reason why the probe cannot measure the ball; it is empty if the ball can be measured.
     """
@@ -31,10 +32,11 @@ class PreviewBall:
 
 @dataclass(frozen=True)
 class ArtefactPlacement:
-    """Artefact in one position, with the mount that holds it.
+    """Artefact in one position (station and orientation), with the mount that holds it.
 
-    `bodies` contains the balls, posts and bar of the artefact, the shaft and pedestal of the mount, and all other
-    stationary bodies except the table.
+    `bodies` contains the solid bodies of the artefact (balls, posts and bar) and of the mount (shaft and pedestal), and
+    all other stationary bodies except the machine table. `held_out` is True if the position is measured only for
+    verification.
     """
 
     position: Position
@@ -49,11 +51,11 @@ class ArtefactPlacement:
 
 @dataclass(frozen=True)
 class Visit:
-    """One measurement of a position, or a position that is not measured.
+    """One measurement of all balls of a position, or a position that is not measured.
 
-    `placement` is the index of the placement of the artefact in this position. The waypoints of the visit have the
-    indices from `first` to `end` in the path; `end` is exclusive. `note` is the reason why the position is not
-    measured; it is empty if the position is measured.
+    `placement` is the index of the position in `Preview.placements`. The points of the path that belong to the visit
+    have the indices from `first` to `end` in `Preview.path`; `end` is exclusive. `note` is the reason why the position
+    is not measured; it is empty if the position is measured.
     """
 
     phase: str
@@ -65,10 +67,10 @@ class Visit:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """Point of the path, reached at the end of a step.
+    """Point of the path of the stylus tip, reached at the end of a step.
 
-    `ends_s` is the time in s at which the tip reaches the point. `ball` is the number of the ball that is being
-    measured, or None. `touch` is True if the step is a touch.
+    `ends_s` is the time in s, from the start of the plan, at which the tip reaches the point. `ball` is the number of
+    the ball that is being measured, or None. `touch` is True if the step is a touch.
     """
 
     tip_mm: Point
@@ -79,11 +81,11 @@ class PathPoint:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Refusal of a plan by the preflight.
+    """Refusal of a plan by the preflight, the simulated execution of the plan.
 
     `message` is the text of the refusal, and `step` is the key of the refused step. `bodies` contains the names of the
     two colliding bodies; it is empty if they are not known. `tip_mm` is the tip centre at the collision. `visit` is the
-    index of the visit to which the step belongs.
+    index in `Preview.visits` of the visit to which the step belongs.
     """
 
     message: str
@@ -97,8 +99,8 @@ class Refusal:
 class Preview:
     """Preview of a plan.
 
-    `travel` is the box in which the tip centre can move, and `table` is the drawn part of the table. `probe` contains
-    the bodies of the probe, with coordinates relative to the tip centre.
+    `travel` is the box in which the tip centre can move, and `table` is the drawn part of the machine table. `probe`
+    contains the bodies of the probe, with coordinates relative to the tip centre.
     """
 
     machine: str
@@ -122,9 +124,9 @@ class Preview:
 
     @property
     def minutes(self) -> float:
-        """Machine time of the whole path in minutes.
+        """Machine time of the whole path of the stylus tip in minutes.
 
-        If the plan was refused, the path ends at the refusal.
+        If the preflight refused the plan, the path ends at the refused step.
         """
         return self.path[-1].ends_s / 60.0 if self.path else 0.0
 

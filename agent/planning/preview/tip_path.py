@@ -1,4 +1,6 @@
-"""Path of the stylus tip through the steps of a plan. The plan is executed on an ideal machine."""
+"""Path of the stylus tip through the steps of a plan. The plan is executed on an ideal machine, which has no errors and
+only adds up the times of the steps.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ _BALL = re.compile(r"/ball-(\d+)")
 
 @dataclass(frozen=True)
 class Waypoint:
-    """State of the ideal machine after a step.
+    """State of the ideal machine, on which a plan is executed, after a step of the plan.
 
     `tip_mm` is the tip centre in the workpiece frame. `ends_s` is the time in s since the start of the plan. `standing`
     contains the station of the artefact and the angles of the mount.
@@ -41,16 +43,17 @@ class Waypoint:
 
     @property
     def ball(self) -> int | None:
-        """Number of the ball to which the step belongs, or None if the step belongs to no ball."""
+        """Number of the ball that the step of this waypoint measures, or None if the step belongs to no ball."""
         named = _BALL.search(self.step.key)
         return int(named.group(1)) if named else None
 
 
 def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
-    """Return a waypoint for every step that moves or changes something, in the order of the steps.
+    """Return a waypoint (state after the step) for every step of the plan of `job` that moves or changes something, in
+    the order of the steps.
 
-    The path of a refused plan ends at the refused step. It ends earlier if the ideal machine cannot carry out the plan
-    up to that step.
+    If the preflight refused the plan with the error `refused`, the waypoints end at the refused step. They end earlier
+    if the ideal machine cannot carry out the plan up to that step.
     """
     walker = _Walker(job)
     last = refused.where.get("step") if refused else None
@@ -60,9 +63,9 @@ def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoi
 
 
 def lower_end(job: Job) -> Point:
-    """Return the axis positions at the lower end of the travel in mm.
+    """Return the axis positions in mm at the lower end of the travel of each axis of the machine.
 
-    The path of a plan is assumed to start there, as in the preflight.
+    The path of a plan is assumed to start there, as it does in a simulated execution (preflight).
     """
     return point(low for low, _ in job.machine.limits)
 
