@@ -34,7 +34,8 @@ KIND_FIELDS = (
 def combine_artefacts(artefacts: Sequence[Artefact]) -> Artefact:
     """Combine several artefacts into one that contains all their balls, in the given order of the artefacts.
 
-    Raises DataError if there are no artefacts or if the artefacts are not of the same kind.
+    Raises DataError if there are no artefacts or if the artefacts are not of the same kind, that is, differ in their
+    number of balls or in their dimensions.
     """
     if not artefacts:
         raise DataError("no artefact given")

@@ -14,8 +14,9 @@ class MountGeometry:
     """Dimensions in mm of the mount and of the bar on it. They are used to place the bar and to check for collisions.
 
     `shaft_mm` is the distance between the vertical azimuth axis and the middle of the bar axis, measured in the
-    direction of the holders. The pedestal stands on the machine table under the azimuth axis. It extends from the
-    height `table_z_mm` (surface of the table, in the workpiece frame) to `head_mm` above the mount location.
+    direction of the ball holders. The pedestal stands on the machine table under the azimuth axis. It extends from the
+    height `table_z_mm` (surface of the table, in the workpiece frame) to `head_mm` above the mount location, which is
+    the point of the azimuth axis at the height of the middle of the bar.
     """
 
     shaft_mm: float = 120.0

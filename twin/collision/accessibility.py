@@ -44,8 +44,8 @@ def measuring_scene(
     elevation_rad: float,
     other_bodies: Sequence[Body] = (),
 ) -> tuple[Array, Scene]:
-    """Return the nominal ball centres (N, 3) of one position, in mm in the workpiece frame, and the collision scene of
-    the position.
+    """Return the nominal ball centres (N, 3) of the artefact in one position, in mm in the workpiece frame, and the
+    collision scene of this position.
 
     The scene contains the probe, the artefact, the mount, and `other_bodies` in the workspace.
     """
@@ -64,11 +64,12 @@ def accessible_balls(
     clearance_mm: float = 1.0,
     overtravel_mm: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Return a boolean array with one element per ball. It is True if the ball can be touched along all `directions`
-    (k, 3) without a collision.
+    """Return a boolean array with one element per ball in `centres`. An element is True if its ball can be touched
+    along all `directions` (k, 3) without a collision.
 
-    The first direction is that of the touch at the pole. `contact_mm` is the ball radius plus the tip radius. A touch
-    begins at the distance `approach_mm` outside contact and stops at the distance `overtravel_mm` beyond contact.
+    The first direction is that of the touch at the pole, the point of the ball that faces the stylus. `contact_mm` is
+    the ball radius plus the tip radius. A touch begins at the distance `approach_mm` outside contact and stops at the
+    distance `overtravel_mm` beyond contact.
 
     All moves at a ball are checked. The probe moves along the stylus axis from a plane in front of the ball to the
     start of each touch, and from there to the end of the touch. Between two touches it moves in the plane in front of

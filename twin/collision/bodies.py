@@ -44,8 +44,8 @@ def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> 
     frame.
 
     The bar is divided into pieces, each from one post to the next. The bounding boxes of the short pieces of an oblique
-    bar enclose less empty space than one box around the whole bar. The first test, which compares boxes, therefore
-    excludes more pairs of bodies.
+    bar enclose less empty space than one box around the whole bar. The first step of a collision check, which compares
+    bounding boxes, therefore excludes more pairs of bodies.
     """
     centres = pose.apply(artefact.balls)
     feet_frame = artefact.balls.copy()
@@ -60,7 +60,7 @@ def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> 
 
 
 def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tuple[Body, ...]:
-    """Return the shaft, the pedestal and the table as collision bodies, for a mount at `location_mm` (3,)."""
+    """Return the shaft and the pedestal of a mount at `location_mm` (3,), and the machine table, as bodies."""
     location = point(location_mm)
     x, y, z = location
     return (

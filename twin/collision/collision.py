@@ -21,8 +21,8 @@ _NOTHING: Mapping[tuple[str, str], float] = {}
 
 @dataclass(frozen=True)
 class Hit:
-    """First contact during a move. `fraction` is the fraction of the move (0 to 1) at which the contact occurs.
-    `moving` and `obstacle` are the names of the two bodies.
+    """First contact between a moving body and an obstacle during a straight move. `fraction` is the fraction of the
+    move (0 to 1) at which the contact occurs. `moving` and `obstacle` are the names of the two bodies.
     """
 
     fraction: float
@@ -31,11 +31,11 @@ class Hit:
 
 
 class Scene:
-    """Collision scene with moving bodies, given relative to the tip centre, among stationary bodies.
+    """Collision scene with moving bodies, given relative to the centre of the stylus tip, among stationary bodies.
 
     A scene cannot be changed. If a stationary body moves, a new scene is needed.
 
-    The constructor computes the boxes around the moving bodies and the sorted extents of the boxes around the
+    The constructor computes the bounding boxes of the moving bodies and the sorted extents of the bounding boxes of the
     stationary bodies in advance.
     """
 
@@ -109,8 +109,8 @@ class Scene:
         return smallest
 
     def near_pairs(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
-        """Return the indices (moving, obstacle) of all pairs of bodies whose bounding boxes come closer than the
-        clearance during a straight move.
+        """Return the indices (moving, obstacle) of all pairs of bodies whose bounding boxes come closer than
+        `clearance_mm` during a straight move of the tip centre from `start` to `end`.
 
         The box of each moving body is extended to enclose the body during the complete move.
         """

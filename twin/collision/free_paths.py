@@ -2,9 +2,9 @@
 
 A path is a sequence of straight moves, and the tip stops after each move. The caller provides a list of candidate
 paths. They are tested in ascending order of duration. A test is exact: it computes the smallest distance between every
-pair of bodies during each move. The first candidate that keeps the clearance on all its moves is the fastest free
-candidate. There may be a shorter path among the obstacles that is not in the list. The search succeeds if the list
-includes a path that is known to be free.
+pair of bodies during each move. The first candidate that keeps the required clearance on all its moves is the fastest
+collision-free candidate. There may be a shorter path among the obstacles that is not in the list. The search succeeds
+if the list includes a path that is known to be free of collisions.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class AxisDynamics:
         return np.asarray(self.moving_seconds(corners) + self.command_s * (corners.shape[1] - 1))
 
     def moving_seconds(self, corners: Array) -> Array:
-        """Return the duration in s of each path through `corners` (n, k, 3), without the additional time `command_s`
-        for each move.
+        """Return the duration in s of each of n paths through the points `corners` (n, k, 3) in mm, without the
+        additional time `command_s` for each move.
         """
         moves = travel_times(corners[:, :-1], corners[:, 1:], self.rapid_mm_per_s, self.acceleration_mm_per_s2)
         return np.asarray(moves.sum(axis=1))
@@ -79,8 +79,9 @@ class FreePath:
 
 @dataclass(frozen=True, eq=False)
 class PathCandidates:
-    """Candidate paths. `corners` (n, k, 3) contains up to k corners in mm for each of n paths. `counts` (n,) contains
-    the number of corners of each path, which is at least one.
+    """Candidate paths of the tip, among which a collision-free path is searched. `corners` (n, k, 3) contains up to k
+    corners (points between start and end) in mm for each of n paths. `counts` (n,) contains the number of corners of
+    each path, which is at least one.
 
     If a path has fewer than k corners, its last corner is repeated.
     """
@@ -90,7 +91,9 @@ class PathCandidates:
 
     @classmethod
     def of(cls, groups: Sequence[Array]) -> PathCandidates:
-        """Combine several groups of candidates into one. Each group is an array (n, k, 3) of n paths with k corners."""
+        """Combine several groups of candidate paths into one. Each group is an array (n, k, 3) of n paths with k
+        corners.
+        """
         total, most = sum(map(len, groups)), max(group.shape[1] for group in groups)
         corners, counts, begin = np.empty((total, most, 3)), np.empty(total, dtype=np.int_), 0
         for group in groups:
@@ -100,11 +103,11 @@ class PathCandidates:
         return cls(corners, counts)
 
     def select(self, mask: NDArray[np.bool_]) -> PathCandidates:
-        """Return the candidates that the boolean array `mask` selects."""
+        """Return the candidate paths that the boolean array `mask` selects."""
         return PathCandidates(self.corners[mask], self.counts[mask])
 
     def inside(self, lower: Array, upper: Array) -> PathCandidates:
-        """Return the candidates whose corners are all between `lower` (3,) and `upper` (3,), in mm."""
+        """Return the candidate paths whose corners are all between `lower` (3,) and `upper` (3,), in mm."""
         within = (self.corners >= lower) & (self.corners <= upper)
         return self.select(np.asarray(within.reshape(len(within), -1).all(axis=1)))
 
@@ -126,8 +129,8 @@ class PrefilteredScene:
 def direct_path(
     scene: Scene, dynamics: AxisDynamics, start: Point, end: Point, clearances: Clearances
 ) -> FreePath | None:
-    """Return the straight path from `start` to `end` if it is free, otherwise None. No other path is faster than the
-    straight path.
+    """Return the straight path from `start` to `end` if it is free of collisions, otherwise None. No other path is
+    faster than the straight path.
     """
     if not scene.is_free(start, end, clearances.clearance_mm, clearances.reduced_mm):
         return None
@@ -142,9 +145,8 @@ def fastest_path(
     candidates: PathCandidates,
     clearances: Clearances,
 ) -> FreePath | None:
-    """Return the fastest free candidate, or None if no candidate is free.
-
-    If several free candidates are equally fast, the first of them is returned.
+    """Return the fastest of the candidate paths from `start` to `end` that is free of collisions, or None if none is
+    free. If several free candidates are equally fast, the first of them is returned.
     """
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
@@ -185,11 +187,12 @@ def _stops(start: Point, corners: Array, end: Point) -> Array:
 def retract_candidates(
     start: Point, end: Point, back: Array, limit: float, lateral: Array | None = None
 ) -> list[Array]:
-    """Return candidate paths for `fastest_path` as a list of arrays (n, k, 3) with n paths of k corners.
+    """Return candidate paths from `start` to `end`, for the function `fastest_path`, as a list of arrays (n, k, 3) with
+    n paths of k corners.
 
     For each retract distance in `RETRACTS_MM` there are paths with two corners and with one corner. A path with two
-    corners retracts from the start, crosses over in a plane, and advances to the end. A path with one corner leads over
-    a point of this plane.
+    corners retracts from the start, crosses over in a plane perpendicular to `back`, and advances to the end. A path
+    with one corner leads over a point of this plane.
 
     `back` (3,) is the unit vector along a machine axis in which the probe retracts. `limit` is the smallest permissible
     coordinate in the direction -`back`. `lateral` (3,) is a vector in mm that points away from the surface touched at

@@ -2,8 +2,8 @@
 
 Points are (x, y, z) in mm. The distance between two convex bodies is a convex function of the translation of one body.
 A tangent to this function is therefore never above the function. A step to the zero of the tangent never goes beyond
-the first contact, and repeated steps converge to the contact quadratically. For this reason `swept_contact` is exact
-and needs few evaluations.
+the first contact, and repeated steps converge to the contact quadratically. For this reason the function
+`swept_contact`, which finds the first contact, is exact and needs few evaluations.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Box:
-    """Box with faces perpendicular to the axes, from the corner `lower` to the corner `upper`."""
+    """Box with faces perpendicular to the coordinate axes, from the corner `lower` to the corner `upper`."""
 
     lower: Point
     upper: Point

@@ -29,8 +29,8 @@ class MeasuringLayout:
     - `locations_mm` maps a station number to the location (3,) of the mount in the workpiece frame.
     - `lower_mm` and `upper_mm` (3,) are the travel limits, reduced by the travel needed for touching.
     - `contact_mm` is the ball radius plus the tip radius.
-    - `approach_mm` is the distance outside contact at which a touch begins.
-    - `overtravel_mm` is the distance beyond contact at which a touch stops.
+    - `approach_mm` is the distance before the point of contact at which a touch begins.
+    - `overtravel_mm` is the distance beyond the point of contact at which a touch stops.
     - `directions` (k, 3) contains the touch directions, which are the same for every ball.
     - `artefact` defines the ball numbers in observations.
     - `own_artefacts` maps a station number to an artefact if each station has its own artefact. `artefact` is then
@@ -57,16 +57,17 @@ class MeasuringLayout:
     _accessible: dict[_AccessKey, Mask] = field(default_factory=dict, init=False, repr=False)
 
     def nominal(self, position: Position) -> Array:
-        """Return the axis positions (N, 3) in mm at which the stylus centre coincides with each of N balls at
-        `position`. The mount is assumed to be at its nominal location.
+        """Return for each of the N balls of the artefact the axis positions, as an array (N, 3) in mm, at which the
+        stylus centre coincides with the ball centre while the artefact is in `position`. The mount is assumed to be at
+        its nominal location.
         """
         azimuth, elevation = math.radians(position.azimuth_deg), math.radians(position.elevation_deg)
         pose = mount_pose(self.location(position.station), self.mount, azimuth, elevation)
         return pose.apply(self.artefact_at(position.station).balls) - self.tool_offset_mm
 
     def reachable(self, position: Position, predicted: Array) -> Mask:
-        """Return a boolean array with one element per ball of `position`. It is True if the ball is accessible and its
-        axis position is within the travel.
+        """Return a boolean array with one element per ball of the artefact in `position`. An element is True if its
+        ball is accessible to the probe and the predicted axis position of the ball is within the travel.
 
         `predicted` (N, 3) contains the predicted axis positions of the N balls in mm.
         """
@@ -74,8 +75,9 @@ class MeasuringLayout:
         return np.logical_and(inside, self.accessible(position))
 
     def accessible(self, position: Position) -> Mask:
-        """Return a boolean array with one element per ball of `position`. It is True if no body obstructs the probe at
-        this ball. The bodies are the artefact, the mount and the neighbours of the station.
+        """Return a boolean array with one element per ball of the artefact in `position`. An element is True if no body
+        obstructs the probe at its ball. The bodies are the artefact, the mount, and the bodies at the neighbouring
+        stations.
         """
         location = self.location(position.station)
         other_bodies = self.neighbours.get(position.station, ())

@@ -22,8 +22,8 @@ _NO_TIME_S = 1e-300
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of constant acceleration. It begins at the instant `start_s`, at `distance` along the path and with
-    `speed`.
+    """Phase of a motion with constant acceleration. It begins at the instant `start_s`, at the distance `distance`
+    along the path, and with the speed `speed`.
     """
 
     start_s: float
@@ -93,14 +93,14 @@ class MotionLaw:
         return self.end_s
 
     def truncated_at(self, instant_s: float) -> MotionLaw:
-        """Return a law that equals this law until `instant_s`, at which the motion stops abruptly, as in a
+        """Return a motion law that equals this law until `instant_s`, at which the motion stops abruptly, as in a
         collision.
         """
         kept = self._until(instant_s)
         return MotionLaw(kept or (Phase(instant_s, 0.0, self.distance_at(instant_s), 0.0, 0.0),))
 
     def braked_from(self, instant_s: float, deceleration: float) -> MotionLaw:
-        """Return a law that equals this law until `instant_s` and then decelerates to rest."""
+        """Return a motion law that equals this law until `instant_s` and then decelerates to rest."""
         speed = self.speed_at(instant_s)
         brake = Phase(instant_s, speed / deceleration, self.distance_at(instant_s), speed, -deceleration)
         return MotionLaw((*self._until(instant_s), brake))
@@ -126,7 +126,8 @@ class MotionLaw:
 
 
 def trapezoid(start_s: float, length: float, speed: float, acceleration: float) -> MotionLaw:
-    """Return the law of a motion from rest to rest over the distance `length`, with a trapezoidal speed profile.
+    """Return the motion law (distance as a function of time) of a motion from rest to rest over the distance `length`,
+    with a trapezoidal speed profile.
 
     The speed profile is triangular if the distance is too short to reach `speed`.
     """
@@ -143,7 +144,9 @@ def trapezoid(start_s: float, length: float, speed: float, acceleration: float) 
 
 
 def travel_time_s(length: float, speed: float, acceleration: float) -> float:
-    """Return the duration in s of a motion from rest to rest, as described by `trapezoid`."""
+    """Return the duration in s of a motion from rest to rest, over the distance `length`, with the trapezoidal or
+    triangular speed profile that the function `trapezoid` describes.
+    """
     _, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
     return ramp_s + cruise_s + ramp_s
 
@@ -154,7 +157,8 @@ def travel_times(
     """Return the durations in s of straight moves from rest to rest, from `starts` (..., 3) to `ends` (..., 3) in mm.
 
     The result has the shape of the inputs without the last dimension. Every axis stays within its own limits of speed
-    and acceleration. The durations equal those of `travel_time_s` for each `straight_path`.
+    and acceleration. The durations equal those that the functions `straight_path` and `travel_time_s` give for each
+    move.
     """
     lengths = np.abs(np.asarray(ends, dtype=np.float64) - starts)
     # L / a (in s²) and L / v (in s) of the limiting axis: with a = L / accelerating and v = L / cruising along the path
@@ -198,7 +202,9 @@ class StraightPath:
         )
 
     def limit_along(self, per_axis: Sequence[float]) -> float:
-        """Return the largest speed (or acceleration) along the path for which no axis exceeds its own limit."""
+        """Return the largest speed (or acceleration) along the path for which no axis exceeds its own limit in
+        `per_axis`.
+        """
         largest = math.inf
         for limit, part in zip(per_axis, self.direction, strict=True):
             if part != 0.0 and limit < largest * abs(part):

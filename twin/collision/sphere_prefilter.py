@@ -43,11 +43,11 @@ class SceneSpheres:
 
 
 class SpherePrefilter:
-    """Fast test for pairs of spheres that come closer than their clearance.
+    """Fast test for pairs of spheres that come closer than their required clearance on a straight move.
 
-    The test finds only some of the collisions that `Scene.is_free` finds, because it ignores all bodies that are not
-    spheres. The clearance of a pair is `clearance_mm`, or a smaller value if `reduced_mm` contains the pair. The pair
-    that collided last is tested first.
+    The test finds only some of the collisions that the exact test `Scene.is_free` finds, because it ignores all bodies
+    that are not spheres. The clearance of a pair is `clearance_mm`, or a smaller value if `reduced_mm` contains the
+    pair. The pair that collided last is tested first.
     """
 
     def __init__(self, spheres: SceneSpheres, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float]) -> None:
@@ -66,7 +66,7 @@ class SpherePrefilter:
     def certainly_hits(self, start: Point, end: Point) -> bool:
         """Return True if two spheres certainly come too close to each other on the straight move from `start` to `end`.
 
-        If the result is False, the exact test may still find a collision.
+        If the result is False, the exact test of all bodies may still find a collision.
         """
         x, y, z = start
         dx, dy, dz = end[0] - x, end[1] - y, end[2] - z

@@ -1,9 +1,9 @@
-"""Volume swept by a rotating artefact, and the limit up to which the probe may stay in front of the artefact during the
-rotation.
+"""Volume swept by an artefact that its mount rotates, and the limit up to which the probe may stay in front of the
+artefact during the rotation.
 
-The two axes of a mount rotate at the same time. Either axis may be ahead of the other, and the mount may stop halfway.
-The swept volume is therefore the union over all pairs of an azimuth and an elevation between the old and the new
-angles.
+The two axes of a mount (azimuth and elevation) rotate at the same time. Either axis may be ahead of the other, and the
+mount may stop halfway. The swept volume is therefore the union over all pairs of an azimuth and an elevation between
+the angles before and after the rotation.
 
 The bodies are covered by spheres, and the angles are sampled. Each sphere is enlarged by the largest motion of its
 points between two samples. The computed volume is therefore never too small.
@@ -32,10 +32,11 @@ MountAngles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class SphereCover:
-    """Spheres that together enclose all rotating bodies.
+    """Spheres that together enclose all bodies that rotate with the mount (artefact and shaft).
 
-    `centres` (n, 3) contains the centres of the n spheres in mm. They are relative to the mount location, in the
-    directions of the axes of the artefact frame. `radii` (n,) contains the radii in mm.
+    `centres` (n, 3) contains the centres of the n spheres in mm. They are relative to the mount location (the point of
+    the azimuth axis at the height of the middle of the bar), in the directions of the axes of the artefact frame.
+    `radii` (n,) contains the radii in mm.
     """
 
     centres: Array
@@ -48,7 +49,8 @@ class SphereCover:
 
 
 def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCover:
-    """Return spheres that enclose all rotating bodies. Their centres are relative to the mount location.
+    """Return spheres that enclose all bodies that rotate with the mount: the balls, the posts, the bar and the shaft.
+    Their centres are relative to the mount location.
 
     The bar is cut into slabs across its axis. One sphere encloses all parts of the balls, the posts and the bar that
     are in the same slab. Further spheres along the axis of the shaft enclose the shaft.
@@ -76,15 +78,17 @@ class TurnSweep:
     mount location.
 
     The probe approaches along +Y. `deepest` (k, k) contains the largest permissible Y coordinate in mm for each grid
-    point. It is infinite at a grid point if no body limits the Y coordinate there.
+    point. The value is infinite if no body limits the Y coordinate there. `reach_mm` is the largest distance of the
+    rotating bodies from the mount location.
     """
 
     reach_mm: float
     deepest: Array
 
     def at(self, x: Array, z: Array) -> Array:
-        """Return the largest permissible Y coordinate of the tip centre in mm. The arrays `x` and `z` have the same
-        shape, which is also the shape of the result.
+        """Return the largest permissible Y coordinate of the tip centre in mm. `x` and `z` are arrays of its X and Z
+        coordinates in mm, relative to the mount location. They have the same shape, which is also the shape of the
+        result.
         """
         middle = len(self.deepest) // 2
         column = np.rint(np.asarray(x) / CELL_MM).astype(int) + middle
@@ -107,7 +111,8 @@ def turn_sweep(
 
     The result is valid for any order and any speeds of the two rotations.
 
-    `stationary` contains the shapes that do not rotate, relative to the mount location.
+    `cover` contains spheres that enclose the rotating bodies. `stationary` contains the shapes that do not rotate,
+    relative to the mount location.
     """
     half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
     front = _front(*_turned(cover, start_deg, end_deg), half)

@@ -1,7 +1,7 @@
 """Search for the cheapest order in which to visit a number of points.
 
 For few points, the order found is the best possible. For more points, an initial order is improved step by step by
-exchanges.
+exchanging legs.
 
 The cost of a leg between two points may depend on its direction and may take long to compute. Costs are therefore
 requested one by one from a function of the caller. The caller also provides a lower bound of the cost that is quick to
@@ -34,10 +34,10 @@ def shortest_tour(
     `cost(a, b)` is the cost of the leg from a to b. `lower_bound(a, b)` is a lower bound of this cost that is quick to
     compute.
 
-    If there are at most `MAX_EXACT_NODES` nodes, the result is a best order (method of Held and Karp, 1962). If there
-    are more, the result is a local optimum. Its cost cannot be reduced by reversing one part of the tour (2-opt), or by
-    moving up to three successive nodes to another place (Or-opt). If several orders have the same cost, the order of
-    `nodes` decides, so the result is reproducible.
+    If there are at most eight nodes (`MAX_EXACT_NODES`), the result is a best order (method of Held and Karp, 1962). If
+    there are more, the result is a local optimum. Its cost cannot be reduced by reversing one part of the tour (2-opt),
+    or by moving up to three successive nodes to another place in the order (Or-opt). If several orders have the same
+    cost, the order of `nodes` decides, so the result is reproducible.
     """
     if len(nodes) <= MAX_EXACT_NODES:
         return _exact(nodes, start, end, cost)

@@ -18,8 +18,8 @@ System = Literal["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G5
 
 
 class PartSetupFile(StrictModel):
-    """Contents of the setup file. Positions are axis positions (machine coordinates), and all lengths are in mm. Tools
-    are listed by H number.
+    """Contents of the setup file of a part program. Positions are axis positions (machine coordinates), and all lengths
+    are in mm. Tools are listed by H number.
     """
 
     work_offsets_mm: dict[System, Triple] = Field(default_factory=dict)
@@ -37,7 +37,7 @@ class PartSetupFile(StrictModel):
 
 
 def parse_part_setup(text: str, source: str) -> PartSetup:
-    """Parse the TOML text of a setup file and return the setup.
+    """Parse the TOML text of a setup file and return the setup of the part program.
 
     Raises FormatError if the text cannot be used. The error names the file and the key.
     """

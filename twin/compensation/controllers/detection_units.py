@@ -1,5 +1,5 @@
 """Corrections in the form in which FANUC controllers store them. Each correction is an integer, which the controller
-multiplies by a detection unit and a magnification.
+multiplies by a detection unit (a length in µm that is set in the controller) and a magnification.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ MAGNIFICATION = FormatOption[int | None](
 
 @dataclass(frozen=True)
 class CountUnit:
-    """Length that corresponds to one count. It is the product of `detection_unit_um` (in µm) and `magnification`."""
+    """Length that corresponds to one count, that is, to the value 1 of a stored integer correction. It is the product
+    of `detection_unit_um` (in µm) and `magnification`.
+    """
 
     detection_unit_um: float
     magnification: int
@@ -59,8 +61,8 @@ class CountUnit:
 
 
 def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, increments: bool) -> CountUnit:
-    """Return the unit with the requested magnification. If no magnification is requested, return the unit with the
-    smallest sufficient magnification.
+    """Return the length of one count of the stored corrections, with the magnification that `choices` request. If no
+    magnification is requested, use the smallest sufficient magnification.
 
     A magnification is sufficient if the absolute value of every written number is at most `most`. If `increments` is
     True, the written numbers are the differences between successive counts, otherwise the counts themselves. Raises
@@ -84,7 +86,7 @@ def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, 
 
 
 def format_reference(reference: Array) -> str:
-    """Return the machine position of the reference point as text for the operator.
+    """Return the machine position `reference` of the reference point as text for the operator.
 
     The controller counts the compensation points from this point, but no parameter contains its position.
     """

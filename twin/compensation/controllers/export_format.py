@@ -19,8 +19,8 @@ Facts = Mapping[str, str | int | float]
 
 @dataclass(frozen=True, eq=False)
 class TableEstimate:
-    """Estimate from which a compensation table was built. It consists of p identified parameters of `model` and their
-    covariance (p, p).
+    """Estimate of the machine errors from which a compensation table was built. It consists of p identified parameters
+    of `model` and their covariance (p, p).
     """
 
     model: ErrorModel
@@ -30,8 +30,8 @@ class TableEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ExportSource:
-    """Compensation table to be exported. `estimate` is the estimate from which the table was built, or None if it is
-    not available.
+    """Compensation table to be exported. `estimate` is the estimate of the machine errors from which the table was
+    built, or None if it is not available.
     """
 
     table: CompensationTable

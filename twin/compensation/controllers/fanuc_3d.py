@@ -3,8 +3,8 @@ interpolation.
 
 The interpolation is described in the additional manual Series 30i-A, A-79351E: the eight corners of a cell are weighted
 by the position within the cell. The parameter numbers, the order of the points and the sign are known only from
-experience. The format of the punched data is not public. The export therefore lists the points, and they have to be
-entered with the machine builder's tool.
+experience. The format of the data files that the controller reads (punched data) is not public. The export therefore
+lists the points, and they have to be entered with the machine builder's tool.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ LOSSES = ("curvature between points that are farther apart than those of the tab
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Return the texts of `points.csv`, which contains the number, the position and the counts of each point, and of
-    `parameters.txt`.
+    """Export a compensation table to two files. `points.csv` contains the number and the position of each point and its
+    corrections as integer counts. `parameters.txt` contains the controller parameters.
     """
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")

@@ -6,8 +6,8 @@ manual, compensation number n belongs to an interval of the axis. This interval 
 reference position plus (n - P3620) × P3624. Here P3620 and P3624 are the values of parameters 3620 and 3624. The
 compensation at a position is the sum of the increments from the reference point to this position.
 
-Two facts are known only from experience. The controller adds the sum to the command, and the punched data have the form
-that this module creates.
+Two facts are known only from experience. The controller adds the sum to the command, and the data files that the
+controller reads (punched data) have the form that this module creates.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ LOSSES = (
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Return the texts of `pitch-error.txt`, which contains the compensation data, and of `parameters.txt`. Both are in
-    the form of punched data.
+    """Export a compensation table to two files: `pitch-error.txt`, which contains the compensation data, and
+    `parameters.txt`, which contains the controller parameters. Both have the form of data files that the controller
+    reads (punched data).
     """
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")

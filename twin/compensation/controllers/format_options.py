@@ -74,8 +74,8 @@ class ExportOptions:
     """Values of export options that the user has set, stored by the key of the option. Indexing with an option returns
     its value, or its default if it is not set.
 
-    If `opposite_sign` is True, every value is written with the opposite of the documented sign. This is needed if tests
-    show that a controller uses the opposite sign.
+    If `opposite_sign` is True, every value is written with the opposite of the sign that the manual of the controller
+    documents. This is needed if tests show that a controller uses the opposite sign.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)

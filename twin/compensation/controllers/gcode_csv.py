@@ -12,7 +12,7 @@ from twin.compensation.table_file import format_side_file, format_table
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Return the texts of `table.csv` and `table.json`."""
+    """Export a compensation table to the two files `table.csv` and `table.json` that `volcal gcode correct` reads."""
     written = replace(source.table, corrections=choices.sign * source.table.corrections)
     files = {"table.csv": format_table(written), "table.json": format_side_file(written)}
     return ControllerExport(

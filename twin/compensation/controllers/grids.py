@@ -1,5 +1,5 @@
-"""Checks of a table against the requirements of a controller, and resampling of the table to another grid. The
-requirements concern the spacing, the number of points and the size of the values.
+"""Checks of a compensation table against the requirements of a controller, and resampling of the table to another grid.
+The requirements concern the spacing, the number of points and the size of the values.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Shape = tuple[int, int, int]
 
 
 def require_small_corrections(table: CompensationTable, largest_mm: float = LARGEST_CORRECTION_MM) -> None:
-    """Raise DataError if the largest correction exceeds `largest_mm`.
+    """Raise DataError if the largest correction of a compensation table exceeds `largest_mm`.
 
     The error names the line of the table's CSV file in which the largest correction is stored.
     """
@@ -38,7 +38,7 @@ def require_small_corrections(table: CompensationTable, largest_mm: float = LARG
 
 
 def even_steps(table: CompensationTable) -> tuple[float, float, float]:
-    """Return the distances between successive nodes along X, Y and Z in mm.
+    """Return the distances between successive nodes of a compensation table along X, Y and Z in mm.
 
     Raises DataError if the nodes are not evenly spaced. The error names the axis and the line in the CSV file of the
     table.
@@ -58,7 +58,7 @@ def even_steps(table: CompensationTable) -> tuple[float, float, float]:
 
 
 def require_points(table: CompensationTable, most: Shape, format_name: str) -> None:
-    """Raise DataError if an axis has more points than the format allows."""
+    """Raise DataError if the table has more points along an axis than the limit `most` of an export format."""
     found = table.corrections.shape[:3]
     if any(count > limit for count, limit in zip(found, most, strict=True)):
         axis = AXES[next(k for k in range(3) if found[k] > most[k])]
@@ -76,10 +76,11 @@ def _thinned(count: int, most: int) -> int:
 
 
 def resample_table(table: CompensationTable, points: Shape) -> CompensationTable:
-    """Return the table on an evenly spaced grid over the same range, with the given number of `points` along each axis.
-    The corrections at the new nodes are interpolated trilinearly.
+    """Return the compensation table on an evenly spaced grid over the same range, with the given number of `points`
+    along each axis. The corrections at the new nodes are interpolated trilinearly.
 
-    A new node is marked as extrapolated if its interpolated value depends on an extrapolated node of the old grid.
+    A new node is marked as extrapolated if its interpolated value depends on a node of the old grid that is marked as
+    extrapolated, that is, outside the measured region.
     """
     if min(points) < 2:
         raise DataError(
@@ -99,8 +100,8 @@ def resample_table(table: CompensationTable, points: Shape) -> CompensationTable
 
 
 def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, float] | None) -> Array:
-    """Return the machine position (3,) of the reference point in mm. If `wanted_mm` is None, the reference point is the
-    anchor of the table.
+    """Return the machine position (3,) in mm of the reference point, to which a controller refers its compensation. If
+    `wanted_mm` is None, the reference point is the anchor of the table (the position at which its correction is zero).
 
     Raises DataError if the reference point is outside the grid.
     """
@@ -113,7 +114,7 @@ def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, flo
 
 
 def reference_nodes(table: CompensationTable, point: Array) -> Shape:
-    """Return for each axis the index of the node at the reference point.
+    """Return for each axis the index of the table node at the reference point `point`.
 
     Raises DataError if the grid has no node at the reference point along one of the axes.
     """

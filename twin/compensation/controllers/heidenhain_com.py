@@ -6,7 +6,7 @@ evenly spaced rows. Each row belongs to a position of the causing axis and has a
 `.CMA` table has one column per causing axis, in which it lists the `.COM` table of this axis.
 
 The tables contain the measured error, and the control moves against it. Only one line of the `.CMA` table is active at
-a time, so two lines serve as two banks.
+a time, so two lines serve as two banks, between which the compensation can be switched.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ ACTIVE_BANK = FormatOption("cma_bank", OneOf(("A", "B")), "A", "HEIDENHAIN: acti
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Return the texts of three `.COM` files for the requested bank, and of `CONFIG.CMA`, in which this bank is
-    active.
+    """Export a compensation table to three `.COM` files, one per axis, for the requested bank (A or B), and to
+    `CONFIG.CMA`, in which the line of this bank is active.
     """
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a .COM table")

@@ -1,19 +1,20 @@
-"""Volumetric compensation of the ISG kernel (Beckhoff TwinCAT CNC TF5280). Its input is the error motions according to
-ISO 230-1 in the file format ISG_CSV.
+"""Volumetric compensation of the CNC kernel of ISG (Beckhoff TwinCAT CNC TF5280). Its input is the error motions
+according to ISO 230-1 in the file format ISG_CSV.
 
 The format is described in the section "ISG CSV format" of the manual TF5280. A file consists of blocks separated by
 `#`. Each block has a header line with its argument axes and parameter names. Values are in mm and rad, and `//` begins
-a comment. A block may have several argument columns. They are used here for the cross-effect, which depends on Y and Z.
-In the interpolation mode GRID, the kernel interpolates linearly on a grid. The parameters are errors, and the kernel
-moves against them (`negate` in P-VOLC-00009 reverses the direction).
+a comment. A block may have several argument columns. They are used here for the cross-effect (bending of the column by
+the weight of the extended ram), which depends on Y and Z. In the interpolation mode GRID, the kernel interpolates
+linearly on a grid. The parameters are errors, and the kernel moves against them (`negate` in P-VOLC-00009 reverses the
+direction).
 
 The squareness parameters A0Z, B0Z and C0Y are written as zeros in the first block. The manual does not state clearly
 whether these parameters also rotate the parts that the axis carries. Squareness is therefore written as slopes of the
 straightness errors, whose meaning is unambiguous.
 
-The anchor of the table determines a rigid motion that the table leaves uncorrected. This rigid motion is subtracted
-from the error motions, so the kernel adds the same correction as the table. The rotation is also written as slopes of
-the straightness errors, and the translation as constants.
+The anchor of the compensation table, at which its correction is zero, determines a rigid motion that the table leaves
+uncorrected. This rigid motion is subtracted from the error motions, so the kernel adds the same correction as the
+table. The rotation is also written as slopes of the straightness errors, and the translation as constants.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ LOSSES = ("terms of second order, nanometres", "the misfit of the estimate, as i
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """Error motions at the nodes of the table.
+    """Error motions of the axes X, Y and Z at the nodes of the compensation table.
 
     `series[axis]` (6, n) contains the error motions of one axis at its n nodes: EX, EY and EZ in mm, and EA, EB and EC
     in rad. The errors EYZ and EAZ depend on Y and Z, so they are zero in `series`. Their values are in `crossed` (2,
@@ -54,7 +55,9 @@ class Motions:
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Return the texts of `volcomp.csv` and `volcomp.lis`. The user has to add the axis numbers to `volcomp.lis`."""
+    """Export the error motions to `volcomp.csv`, and a list file for the controller to `volcomp.lis`. The user has to
+    add the axis numbers to `volcomp.lis`.
+    """
     table, identified = source.table, source.estimate
     if identified is None:
         hint = "Give it with --estimate, or the folder of the run with --table"

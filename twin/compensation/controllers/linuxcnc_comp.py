@@ -25,7 +25,9 @@ LOSSES = (
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Return the texts of `x.comp`, `y.comp` and `z.comp`, and the lines to be added to the INI file of LinuxCNC."""
+    """Export a compensation table to the files `x.comp`, `y.comp` and `z.comp`, and to a file with the lines to be
+    added to the INI file of LinuxCNC.
+    """
     table = source.table
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a COMP_FILE")
     profiles = [

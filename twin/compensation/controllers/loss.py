@@ -1,5 +1,5 @@
-"""Volumetric error without a table, with the full table, and with the reduced form of the table that a controller
-supports.
+"""Volumetric error without a compensation table, with the full table, and with the reduced form of the table that a
+controller supports.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ A rigid motion and the rounding of the table are not counted.
 
 @dataclass(frozen=True)
 class CompensationLoss:
-    """Volumetric error over the workspace without a table (`before`), with the full table (`full`), and with the
-    reduced table (`reduced`).
+    """Volumetric error over the workspace without a compensation table (`before`), with the full table (`full`), and
+    with the reduced form of the table that the controller supports (`reduced`).
 
     If `estimated` is True, the error is that of the estimated machine. If it is False, there is no estimate, and the
     errors of the machine are inferred from the table. `unknown_mm` is the contribution of the uncertainty of the
-    parameters (rms after the best rigid motion is removed). It does not depend on the table. It is None if there is no
-    estimate.
+    estimated machine parameters (rms after the best rigid motion is removed). It does not depend on the table. It is
+    None if there is no estimate.
     """
 
     before: VolumetricRms
@@ -42,7 +42,8 @@ class CompensationLoss:
 
     @property
     def retained_share(self) -> float:
-        """Improvement by the reduced table divided by the improvement by the full table.
+        """Improvement of the volumetric error by the reduced table, which the controller supports, divided by the
+        improvement by the full table.
 
         Both improvements are computed from aligned errors, that is, after the best rigid motion is removed. The share
         is 1 if the full table brings no improvement.
@@ -52,9 +53,9 @@ class CompensationLoss:
 
 
 def compensation_loss(source: ExportSource, correction: Correction) -> CompensationLoss:
-    """Compute the volumetric error without a table, with the full table, and with the reduced table.
-
-    The function `correction` represents the reduced table. The error is computed on a grid of 60 × 20 × 20 points.
+    """Compute the volumetric error without a compensation table, with the full table, and with the reduced form of the
+    table that the controller supports. The function `correction` gives the corrections of the reduced table. The error
+    is computed on a grid of 60 × 20 × 20 points.
     """
     table, identified = source.table, source.estimate
     grid = evaluation_grid(_ranges(table))
@@ -73,10 +74,9 @@ def compensation_loss(source: ExportSource, correction: Correction) -> Compensat
 
 
 def largest_correction(table: CompensationTable, correction: Correction) -> tuple[Array, Array]:
-    """Return the table node (3,) with the largest correction, and the correction (3,) at this node, both in mm.
-
-    With these values the operator can check the sign. If the compensation is switched on while the axes are at this
-    node, they must move by this correction.
+    """Return the table node (3,) with the largest correction, and the correction (3,) at this node, both in mm. The
+    function `correction` gives the corrections that the controller adds. With these values the operator can check the
+    sign. If the compensation is switched on while the axes are at this node, they must move by this correction.
     """
     nodes = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     added = correction(nodes)
@@ -85,12 +85,12 @@ def largest_correction(table: CompensationTable, correction: Correction) -> tupl
 
 
 def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> None:
-    """Raise DataError if the table and the estimate do not belong to the same machine, the same tool and the same
-    night.
+    """Raise DataError if the compensation table and the estimate of the machine errors do not belong to the same
+    machine, the same tool and the same night.
 
     `resolution_mm` is the resolution of the numbers in the stored table. The permissible rms difference between table
-    and estimate is increased by `resolution_mm`. Rounding contributes only about half of it (rms length over three
-    axes).
+    and estimate is increased by `resolution_mm`. Rounding contributes only about half of this resolution (rms length
+    over three axes).
     """
     identified, table = source.estimate, source.table
     if identified is None:
@@ -109,11 +109,11 @@ def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> No
 
 
 def rigid_difference(source: ExportSource) -> tuple[Array, Array]:
-    """Return the deviation that remains if the table corrects the estimated machine. It is returned in two parts, a
-    rigid motion (6,) and a residual (n, 3) in mm at the n nodes of the table.
+    """Return the deviation that remains if the compensation table corrects the estimated machine. It is returned in two
+    parts, a rigid motion (6,) and a residual (n, 3) in mm at the n nodes of the table.
 
-    The rigid motion is given by the coefficients of the six fields of `rigid_fields` about the anchor. Raises DataError
-    if there is no estimate.
+    The rigid motion is given by the coefficients of the six fields of `rigid_fields` (small translations and rotations)
+    about the anchor of the table. Raises DataError if there is no estimate.
     """
     identified, table = source.estimate, source.table
     if identified is None:

@@ -1,4 +1,5 @@
-"""CSV file that explains itself. It is for controllers whose own format is not public, and for spreadsheets.
+"""CSV file of a compensation table that is readable without further documentation. It is for controllers whose own
+format is not public, and for spreadsheets.
 
 The columns are `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um,extrapolated`. The first three contain the axis position of a node.
 The next three contain the correction that is added to the command at this node. The last column is 1 if the node is
@@ -17,7 +18,7 @@ COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um", "extrapolated")
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Return the text of `compensation.csv`."""
+    """Export a compensation table to the file `compensation.csv`."""
     table = source.table
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     corrections = 1e3 * choices.sign * table.corrections.reshape(-1, 3)

@@ -1,13 +1,13 @@
-"""Reduction of a table to functions that controllers support. These are functions of one axis position, and products of
-two such functions.
+"""Reduction of a compensation table to functions that controllers support. These are functions of one axis position,
+and products of two such functions.
 
-On an evenly spaced grid, a field is a sum of several parts (analysis of variance). They are a mean, a main effect of
-each axis, an interaction of each pair of axes, and a remainder that depends on all three axes. All these parts are
-orthogonal to each other. If some parts are omitted, the sum of the others is therefore still the best fit. The
-remainder is always omitted.
+On an evenly spaced grid, a field of corrections is a sum of several parts (analysis of variance). They are a mean, a
+main effect of each axis, an interaction of each pair of axes, and a remainder that depends on all three axes. All these
+parts are orthogonal to each other. If some parts are omitted, the sum of the others is therefore still the best fit.
+The remainder is always omitted.
 
-A small rigid motion of the workspace consists only of means and main effects. The best reduction before a rigid
-alignment is therefore also the best after it.
+A small rigid motion of the workspace consists only of means and main effects. The best reduction before the
+best-fitting rigid motion is removed is therefore also the best after its removal.
 """
 
 from __future__ import annotations
@@ -44,10 +44,9 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Correction of the axis with the number `output`.
-
-    The correction is `profile` in mm, or the product of `profile` and `factor`. `factor` is a dimensionless profile
-    whose values are at most 1.
+    """Term of a reduced compensation table, which corrects the axis with the number `output`. The correction is
+    `profile` in mm, or the product of `profile` and `factor`. `factor` is a dimensionless profile whose values are at
+    most 1.
     """
 
     output: int
@@ -68,17 +67,17 @@ def own_axis_profiles(table: CompensationTable, reference: Array) -> tuple[Profi
     """Return for each axis its correction as a function of its own position. The correction is averaged over the
     positions of the other two axes.
 
-    Each profile is zero at the reference point (3,).
+    Each of these functions (profiles) is zero at the reference point `reference` (3,).
     """
     x, y, z = (_zeroed(_main_effect(table, axis, axis), reference) for axis in range(3))
     return x, y, z
 
 
 def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tuple[Profile, ...], ...]:
-    """Return the correction of every axis as a function of the position of every axis. The element `[input][output]` is
-    the correction of the axis `output` as a function of the position of the axis `input`.
+    """Return the correction of every axis as a function of the position of every axis. The element `[input][output]` of
+    the result is the correction of the axis `output` as a function of the position of the axis `input`.
 
-    Each profile is zero at the reference point (3,).
+    Each of these functions (profiles) is zero at the reference point `reference` (3,).
     """
     return tuple(
         tuple(_zeroed(_main_effect(table, source, output), reference) for output in range(3)) for source in range(3)
@@ -88,16 +87,16 @@ def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tup
 def select_terms(
     table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True
 ) -> tuple[Term, ...]:
-    """Select the main effects and products that reduce the error most, relative to the number of controller tables they
-    need.
+    """Select the main effects (functions of one axis position) and products of two such functions that reduce the error
+    most, relative to the number of controller tables they need.
 
     These terms are considered in descending order of the mean square error that they remove per table. A term is
     omitted if its rms is below `LEAST_RMS_MM`. It is also omitted if it needs more tables than are left of the
     `most_tables` permitted tables.
 
-    Interactions are decomposed into products by a singular value decomposition. No other set of the same number of
-    products leaves a smaller error. If an axis has a main effect, the sum of all its terms is zero at the reference
-    point (3,).
+    Interactions of two axes are decomposed into products by a singular value decomposition. No other set of the same
+    number of products leaves a smaller error. If an axis has a main effect, the sum of all its terms is zero at the
+    reference point `reference` (3,).
     """
     found = [_as_term(_main_effect(table, source, output), output) for source in range(3) for output in range(3)]
     if products:
@@ -112,7 +111,7 @@ def select_terms(
 
 
 def sum_of_terms(kept: tuple[Term, ...], axis_positions: Array) -> Array:
-    """Return the sum of all terms in mm at n axis positions (n, 3), as an array (n, 3)."""
+    """Return the sum (n, 3) of the corrections of all terms in `kept`, in mm, at n axis positions (n, 3)."""
     total = np.zeros_like(axis_positions)
     for term in kept:
         total[:, term.output] += term.at(axis_positions)
@@ -120,7 +119,9 @@ def sum_of_terms(kept: tuple[Term, ...], axis_positions: Array) -> Array:
 
 
 def sum_of_own_axis_profiles(profiles: Sequence[Profile], axis_positions: Array) -> Array:
-    """Return the sum of own-axis profiles in mm at n axis positions (n, 3), as an array (n, 3)."""
+    """Return the sum of own-axis profiles (corrections of an axis as a function of its own position), in mm, at n axis
+    positions (n, 3), as an array (n, 3).
+    """
     total = np.zeros_like(axis_positions)
     for profile in profiles:
         total[:, profile.axis] += profile.at(axis_positions)
@@ -128,7 +129,9 @@ def sum_of_own_axis_profiles(profiles: Sequence[Profile], axis_positions: Array)
 
 
 def sum_of_cross_axis_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_positions: Array) -> Array:
-    """Return the sum of cross-axis profiles in mm at n axis positions (n, 3), as an array (n, 3)."""
+    """Return the sum of cross-axis profiles (corrections of an axis as functions of the position of each axis), in mm,
+    at n axis positions (n, 3), as an array (n, 3).
+    """
     total = np.zeros_like(axis_positions)
     for row in by_input:
         for output, profile in enumerate(row):
@@ -188,5 +191,7 @@ def _zeroed(profile: Profile, reference: Array) -> Profile:
 
 
 def round_profile(profile: Profile, decimals: int) -> Profile:
-    """Return the profile with its values rounded to the number of decimals in the file. A value of -0 becomes 0."""
+    """Return the profile with its values rounded to `decimals` decimals, as in the exported file. A value of -0 becomes
+    0.
+    """
     return replace(profile, values=np.round(profile.values, decimals) + 0.0)

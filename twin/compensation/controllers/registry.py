@@ -1,4 +1,4 @@
-"""Registry of all export formats by name."""
+"""Registry of all formats for the export of compensation tables to controllers, by name."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ FORMATS: Mapping[str, ExportFormat] = {
 
 
 def all_options() -> tuple[FormatOption[object], ...]:
-    """Return all options that the formats declare, in the order of the formats. An option that several formats declare
-    is returned once.
+    """Return all options that the export formats declare, in the order of the formats. An option that several formats
+    declare is returned once.
     """
     return tuple({option.key: option for one in FORMATS.values() for option in one.options}.values())
 
 
 def formats_with(key: str) -> tuple[str, ...]:
-    """Return the names of the formats that read the option with the key `key`."""
+    """Return the names of the export formats that read the option with the key `key`."""
     return tuple(name for name, one in FORMATS.items() if any(option.key == key for option in one.options))

@@ -3,8 +3,8 @@
 The source is the Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The controller adds the values of
 all tables that have the same output axis. A table can name a second table in `$AN_CEC_MULT_BY_TABLE`, by the index of
 the second table plus 1. The values of the two tables are then multiplied. The compensation value is the measured
-position minus the desired position (4.4.1), and the axis moves against it. A table that is used only as a factor is not
-enabled itself (SD41300).
+position minus the desired position (section 4.4.1), and the axis moves against it. A table that is used only as a
+factor is not enabled itself (SD41300).
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ NO_PRODUCTS = FormatOption("no_products", Switch(), False, "Siemens CEC: no mult
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Return the texts of one INI file with all tables and of a part program. The part program enables all tables
-    except those that are used only as factors.
+    """Export a compensation table to one INI file with all CEC tables and to a part program. The part program enables
+    all tables except those that are used only as factors.
     """
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD18342")

@@ -34,8 +34,8 @@ class Arc:
     """Circular or helical arc of one block.
 
     `axes` contains the numbers of the two axes of the arc's plane and of the axis normal to it. `centre` contains the
-    coordinates of the centre in mm along the two axes of the plane. Angles are in rad. `sweep` is the signed angle from
-    start to end, including full turns.
+    coordinates of the centre in mm along the two axes of the plane. Angles are in rad. `angle` is the angle of the
+    start point as seen from the centre. `sweep` is the signed angle from start to end, including full turns.
 
     Coordinates in programs are rounded, so the distances of start and end from the centre differ by about a µm. The
     radius therefore changes linearly from `radius` to `end_radius`.

@@ -6,10 +6,10 @@ trilinear in each cell of the table. The corrected path is P(s) = M(s) + c(M(s))
 
 The deviation of P from a chord is zero at both ends of the chord. Consider a function that is zero at both ends of an
 interval of length h. Its absolute value is at most h/4 times the total variation of its derivative, because the Green's
-function of the string is at most h/4. The derivative P' varies for three reasons:
+function of a stretched string of length h is at most h/4. The derivative P' varies for three reasons:
 
-- At each crossed node plane of axis i, P' changes by up to |d_i| K_i. Here K_i is the largest jump of the slope of c
-  along axis i.
+- At each crossed node plane of axis i (a plane of table nodes perpendicular to this axis), P' changes by up to |d_i|
+  K_i. Here K_i is the largest jump of the slope of c along axis i.
 - Inside a cell, P' changes by up to 2 (|d_y d_z| Q_yz + |d_x d_z| Q_xz + |d_x d_y| Q_xy) per mm. Here Q_yz, Q_xz and
   Q_xy are the largest mixed second derivatives of c.
 - On an arc of curvature k, P' changes by up to k (1 + G) per mm. Here G is the largest slope of c. The arc itself,
@@ -54,7 +54,7 @@ class TableCurvature:
 
     @classmethod
     def of(cls, table: CompensationTable, *, beyond: bool) -> TableCurvature:
-        """Compute the bounds of a table.
+        """Compute the upper bounds on the changes of slope of a compensation table's corrections.
 
         `beyond` is True if paths may leave the volume of the table. Outside this volume the correction is constant, so
         the slope jumps to zero at the border.
@@ -72,7 +72,8 @@ class TableCurvature:
         )
 
     def line_pieces(self, starts: Array, ends: Array, limit_mm: float) -> NDArray[np.int64]:
-        """Return the number of equal pieces into which each of n lines has to be divided.
+        """Return the number of equal pieces into which each of n lines has to be divided to keep the chord tolerance
+        after correction.
 
         `starts` and `ends` (n, 3) are the ends of the lines in mm. `limit_mm` is the chord tolerance.
         """
@@ -87,9 +88,10 @@ class TableCurvature:
     def arc_pieces(
         self, lower: Array, upper: Array, length: Array, curvature: Array, sweep: Array, limit_mm: float
     ) -> NDArray[np.int64]:
-        """Return the number of pieces into which each of n arcs has to be divided.
+        """Return the number of pieces into which each of n arcs has to be divided to keep the chord tolerance after
+        correction.
 
-        `lower` and `upper` (n, 3) are corners in mm of a box that contains the arc. `length` is the length along the
+        `lower` and `upper` (n, 3) are corners in mm of a box that contains each arc. `length` is the length along the
         helix in mm, `curvature` is the largest curvature in 1/mm, and `sweep` is the angle of the arc in rad.
         `limit_mm` is the chord tolerance. No piece is longer than a quarter of a turn.
         """

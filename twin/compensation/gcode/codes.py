@@ -86,7 +86,9 @@ _ROTARY = frozenset("ABCUVW")
 
 
 def check_codes(block: Block, kept_g: frozenset[int]) -> None:
-    """Refuse a block that contains a G or M code that cannot be interpreted, or two G codes of the same group."""
+    """Raise FormatError if a block (program line) contains a G or M code that cannot be interpreted, or two G codes of
+    the same group.
+    """
     seen: set[str] = set()
     for code in block.g:
         group = GROUP_OF.get(code)
@@ -105,7 +107,9 @@ def check_codes(block: Block, kept_g: frozenset[int]) -> None:
 
 
 def check_letters(block: Block) -> None:
-    """Refuse a block that contains an O-word or the word of an axis that the table does not have."""
+    """Raise FormatError if a block (program line) contains an O-word or the word of an axis that the compensation table
+    does not have.
+    """
     values = block.values
     if "O" in values:
         block.refuse("an O-word begins or calls a subprogram", "Set the post-processor to write a single program")

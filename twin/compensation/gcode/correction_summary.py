@@ -14,11 +14,11 @@ class CorrectionSummary:
     - `arcs` is the number of corrected arcs. They were written as straight moves.
     - `not_corrected` is the number of rapid moves that were left unchanged, because the position of an axis was not
       known yet.
-    - `outside` is the number of points outside the volume of the table, and `outside_mm` is the largest distance of
-      such a point from the volume.
+    - `outside` is the number of points outside the volume of the compensation table, and `outside_mm` is the largest
+      distance of such a point from the volume.
     - `held` is the number of corrected points that would have been outside the volume and were moved to its border.
       `held_mm` is the largest such displacement.
-    - `extrapolated` is the number of points whose correction depends on a node outside the measured region.
+    - `extrapolated` is the number of points whose correction depends on a table node outside the measured region.
     """
 
     lines: int = 0

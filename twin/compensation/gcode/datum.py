@@ -1,4 +1,4 @@
-"""Treatment of blocks whose axis words are not plain moves.
+"""Treatment of blocks (program lines) whose axis words are not plain moves.
 
 They are blocks with G92, G28, G30 or G43.1, and moves from an unknown position.
 """
@@ -35,7 +35,7 @@ def program_zero(block: Block, modal: ModalState) -> Triple:
 
 def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
     """Return the programmed axis position in mm after the block. An axis without a word in the block keeps its
-    programmed position.
+    programmed position. If `machine` is True, the axis words are machine coordinates.
     """
     values, unit, position = block.values, modal.unit_mm, modal.position
     if machine:
@@ -54,8 +54,8 @@ def set_datum(block: Block, code: int, modal: ModalState, writer: ProgramWriter)
     """Execute G92 and its variants G92.1, G92.2 and G92.3.
 
     G92 assigns the given coordinates to the present position. The controller is actually at the corrected position, so
-    the correction is added to the coordinates that are written. The offset in the controller is then the offset that
-    the program intends, except for the rounding of the written coordinates.
+    the correction is added to the coordinates that are written to the corrected program. The offset in the controller
+    is then the offset that the program intends, except for the rounding of the written coordinates.
     """
     writer.flush()
     if code == 920:
@@ -134,7 +134,7 @@ def move_from_unknown_position(
     """Write a rapid move unchanged. It cannot be corrected, because the position of at least one axis is unknown even
     after the move.
 
-    The new positions of the axes named in the block are recorded.
+    The new positions of the axes named in the block are recorded in `modal` and `writer`.
     """
     writer.flush()
     frame = (*NO_OFFSET, True) if machine else modal.frame

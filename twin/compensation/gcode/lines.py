@@ -13,10 +13,11 @@ class MoveBlock(NamedTuple):
 
     - `head` and `tail` are the texts before and after the axis words.
     - `code` is the code to be written, G0 or G1. `coded` is True if the block itself contains the code.
+    - `machine` is True if the positions are machine coordinates (G53).
     - `mask` is a bit mask of the axes named in the block.
     - `stop` contains the words that take effect after the motion.
     - `comment` is the comment at the end of the line.
-    - `inverse` is the value of F if the block has G93, else 0.
+    - `inverse` is the value of F of a feed move if G93 (inverse-time feed) is in effect, else 0.
     - `whole` is the reason why the move must not be divided. It is an empty string if the move may be divided.
     """
 
@@ -49,8 +50,8 @@ class LineFormatter:
         self._code = ""
 
     def line(self, move: MoveBlock, values: Sequence[float], axes: int) -> str:
-        """Return the program line that commands an undivided move. `axes` is a bit mask of the axis words to be
-        written.
+        """Return the program line that commands a move that was not divided into pieces. `axes` is a bit mask of the
+        axis words to be written.
         """
         words = self._axis_words(values, axes)
         code = self._motion(move, forced=move.coded)
@@ -60,12 +61,12 @@ class LineFormatter:
         return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}{move.comment}"
 
     def lines(self, move: MoveBlock, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
-        """Yield the program lines of a divided move.
+        """Yield the program lines of a move that was divided into pieces.
 
         A piece gets a line if at least one of its rounded axis words changes. The last piece always gets a line.
 
-        With G93, F is the reciprocal of the duration of a line's motion in minutes. The value of F in each line is
-        therefore computed from the line's share of the total duration.
+        With G93 (inverse-time feed), F is the reciprocal of the duration of a line's motion in minutes. The value of F
+        in each line is therefore computed from the line's share of the total duration.
         """
         count, waiting, first = len(values), 0, True
         for number, (piece, bits) in enumerate(zip(values, axes, strict=True), start=1):

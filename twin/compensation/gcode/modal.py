@@ -61,8 +61,9 @@ class ModalState:
         self.update_frame()
 
     def update_frame(self) -> None:
-        """Recompute `offset` and `frame` after a change of the state. `offset` becomes None if the work offset is not
-        known.
+        """Recompute `offset` and `frame` after a change of the state. `offset` is the axis position of the zero point
+        that the program intends. `frame` is the zero point that the controller has, and the distance mode. `offset`
+        becomes None if the work offset is not known.
         """
         work = self.setup.work_offsets.get(self.system)
         self.offset = None if work is None else _sum(work, self.g92, self.tool_offset)

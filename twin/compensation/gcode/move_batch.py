@@ -31,7 +31,10 @@ class MovePaths:
     arcs: Mapping[int, Arc]
 
     def pieces(self, bending: TableCurvature, dividable: Flags, limit_mm: float) -> Indices:
-        """Return the number of pieces into which each of the m moves has to be divided."""
+        """Return the number of pieces into which each of the m moves has to be divided, so that the straight lines
+        deviate from the corrected path by at most `limit_mm`. Straight moves for which `dividable` is False are not
+        divided.
+        """
         count = bending.line_pieces(self.starts, self.ends, limit_mm)
         count[~dividable] = 1
         if self.arcs:
@@ -103,11 +106,11 @@ def round_to_words(
 ) -> AxisWords:
     """Convert n corrected points (n, 3) in mm to axis words with `decimals` decimals.
 
-    `rows` (n,) contains the index of each point's frame in `frames`. The frame determines whether the words of the
-    point are absolute or incremental. An absolute word is the rounded distance of the point from the zero point of the
-    frame. An incremental word is the rounded distance of the point from the position that the controller reaches with
-    the preceding words. Rounding errors do not accumulate. `position` is the position of the controller before the
-    first point.
+    `rows` (n,) contains the index of each point's frame in `frames`. A frame gives the controller's zero point, and
+    determines whether the words of the point are absolute or incremental. An absolute word is the rounded distance of
+    the point from the zero point of the frame. An incremental word is the rounded distance of the point from the
+    position that the controller reaches with the preceding words. Rounding errors do not accumulate. `position` is the
+    position of the controller before the first point.
     """
     step = unit_mm * 10.0**-decimals
     frame = np.array(frames)[rows]
@@ -126,14 +129,14 @@ def round_to_words(
 
 @dataclass(frozen=True, eq=False)
 class CorrectedPoints:
-    """Corrected points, and their distances from the volume of the table.
+    """Corrected points, and their distances from the volume of the compensation table.
 
     - `points` (n, 3) contains the axis positions to be commanded in mm.
     - `largest_mm` is the length of the largest correction.
     - `beyond_mm` (n,) is the distance of each programmed point from the border of the volume. It is positive if the
       point is outside.
     - `held_mm` (n,) is the amount by which the correction of each point was limited to keep the point in the volume.
-    - `extrapolated` is the number of points whose correction depends on a node outside the measured region.
+    - `extrapolated` is the number of points whose correction depends on a table node outside the measured region.
     """
 
     points: Array
@@ -144,7 +147,7 @@ class CorrectedPoints:
 
 
 def correct_points(table: CompensationTable, points: Array, *, held: bool) -> CorrectedPoints:
-    """Add the corrections of the table to points (n, 3) in mm.
+    """Add the corrections of a compensation table to points (n, 3) in mm.
 
     If `held` is True, corrected points outside the volume of the table are moved to its border. The border of the
     volume is usually the limit of the travel, and a controller stops with an error if a position exceeds this limit by

@@ -31,7 +31,8 @@ _AXIS_BITS = np.array([1, 2, 4])
 
 
 class ProgramWriter:
-    """Writer that converts moves to corrected lines and passes all lines of the program in their order to `emit`.
+    """Writer that converts moves to corrected lines and passes all lines of the program in their order to the function
+    `emit`.
 
     `position` is the axis position of the controller in mm after all lines written so far, or NaN if it is unknown.
     `newline` is the line end of the written lines.
@@ -79,7 +80,7 @@ class ProgramWriter:
 
     def move(self, move: MoveBlock, end: Triple, frame: Frame, arc: Arc | None) -> None:
         """Collect a move to the uncorrected axis position `end` in mm. The move is written later, with words relative
-        to `frame`.
+        to `frame`, which gives the zero point of the controller and the distance mode.
         """
         if arc is not None:
             self._arcs[len(self._ends)] = arc
@@ -90,14 +91,17 @@ class ProgramWriter:
             self._write_batch()
 
     def flush(self) -> None:
-        """Write all collected lines, which brings `position` up to date. The next move is written with its G code."""
+        """Write all collected lines, which brings `position` up to date. The next move is written with its G code (G0
+        or G1), even if this code is already in effect.
+        """
         self._write_batch()
         self._pen.forget()
 
     def corrected_point(self, point: Triple, block: Block) -> Triple:
         """Return the corrected axis position of `point` in mm. The point is not included in the counts of the summary.
 
-        If the point is outside the volume of the table and such points are not permitted, `block` is refused.
+        If the point is outside the volume of the table and such points are not permitted, a FormatError that names
+        `block` is raised.
         """
         points = np.array([point])
         found = correct_points(self.table, points, held=self._held)
