@@ -21,7 +21,9 @@ INTERRUPT_SLICE_S = 0.05
 
 
 class Clock(Protocol):
-    """Clock of machine time in seconds since an arbitrary start. The time never decreases."""
+    """Clock of machine time (real time, or the time of a simulated machine) in seconds since an arbitrary start. The
+    time never decreases.
+    """
 
     def now(self) -> float: ...
 

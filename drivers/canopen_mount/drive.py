@@ -72,7 +72,7 @@ class Drive:
         self._prepared = False
 
     def verify(self) -> None:
-        """Verify that the drive's identity and units match the settings, and store its software limits.
+        """Verify that the drive's identity and units match the settings, and read its software limits for later checks.
 
         Raises ProtocolError if the identity differs, and ConfigurationError if the units differ. If the setting
         `units.write` is true, differing units are first written to the drive; otherwise nothing is written.

@@ -50,7 +50,7 @@ class Factor:
 
 
 def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
-    """Yield the expected value of each object that must be compared according to the settings."""
+    """Yield, according to the settings, the expected value of each object that must be compared with the drive."""
     units = settings.units
     turns = (objects.ENCODER_INCREMENTS, objects.ENCODER_MOTOR_TURNS)
     gear = (objects.GEAR_MOTOR_TURNS, objects.GEAR_SHAFT_TURNS)

@@ -26,7 +26,7 @@ MIN_VALUES = 3
 
 @dataclass(frozen=True, eq=False)
 class IndividualsChart:
-    """Individuals chart with centre line and limits in the unit of the values.
+    """Individuals chart (control chart of single values) with centre line and limits in the unit of the values.
 
     `sigma` is the standard deviation of a single value. `outside` contains the indices of the values beyond a limit.
     """
@@ -40,7 +40,7 @@ class IndividualsChart:
 
 @dataclass(frozen=True, eq=False)
 class EwmaChart:
-    """EWMA control chart of n values.
+    """Control chart of n values by their exponentially weighted moving average (EWMA).
 
     `values` contains the moving averages, `lower` and `upper` contain their limits; each has shape (n,). `outside`
     contains the indices of the moving averages that are beyond a limit.
@@ -66,10 +66,11 @@ def individuals_chart(values: ArrayLike) -> IndividualsChart:
 
 
 def ewma_chart(values: ArrayLike, centre: float, sigma: float) -> EwmaChart:
-    """Return the EWMA chart of `values` x_1 … x_n, with the moving averages z_i = w x_i + (1 - w) z_(i-1).
+    """Return the control chart of the exponentially weighted moving averages (EWMA) z_i of `values` x_1 … x_n.
 
-    The weight w is `EWMA_WEIGHT`, and z_0 is `centre`. `sigma` is the standard deviation of a single value. The limits
-    use the exact variance of z_i, which depends on i. Raises DataError if n is less than 3 or if a value is not finite.
+    The averages are z_i = w x_i + (1 - w) z_(i-1). The weight w is `EWMA_WEIGHT`, and z_0 is `centre`. `sigma` is the
+    standard deviation of a single value. The limits use the exact variance of z_i, which depends on i. Raises DataError
+    if n is less than 3 or if a value is not finite.
     """
     found = _series(values)
     smooth = np.empty_like(found)

@@ -69,7 +69,7 @@ class Drift:
 
 
 def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Sequence[float] = ()) -> Drift:
-    """Fit the drift of the `values` that were measured in n `nights`.
+    """Fit a straight line, the drift, to the `values` that were measured in n `nights`.
 
     The nights must be in ascending order. `sigmas` contains the standard uncertainties of the values. These three
     arrays have shape (n,). `steps` contains the times, in nights, at which a new level begins. Raises DataError if
@@ -112,7 +112,7 @@ def regression_design(t: Array, steps: Sequence[float]) -> Array:
     """Return the design matrix, shape (n, 2 + k), of the drift regression for n nights `t` and k `steps`.
 
     The first column belongs to the level at the last night and the second to the slope. Each further column belongs to
-    one step; it is -1 before the step and 0 after it.
+    one step (sudden change of level); it is -1 before the step and 0 after it.
     """
     before = [-(t < at).astype(np.float64) for at in steps]
     return np.stack([np.ones_like(t), t - t[-1], *before], axis=1)

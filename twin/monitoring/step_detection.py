@@ -1,14 +1,14 @@
-"""Test if a machine is still as expected; if it is not, identify the error that has jumped.
+"""Test if a machine is still as expected; if it is not, identify the error that has jumped (changed suddenly).
 
-The prior knowledge of the P unknowns z is a Gaussian distribution with mean m and covariance C. The measured ball
-centres give the equations y = A z + noise with the design matrix A and the right side y. The equations are whitened,
-which means that their noise is uncorrelated and has the same standard deviation σ everywhere. The unknown poses of the
-artefact have been eliminated. The innovation y - A m, the difference between measurement and expectation, then has the
-covariance S = σ² I + A C Aᵀ, where I is the identity matrix.
+The prior knowledge of the P unknowns z of the identification is a Gaussian distribution with mean m and covariance C.
+The measured ball centres give the equations y = A z + noise with the design matrix A and the right side y. The
+equations are whitened, which means that their noise is uncorrelated and has the same standard deviation σ everywhere.
+The unknown poses of the artefact have been eliminated. The innovation y - A m, the difference between measurement and
+expectation, then has the covariance S = σ² I + A C Aᵀ, where I is the identity matrix.
 
 A score test examines the hypothesis that the coefficients of one error have also changed by the vector a. The matrix J
 selects these coefficients in z. The change a has mean zero and the covariance Λ that the coefficients have in the
-family of machines. The logarithm of the likelihood ratio is then
+family of machines. The logarithm of the likelihood ratio of this hypothesis against no change is then
 
     ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(I + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
 
@@ -78,13 +78,13 @@ class SuspectedJump:
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """Comparison of measured ball centres with prior knowledge of the P unknowns z.
+    """Comparison of measured ball centres with prior knowledge of the P unknowns z of the identification.
 
     The equations of the ball centres are y = A z + noise with the design matrix A and the right side y. They are
     whitened, which means that their noise is uncorrelated and has the same standard deviation σ everywhere. The unknown
     poses of the artefact have been eliminated. Before the measurement, z has the `mean` m, shape (P,), and the
-    `covariance` C, shape (P, P). The innovation y - A m has the covariance S = σ² I + A C Aᵀ, where I is the identity
-    matrix.
+    `covariance` C, shape (P, P). The innovation y - A m, the difference between measurement and expectation, has the
+    covariance S = σ² I + A C Aᵀ, where I is the identity matrix.
 
     `score`, shape (P,), is AᵀS⁻¹(y - A m), and `information`, shape (P, P), is AᵀS⁻¹A. `chi2` is (y - A m)ᵀS⁻¹(y - A
     m), and `rows` is the number of equations that contribute to `chi2`.

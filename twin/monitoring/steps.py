@@ -4,8 +4,9 @@ Steps are found one by one. A candidate step is scored by the reduction of the r
 in units of the noise variance. The residuals are those of the whole regression (level, slope, and the steps found so
 far). The noise is estimated from the median of successive differences (median moving range), because neither the slope
 nor single steps increase this median much. A candidate is accepted if the reduction exceeds a penalty of about
-`PENALTY_PER_LOG` ln n for n nights. The penalty accounts for the two fitted values of a step (size and time) and for
-the search over times, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
+`PENALTY_PER_LOG` times ln n for n nights. The penalty accounts for the two fitted values of a step (size and time) and
+for the search over times, as in the modified Bayesian information criterion (BIC) of Zhang & Siegmund, Biometrics 63
+(2007).
 """
 
 from __future__ import annotations
@@ -31,11 +32,12 @@ MEDIAN_RANGE = 0.9539
 def find_steps(
     nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, known: Sequence[float] = ()
 ) -> tuple[float, ...]:
-    """Return the times at which the level of `values` changes, in ascending order, including the `known` times.
+    """Return the times, in nights, of the steps (sudden changes of level) in `values`, in ascending order.
 
-    A known step is omitted if it cannot be distinguished from the slope or from another step. If there are fewer than
-    `MIN_NIGHTS` values, only the known steps are returned. A new step needs two values on either side. It must also
-    remain significant if any single value is omitted, which prevents an outlier from being reported as a step.
+    The steps at the `known` times are included. A known step is omitted if it cannot be distinguished from the slope of
+    the series or from another step. If there are fewer than `MIN_NIGHTS` values, only the known steps are returned. A
+    new step needs two values on either side. It must also remain significant if any single value is omitted, which
+    prevents an outlier from being reported as a step.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     steps = list(_usable(t, known))

@@ -1,12 +1,13 @@
-"""Expected volumetric compensated error (VCE) in closed form, divided into contributions of the influences (such as
-touch noise).
+"""Expected volumetric compensated error (VCE) in closed form, divided into contributions of influences.
+
+Influences are the causes of error, such as touch noise.
 
 The estimate is a linear function of all errors of a calibration procedure (`twin.uncertainty.linear_estimator`). The
 field that remains after compensation is therefore also linear in these errors. The mean square of this field, expected
 over machines, certificates and touches, is the trace of the matrix product Q M. Q is the quadratic form of the field,
 and M contains the second moments of its parameters. All influences are independent and have mean zero, except the
-deflection, which is the same for all machines and contributes its own mean square. The squares of the contributions
-therefore add up.
+deflection of the true machines, which is the same for all machines and contributes its own mean square. The squares of
+the contributions therefore add up.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Monte Carlo simulation of a whole procedure: true machine, true artefact, simulated measurements, residual error.
+"""Monte Carlo simulation of a whole calibration procedure: true machine, true artefact, simulated measurements,
+residual error.
 
 Every quantity that `twin.identification` models as uncertain is drawn at random here. The machine is drawn from its
 family (distribution of the errors of machines of one make), which may have any Legendre order and a deflection; its

@@ -246,8 +246,8 @@ class QuadraticDistribution:
 def covariance_factor(covariance: ArrayLike) -> Array:
     """Return a matrix L, shape (p, p), whose product L Lᵀ is `covariance`.
 
-    Variables may have zero variance. Raises DataError if the covariance is invalid or zero; the error names the row if
-    a single row is at fault.
+    Some variables may have zero variance. Raises DataError if the covariance is invalid or zero; the error names the
+    row if a single row is at fault.
     """
     matrix = np.asarray(covariance, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():

@@ -160,7 +160,7 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
 
 
 def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:
-    """Return the deflection, shape (n, 3), at n axis positions, shape (n, 3); both are in mm.
+    """Return the deflection of a machine, shape (n, 3), at n axis positions, shape (n, 3); both are in mm.
 
     At a position outside the deflection grid, the value at the nearest border point is used, as in a `TrueMachine`.
     """
