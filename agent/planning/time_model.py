@@ -23,12 +23,12 @@ from twin.units import S_PER_MIN
 class TimeModel:
     """Model of the time that the steps of a plan take.
 
-    `rapid_mm_per_s` and `acceleration_mm_per_s2` are the limits of X, Y and Z from the machine file. The speed
-    `turn_deg_per_s` and the acceleration `turn_deg_per_s2` apply to each axis of the mount, the rotary device that
-    holds the artefact; both axes turn simultaneously. `command_latency_s`, `touch_latency_s` and `turn_latency_s` are
-    added to the times of each move, touch and turn. The latency of a turn includes the time in which the mount settles.
-    `carrying_s` is the time that the operator needs to put the artefact and the mount at another station (place of the
-    mount).
+    `rapid_mm_per_s` and `acceleration_mm_per_s2` are the limits of speed and acceleration of X, Y and Z from the
+    machine file. The speed `turn_deg_per_s` and the acceleration `turn_deg_per_s2` apply to each axis of the mount, the
+    rotary device that holds the artefact; both axes turn simultaneously. `command_latency_s`, `touch_latency_s` and
+    `turn_latency_s` are added to the times of each move, touch and turn. The latency of a turn includes the time in
+    which the mount settles. `carrying_s` is the time that the operator needs to put the artefact and the mount at
+    another station (place of the mount).
     """
 
     rapid_mm_per_s: Point

@@ -29,8 +29,8 @@ from twin.artefact.end_ball_alignment import align_to_end_balls
 class PositionTask:
     """Position to be measured.
 
-    `predicted_mm` (N, 3) holds the expected axis positions of all N balls. `reachable` (N,) is True for balls within
-    reach. `located` is True if a ball has been found at `station` since the artefact was put there.
+    `predicted_mm` (N, 3) holds the expected axis positions of all N balls. `reachable` (N,) is True for balls that the
+    probe can reach. `located` is True if a ball has been found at `station` since the artefact was put there.
     """
 
     key: str

@@ -22,7 +22,7 @@ from twin.units import UM_PER_MM
 @dataclass(frozen=True)
 class DriftLimits:
     """Limits of the displacement of a position's first ball between its two measurements. If the displacement exceeds
-    `event_mm`, the recorded event contains a note. If it exceeds `fault_mm`, MeasurementFault is raised."""
+    `event_mm`, its journal record contains a note. If it exceeds `fault_mm`, MeasurementFault is raised."""
 
     event_mm: float
     fault_mm: float

@@ -24,8 +24,8 @@ class QualificationRules:
 
     `directions` (k, 3) holds the k touch directions of the dense pattern; the first of them points to the pole, which
     faces the stylus. `ball` is the number of the ball on which the stylus is qualified; if it is None, the first ball
-    that is accessible from all directions is used. `with_map` is True if a pretravel map is fitted. `spread_mm` is the
-    standard deviation of the radii of the artefact's balls.
+    that is accessible from all directions is used. `with_map` is True if a map of the pretravel (travel of the tip
+    between contact and trip) is fitted. `spread_mm` is the standard deviation of the radii of the artefact's balls.
     """
 
     directions: Array

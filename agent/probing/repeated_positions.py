@@ -67,8 +67,8 @@ def measured_balls(measured: MeasuredPositions) -> list[MeasuredBall]:
 
 
 def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredPositions:
-    """Join two measurements into one. The position numbers of `other` are increased; they continue the numbers of
-    `one`."""
+    """Join the measured positions `one` and `other` into one result. The position numbers of `other` are increased, so
+    that they continue the numbers of `one`."""
     start = max((ball.position for ball in measured_balls(one)), default=-1) + 1
     return MeasuredPositions(
         positions=(*one.positions, *(_renumbered(position, start) for position in other.positions)),
@@ -81,7 +81,7 @@ def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredP
 
 def drifts_um(measured: MeasuredPositions) -> Mapping[int, float]:
     """Return a mapping from position number to drift: the displacement in µm of the position's first ball when it was
-    measured again. Positions whose first ball was lost are left out."""
+    measured again. Positions whose first ball could not be measured again are left out."""
     found = ((position.balls[0].position, position.drift_mm) for position in measured.positions)
     lengths = {number: 1e3 * math.hypot(*drift.tolist()) for number, drift in found}
     return {number: length for number, length in lengths.items() if math.isfinite(length)}

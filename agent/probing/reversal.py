@@ -35,11 +35,11 @@ LIMITATION = (
 
 @dataclass(frozen=True)
 class ReversalCheck:
-    """Rules of the reversal check.
+    """Rules of the reversal check, which measures the lost motion of the axes at reversal.
 
     `touches` is the number of touches from each side at each of two points per axis. `limit_mm` is the largest lost
     motion that gives no warning. `stop` is True if the run stops before the first position when the lost motion of an
-    axis is reliably above the limit.
+    axis is reliably above `limit_mm`.
     """
 
     touches: int
@@ -50,7 +50,8 @@ class ReversalCheck:
 @dataclass(frozen=True)
 class AxisReversal:
     """Lost motion of one axis at reversal. `lost_um` is the lost motion in µm, positive if the axis lags behind its
-    display. `sigma_um` is the standard uncertainty of the lost motion. Both are None if a touch missed."""
+    display. `sigma_um` is the standard uncertainty of the lost motion. Both are None if a touch met nothing. `verdict`
+    states in words whether the limit is kept."""
 
     axis: str
     lost_um: float | None

@@ -44,8 +44,8 @@ class MeasuredPositions:
     """Measured positions of a plan.
 
     `left_out` holds the keys of the positions that were not measured because too few balls are within reach.
-    `standing_at` is the station of the artefact at the end. `mount_poses` maps each station to its estimated mount
-    pose.
+    `standing_at` is the station of the artefact at the end. `mount_poses` maps each station to the estimated pose of
+    its mount (the small deviation from the nominal place).
     """
 
     positions: tuple[MeasuredPosition, ...]

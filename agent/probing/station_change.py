@@ -61,7 +61,7 @@ def change_station(
     """Park the mount of the station `leaving`, ask the operator to carry the mount or the artefact, and check that
     motion is permitted. The operator is not asked if nothing has to be carried.
 
-    The probe may start at any place clear of all bodies. The plan returns the axis positions (3,) at its end.
+    The probe may start at any place clear of all bodies. The result is the axis positions (3,) at the end.
     """
     if leaving is not None and change.own_mounts:
         here = yield from park_mounts(prefix, f"change-{index}", change, locations, here, (leaving,))

@@ -36,10 +36,10 @@ RECORD = "export.json"
 class TableToExport:
     """Compensation table to be exported, with its origin.
 
-    `origin` is the name of the table's bank or file, as it is shown to people. `estimate_file` contains the estimate of
-    the machine. If it is None, the machine is assumed to have exactly the errors that the table corrects.
-    `resolution_mm` is the resolution of the integers in which a controller stored the table; it is 0 for a table from a
-    file.
+    `origin` is the name of the table's file, or of the bank (memory of a controller) that contains it, as it is shown
+    to people. `estimate_file` contains the estimate of the machine. If it is None, the machine is assumed to have
+    exactly the errors that the table corrects. `resolution_mm` is the resolution of the integers in which a controller
+    stored the table; it is 0 for a table from a file.
     """
 
     table: CompensationTable
@@ -113,8 +113,8 @@ def load_table_to_export(path: Path, estimate: Path | None) -> TableToExport:
     """Return the compensation table from `path`, the folder of a run or a CSV file, with the path of an estimate of the
     machine.
 
-    If `estimate` is None, the file `estimate.json` beside the table is used if it exists. Raises InputError if the
-    table cannot be read.
+    If `estimate` is None, the estimate is the file `estimate.json` beside the table, if it exists. Raises InputError if
+    the table cannot be read.
     """
     if path.is_dir():
         path = path / "table.csv"

@@ -126,7 +126,7 @@ def prove(
 ) -> Proof:
     """Return the proof of a new compensation table at the held-out balls (measured, but not used for the estimate). The
     balls `after` were measured with the new table active. They are compared with the balls `before`, measured before
-    its activation, and with the prediction.
+    its activation, and with their prediction from the estimate.
 
     Raises MeasurementFault if too few balls were found for a comparison.
     """

@@ -65,7 +65,7 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
 
 
 def observations_record(observations: Observations) -> dict[str, object]:
-    """Return the journal record of `observations`, with the keys of version 2 of the journal."""
+    """Return the journal record of `observations`, with the keys of version 2 of the journal's format."""
     return {STORED_KEYS.get(name, name): value for name, value in vars(observations).items()}
 
 

@@ -71,8 +71,9 @@ class NightReport:
     positions, and `held_out_predicted_um` is its prediction. `chi2_normalised` compares all ball centres with their
     prediction.
 
-    `jumped` lists the errors for which there is sufficient evidence of a jump. `likeliest` lists the errors whose jump
-    would best explain the measurement, the likeliest first. It is filled even if the evidence is not sufficient.
+    `jumped` lists the machine errors for which there is sufficient evidence of a jump (sudden change). `likeliest`
+    lists the errors whose jump would best explain the measurement, the likeliest first. It is filled even if the
+    evidence is not sufficient.
     """
 
     decision: Decision

@@ -105,7 +105,7 @@ class GuardedRun(ABC):
 
     def too_late(self, following: Step) -> PlanRefused | None:
         """Return an error if too little time is left to resume the run, and None otherwise. `following` is the first
-        moving step of the resumed run."""
+        step of the resumed run that moves the machine."""
         return None
 
     @property

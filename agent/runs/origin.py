@@ -56,7 +56,7 @@ class Origin:
 
 
 def origin_record(settings: Settings, kind: Kind, base: Path, start: StartConditions) -> dict[str, Any]:
-    """Return the origin of a run as a record that `RunJournal.origin` can store."""
+    """Return the origin of a run as a record that `RunJournal.origin`, a method of the journal, can store."""
     options = {f.name: getattr(kind, f.name) for f in fields(kind) if f.name != "name"}  # type: ignore[arg-type]
     return {
         "kind": kind.name,

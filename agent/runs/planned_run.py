@@ -49,8 +49,7 @@ class Kind(Protocol):
     def name(self) -> str: ...
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        """Decide what will be measured, and simulate the run in a preflight (simulated execution) with the start
-        conditions `start`.
+        """Decide what will be measured, and simulate the complete run (preflight) with the start conditions `start`.
 
         Equal start conditions give equal plans. `watch` is called repeatedly during planning. It does not influence the
         plan, but it may raise an error, which interrupts the planning. Raises PlanRefused or UserError if the run

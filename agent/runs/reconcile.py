@@ -54,10 +54,10 @@ class LastCompensation:
 
 
 def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, restore: bool = True) -> Reconciliation:
-    """Compare the controller's compensation with the journal. If a table is active that was never proved by
-    measurement, reactivate the table that was active before it.
+    """Compare the controller's active compensation with the journal of earlier runs. If a table is active that was
+    never proved by measurement, reactivate the table that was active before it.
 
-    The former table is reactivated only if `restore` is set and the machine permits it. `rig` (the devices of the
+    This former table is reactivated only if `restore` is set and the machine permits it. `rig` (the devices of the
     machine) must be open; the machine does not move. The comparison refers to the run with the number `of_run`. If
     `of_run` is None, it refers to the last run that read the compensation. Raises DeviceError if the controller cannot
     be read or refuses an action, and InputError if the journal cannot be read.

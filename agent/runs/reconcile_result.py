@@ -1,4 +1,5 @@
-"""Result of the comparison of the controller's compensation with the journal, and of its repair."""
+"""Result of the comparison of the controller's active compensation with the journal of earlier runs, and of its
+repair."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from agent.runs.unfinished_run import UnfinishedRun
 
 
 class CompensationState(Enum):
-    """State of the controller's compensation, compared with the state expected from the journal."""
+    """State of the controller's compensation, compared with the state expected from the journal of earlier runs."""
 
     AS_EXPECTED = "as the last run left it"
     NOT_ACTIVATED = "the former table acts; a new one was written or begun, and never activated"

@@ -78,10 +78,10 @@ def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
 
 
 def lifting_off(first: Point, candidates: PathCandidates, start: TipLocation) -> PathCandidates:
-    """Return those candidate paths from the point `first` whose first move leaves the touched surface. If the tip at
-    `start` touches no surface, all candidates are returned.
+    """Return those candidate paths from the point `first` whose first move leaves the ball's surface that the tip
+    touches. If the tip at `start` touches no surface, all candidates are returned.
 
-    A candidate whose first move has no length is dropped, because its second move might press against the surface.
+    A candidate whose first move has no length is dropped, because its second move might press against this surface.
     """
     if not start.touching:
         return candidates
@@ -92,8 +92,8 @@ def lifting_off(first: Point, candidates: PathCandidates, start: TipLocation) ->
 
 
 def lifts_off(first: Point, last: Point, start: TipLocation) -> bool:
-    """Return whether the straight path from `first` to `last` leaves the touched surface at once. The result is True if
-    the tip at `start` touches no surface."""
+    """Return whether the straight path from `first` to `last` leaves the ball's surface that the tip touches at once.
+    The result is True if the tip at `start` touches no surface."""
     length = math.dist(first, last)
     away = -sum((b - a) * along for a, b, along in zip(first, last, start.direction, strict=True))
     return not start.touching or (away >= MIN_LIFT_OFF_COSINE * length and length > MIN_MOVE_MM)

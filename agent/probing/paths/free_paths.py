@@ -57,8 +57,8 @@ _GRID_MM = 80.0
 
 @dataclass(frozen=True)
 class ArtefactPose:
-    """Nominal pose of the artefact. It consists of the two angles of the mount (azimuth and elevation) and of the Y and
-    Z coordinates `depth_mm` and `height_mm` of the mount's location in the workpiece frame.
+    """Nominal pose of the artefact. It consists of the two angles of the mount that holds it (azimuth and elevation)
+    and of the Y and Z coordinates `depth_mm` and `height_mm` of the mount's location in the workpiece frame.
 
     `station` is the station's number if other mounts or artefacts stand in the workspace. It is 0 if the paths are the
     same at all stations.
@@ -77,7 +77,7 @@ class TurningPath:
     the tip stays while the mount turns the artefact.
 
     `exit_path` holds the corners before the waiting point, and `entry_path` the corners after it. The corners and
-    `waiting_point` are relative to the mount's location. `seconds` is the time of both parts without the turn.
+    `waiting_point` are relative to the location of the mount. `seconds` is the time of both parts without the turn.
     """
 
     exit_path: tuple[Point, ...]
@@ -146,7 +146,7 @@ class FreePathFinder:
 
     def axes_at(self, station: int, corner: Point) -> Array:
         """Return the axis positions (3,) that bring the tip centre to the point `corner`. `corner` is relative to the
-        location of the mount at `station`."""
+        location of the artefact's mount at `station`."""
         return np.asarray(self.layout.location(station) - self.layout.tool_offset_mm + corner)
 
     def ball_axes(self, pose: ArtefactPose, station: int) -> Array:
@@ -154,7 +154,7 @@ class FreePathFinder:
         return np.asarray(self._posed(pose).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
 
     def tip_at(self, pose: ArtefactPose, location: TipLocation) -> Point:
-        """Return the coordinates of the tip centre at `location`, relative to the mount's location."""
+        """Return the coordinates of the tip centre at `location`, relative to the location of the artefact's mount."""
         (x, y, z), (along_x, along_y, along_z) = self._posed(pose).centre_points[location.ball], location.direction
         return x - along_x * location.out_mm, y - along_y * location.out_mm, z - along_z * location.out_mm
 
@@ -163,9 +163,9 @@ class FreePathFinder:
     ) -> FreePath | None:
         """Return the fastest free (collision-free) path from `start` to `end`; None if no path is proved free.
 
-        The corners of the path are relative to the mount's location. `uncertainty_mm` is the largest deviation of the
-        artefact from `pose`. `mount_x_mm` is the X coordinate of the mount's location. It is needed to keep the path
-        within the travel of the X axis.
+        The corners of the path are relative to the location of the artefact's mount. `uncertainty_mm` is the largest
+        deviation of the artefact from `pose`. `mount_x_mm` is the X coordinate of the mount's location. It is needed to
+        keep the path within the travel of the X axis.
         """
         uncertainty_mm = round_up_uncertainty(uncertainty_mm)
         unlimited = self._cached_path(pose, start, end, uncertainty_mm, (-math.inf, math.inf))
@@ -383,7 +383,7 @@ class FreePathFinder:
 
     def path_to_point(self, pose: ArtefactPose, location: TipLocation, waiting_point: Point) -> FreePath | None:
         """Return the fastest free (collision-free) path from `location` to `waiting_point`; None if no path is proved
-        free. Its corners are relative to the mount's location.
+        free. Its corners are relative to the location of the artefact's mount.
 
         The reversed path leads from the waiting point to the ball.
         """

@@ -39,14 +39,14 @@ class PathPlanner(Protocol):
     part of the artefact or mount reaches. Between two positions, the tip may stay closer to the artefact."""
 
     def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
-        """Return the measuring order of the balls of `task` as three values: the end ball of the artefact that is
-        measured first and once more at the end, the balls between the ends in measuring order, and the other end
-        ball."""
+        """Return the measuring order of the balls of `task`, the next position to measure, as three values: the end
+        ball of the artefact that is measured first and once more at the end, the balls between the ends in measuring
+        order, and the other end ball."""
         ...
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
-        """Move the tip clear of the artefact, then turn the artefact to the angles of `task`. `here` (3,) holds the
-        present axis positions."""
+        """Move the tip clear of the artefact, then turn the artefact to the azimuth and elevation of `task`, the next
+        position to measure. `here` (3,) holds the present axis positions."""
         ...
 
     def enter(self, task: PlannedPosition, ball: int) -> Plan[None]:
@@ -70,16 +70,16 @@ class PathPlanner(Protocol):
         ...
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move the tip to the retreat plane, which no part of the artefact or mount reaches, or to the park location
-        beside the station, where the probe is clear of the turning artefact. `centre` (3,) is the centre of the ball
-        that was measured last."""
+        """Move the tip to the retreat plane, which no part of the artefact or mount reaches, or to a park location
+        beside the artefact's station, where the probe is clear of the turning artefact. `centre` (3,) is the centre of
+        the ball that was measured last."""
         ...
 
 
 class PlainPathPlanner:
     """Path planner that withdraws the tip by `retract_mm` from every ball. Between positions, it moves the tip to the
-    retreat plane, which no part of the artefact or mount reaches, and to the park location, where the probe is clear of
-    the turning artefact."""
+    retreat plane, which no part of the artefact or mount reaches, and to a park location beside the artefact's station,
+    where the probe is clear of the turning artefact."""
 
     def __init__(self, retreat: Retreat, probing: ProbingParameters) -> None:
         self._retreat = retreat

@@ -129,11 +129,11 @@ class ShortestPathPlanner:
         return _BallTouchPath(self, ball)
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move the tip to the park location beside the station of the artefact. No bar artefact reaches this location
-        in any pose.
+        """Move the tip to a park location beside the station of the artefact. No bar artefact reaches this location in
+        any pose.
 
-        If no path to the park location is proved free, lift the tip off the ball's surface and withdraw it straight
-        along the stylus. The stylus then moves only through space that it has already passed.
+        If no path to a park location is proved free, lift the tip off the ball's surface and withdraw it straight along
+        the stylus. The stylus then moves only through space that it has already passed.
         """
         if self._tip is not None:
             yield from self._withdraw(key)

@@ -155,9 +155,10 @@ class RunFacts:
     """Data of a run on a machine.
 
     `times` contains table rows about the start and the end of the run. `banks` contains table rows about the
-    compensation table before the run, the table that was written, and the controller's bank that is active at the end.
-    `trend` is an SVG that shows the main results of all runs up to this run. `drifts_um` contains one value in µm for
-    each position: the displacement of the position's first ball when it was measured again at the end of the position.
+    compensation table before the run, the table that was written, and the controller's bank (memory for one table) that
+    is active at the end. `trend` is an SVG that shows the main results of all runs up to this run. `drifts_um` contains
+    one value in µm for each position: the displacement of the position's first ball when it was measured again at the
+    end of the position.
     """
 
     touches: int | None = None

@@ -49,8 +49,8 @@ def _of_estimate(identification: IdentificationData, tool_offset: Array) -> dict
 
 
 def ball_residuals(identification: IdentificationData) -> BallResiduals:
-    """Return the residuals of all balls of `identification`, in the form in which the figures of the residuals need
-    them."""
+    """Return the residuals of all balls measured for `identification`, in the form in which the figures of the
+    residuals need them."""
     seen, estimate = identification.observations, identification.estimate
     rejected = set(estimate.rejected)
     keys = zip(seen.position.tolist(), seen.ball.tolist(), seen.tool.tolist(), strict=True)

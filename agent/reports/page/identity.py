@@ -12,7 +12,7 @@ from agent.results.facts import Quantity
 
 
 def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
-    """Return the tiles at the top of the report, each with the name and the value of one main result."""
+    """Return the tiles (boxes) at the top of the report, each with the name and the value of one main result."""
     identification, night = data.identification, data.run.night
     if identification is not None:
         shown = _of_estimate(data, identification, t)
@@ -97,7 +97,8 @@ def _machine(identification: IdentificationData) -> Rows:
 
 
 def validity(data: ReportData, identification: IdentificationData) -> list[str]:
-    """Return statements about the tool offset and about the region of the workspace for which the result is valid."""
+    """Return statements about the tool offset (vector from the ram to the stylus centre) and about the region of the
+    workspace for which the result is valid."""
     seen = identification.observations
     used = [seen.tool_offsets[tool] for tool in np.unique(seen.tool)]
     lengths = " and ".join(point(offset) for offset in used)

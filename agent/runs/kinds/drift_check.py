@@ -76,7 +76,7 @@ class Judge:
         """Volumetric error (VE) in µm that was expected with the active compensation table at the end of the last
         accepted night.
 
-        It is computed after removal of the best-fitting rigid motion.
+        The error is computed after removal of the best-fitting rigid motion.
         """
         estimate = self.reference.estimate
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, self.reference.table.written).aligned_um
@@ -85,7 +85,7 @@ class Judge:
         """Return the volumetric error (VE) in µm that is expected from `estimate` if the active compensation table
         corrects the p parameters of the error model by the values `written` (p,).
 
-        It is computed after removal of the best-fitting rigid motion.
+        The error is computed after removal of the best-fitting rigid motion.
         """
         return self.residual_with_table.of(estimate.z, estimate.z_covariance, written).aligned_um
 

@@ -1,5 +1,5 @@
 """Full calibration that an earlier night found necessary. Until a slot (machine time available for a night) permits the
-calibration, all nights are only verifications."""
+calibration, all nightly runs only verify the machine."""
 
 from __future__ import annotations
 

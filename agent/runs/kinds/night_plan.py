@@ -72,10 +72,10 @@ def job_at_station(job: Job, station: int) -> Job:
 
 
 def station_of(job: Job, named: int | None) -> int:
-    """Return the station of the artefact for a nightly run or a verification. It is `named`, or the station in the
-    settings if `named` is None.
+    """Return the station of the artefact for a nightly run or a verification. It is `named`, or the station named in
+    the settings if `named` is None.
 
-    Raises ConfigurationError if neither names a station, or if the machine has no such station.
+    Raises ConfigurationError if neither is given, or if the machine has no such station.
     """
     station = named if named is not None else job.settings.stations.standing_at
     if station is None:

@@ -161,7 +161,7 @@ class NightlyRun(CalibrationRun):
         None otherwise. The time of an interruption counts as part of the slot.
 
         The time left must suffice for the rest of the verification at the beginning of the run, because an incomplete
-        verification is useless. `following` is the first moving step of the resumed run.
+        verification is useless. `following` is the first step of the resumed run that moves the machine.
         """
         at_s = self._preflight_result.timeline.get(following.key)
         needed = 0.0 if at_s is None else (self._preflight_result.machine_seconds - at_s) / S_PER_MIN

@@ -33,7 +33,7 @@ def prove_update(
     job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
 ) -> Proof:
     """Return the proof of an updated compensation table. The held-out balls `before` (balls not used for the estimate),
-    measured before activation of the new table, are compared with the same balls `after`, measured after its
+    measured before activation of the new table, are compared with the held-out balls `after`, measured after its
     activation.
 
     Raises MeasurementFault if too few held-out balls were measured.
