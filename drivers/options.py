@@ -23,7 +23,7 @@ class DriverOptions(BaseModel):
 
 
 def rename_former_keys(options: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
-    """Return `options` with every former key replaced by its current name, including the keys of sections.
+    """Return `options` with every former name of a renamed key replaced by the current name, also in nested sections.
 
     The options class `kind` and the classes of its sections state the former keys.
     """
@@ -37,7 +37,10 @@ def rename_former_keys(options: Mapping[str, Any], kind: type[BaseModel]) -> dic
 
 
 def find_former_key(options: Mapping[str, Any], kind: type[BaseModel]) -> tuple[tuple[str, ...], str] | None:
-    """Return the path of the first former key in `options` and its current name, or None if there is no former key."""
+    """Return the path of the first key in `options` that has been renamed, and the current name of this key.
+
+    Returns None if `options` contains no renamed key.
+    """
     former = _former_keys(kind)
     for name, value in options.items():
         if name in former:

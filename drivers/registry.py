@@ -44,7 +44,8 @@ class DriverPlugin:
     `create(settings, context)` returns a device that is not yet open. The device has every role whose Protocol in
     `drivers.roles` it implements. `claims(settings)` returns the resources that no other device of the same machine may
     use. Each resource is a readable text and is mapped to the option that claims it. `several_mounts` is True if the
-    device serves a mount at each station (`drivers.roles.MultiStationMount`).
+    device serves a mount at each of several stations, the places of a mount along the machine's long axis
+    (`drivers.roles.MultiStationMount`).
     """
 
     name: str
@@ -76,10 +77,10 @@ def check_options(driver: str, options: Mapping[str, object], name: str) -> Mapp
 
 
 def current_options(driver: str, options: Mapping[str, object]) -> dict[str, object]:
-    """Return `options`, which may come from an earlier version, with former keys replaced by the current ones.
+    """Return `options`, which may come from an earlier version, with renamed keys replaced by their current names.
 
-    If the driver cannot be loaded, the options are returned unchanged. The error is then raised when the device is
-    created.
+    If the driver cannot be loaded, the options are returned unchanged. The loading error is raised later, when the
+    device is created.
     """
     try:
         plugin = _plugin(driver, driver)
@@ -89,7 +90,7 @@ def current_options(driver: str, options: Mapping[str, object]) -> dict[str, obj
 
 
 def has_several_mounts(driver: str, name: str) -> bool:
-    """Return True if a single device of plugin `driver` serves a mount at each station."""
+    """Return True if a single device of plugin `driver` serves one mount at each of several stations."""
     return _plugin(driver, name).several_mounts
 
 

@@ -1,9 +1,9 @@
 """Device roles. A device implements one or more of them, and its callers depend only on the roles.
 
-Lengths are in mm, speeds in mm/s, times in s, temperatures in °C, and mount angles in degrees. Axis positions are the
-displayed ones, in the order X, Y, Z. Every method may raise `DeviceError`. Every wait has a deadline inside the driver
-and sleeps on the clock passed to the driver. If an exception of any kind ends a wait, the driver stops the motion that
-it started before the exception propagates.
+Lengths are in mm, speeds in mm/s, times in s, temperatures in °C, and mount angles in degrees. Axis positions are those
+that the controller displays, in the order X, Y, Z. Every method may raise `DeviceError`. Every wait has a deadline
+inside the driver and sleeps on the clock passed to the driver. If an exception of any kind ends a wait, the driver
+stops the motion that it started before the exception propagates.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class ProbeStatus:
 
 @dataclass(frozen=True)
 class Touch:
-    """Result of a touch that ended with a trip of the probe.
+    """Result of a touch (a move until the probe trips) that ended with a trip.
 
     `position_mm` is the position latched at the trip, not the position at which the axes stopped.
     """
@@ -83,7 +83,10 @@ class Touch:
 
 @dataclass(frozen=True)
 class Miss:
-    """Result of a touch that reached its target without a trip. A miss is not a fault."""
+    """Result of a touch (a move until the probe trips) that reached its target without a trip.
+
+    A miss is not a fault.
+    """
 
     position_mm: tuple[float, float, float]
 
@@ -95,7 +98,7 @@ class Orientation:
 
 
 class Activation(Enum):
-    """Event at which an activated bank takes effect."""
+    """Event at which the compensation table of an activated bank takes effect."""
 
     IMMEDIATE = "immediate"
     RESET = "reset"
@@ -156,8 +159,9 @@ class Machine(Protocol):
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         """Move in a straight line to `target_mm` and return when the axes are in position.
 
-        A feed of None means rapid traverse. If the probe trips in a guarded move, the axes stop. The method then clears
-        the fault and raises `GuardTripped`, and the probe can be withdrawn at once.
+        A feed of None means rapid traverse. If the probe trips in a guarded move (`guarded` is True), the axes stop.
+        The method then clears the resulting fault of the controller and raises `GuardTripped`, and the probe can be
+        withdrawn at once.
         """
 
     def hold(self) -> None: ...
@@ -176,7 +180,7 @@ class Machine(Protocol):
 
 @runtime_checkable
 class StepTracing(Protocol):
-    """Device that tells the controller to which step of the procedure each motion belongs.
+    """Device that tells the controller to which step of the measuring procedure each motion belongs.
 
     The controller can then write the step to its own log.
     """
@@ -218,7 +222,9 @@ class RotaryMount(Protocol):
 
 @runtime_checkable
 class MultiStationMount(Protocol):
-    """Device that serves one mount at each of several stations (counted from 1)."""
+    """Device that serves one mount at each of several stations, the places of a mount along the machine's long axis
+    (counted from 1).
+    """
 
     def mount_at(self, station: int) -> RotaryMount: ...
 
@@ -232,7 +238,9 @@ class CompensationStore(Protocol):
     def active_bank(self) -> int: ...
 
     def pending_bank(self) -> int | None:
-        """Return the bank that becomes active at the next reset, restart or referencing; None if no bank is pending."""
+        """Return the bank that becomes active at the next reset, restart or referencing of the controller; None if no
+        bank is pending.
+        """
         ...
 
     def read_table(self, bank: int) -> TableImage | None:
@@ -262,8 +270,8 @@ class OperatorTask(Enum):
 class OperatorRequest:
     """Question to the operator, to be answered with yes or no. "Done" counts as yes.
 
-    `station` is the number of the station that the task concerns, counted from 1, or None if the task concerns no
-    station.
+    `station` is the number of the station (place of the mount) that the task concerns, counted from 1, or None if the
+    task concerns no station.
     """
 
     task: OperatorTask

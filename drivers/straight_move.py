@@ -1,4 +1,5 @@
-"""Duration of a straight move, distance from its path, and limits along its direction.
+"""Duration of a straight move, distance of a point from its path, and limits of speed and acceleration along its
+direction.
 
 A caller that knows the duration can sleep until just before the end of the move.
 """
@@ -21,7 +22,7 @@ def move_duration_s(
     rapid_mm_per_s: Sequence[float],
     acceleration_mm_per_s2: Sequence[float],
 ) -> float:
-    """Return the duration in s of a move with a trapezoidal (or triangular) velocity profile along the line.
+    """Return the duration in s of a straight move whose speed has a trapezoidal (or triangular) profile.
 
     No axis exceeds its own speed and acceleration.
     """

@@ -1,6 +1,7 @@
 """Conversion between blocks of Modbus registers and typed values.
 
-Each block is packed or unpacked by one `struct` call, for any number type and word order.
+Each block is packed or unpacked by one `struct` call, for any number type (float64 or scaled int32) and any order of
+the registers within a value.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ _REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """Format in which values of the register map's type f64 are transmitted.
+    """Format in which floating-point values (type f64 of docs/reference/modbus-register-map.md) are transmitted.
 
-    Each such value occupies four registers. Either the four registers hold a float64, or the first two hold an int32.
-    An int32 is multiplied by `scale` to give the value. `word_order` is the order of the registers of a value, and
-    `byte_order` is the order of the two bytes in each register. Both orders apply to every value of more than one
-    register. A value of type u16 is always big-endian.
+    Each such value occupies four registers. Either the four registers hold a float64, or the first two hold an int32,
+    as stated by `kind`. An int32 is multiplied by `scale` to give the value. `word_order` is the order of the registers
+    of a value, and `byte_order` is the order of the two bytes in each register. Both orders apply to every value of
+    more than one register. A value of type u16 is always big-endian.
     """
 
     kind: Literal["float64", "int32"] = "float64"
@@ -42,7 +43,7 @@ class RegisterField:
 
 
 class RegisterLayout:
-    """Register layout of one block: its fields, in order."""
+    """Layout of one block of consecutive registers: its fields, in order."""
 
     def __init__(self, registers: Sequence[RegisterField], numbers: NumberFormat) -> None:
         self._registers = tuple(registers)
@@ -57,7 +58,7 @@ class RegisterLayout:
 
     @property
     def size(self) -> int:
-        """Number of registers in the block."""
+        """Number of registers in a block with this layout."""
         return self._struct.size // 2
 
     def offset(self, name: str) -> int:
@@ -97,7 +98,8 @@ class RegisterLayout:
             raise ValueError(str(error)) from error
 
     def reordered(self, data: bytes) -> bytes:
-        """Return the bytes of the whole block, converted from big-endian order to wire order.
+        """Return the bytes of the whole block, converted from big-endian order to the order of transmission (wire
+        order).
 
         The same swap of bytes converts wire order back to big-endian order.
         """

@@ -11,7 +11,7 @@ MAJOR_VERSION = 1
 
 
 class CommandCode(IntEnum):
-    """Codes of the commands in the command block."""
+    """Codes of the commands that the driver writes to the command block of the Modbus register map."""
 
     MOVE_RAPID = 11
     MOVE_FEED = 12
@@ -33,7 +33,7 @@ class CommandCode(IntEnum):
 
 
 class MotionOutcome(IntEnum):
-    """Codes for the outcome of a motion."""
+    """Codes for the outcome of a motion (table 9.3 of docs/reference/modbus-register-map.md)."""
 
     NONE = 0
     UNDER_WAY = 1
@@ -120,7 +120,7 @@ NO_TEMPERATURE = -(2**31)
 
 
 def fault_text(code: int) -> str:
-    """Return the text of a fault code, or an empty string for code 0."""
+    """Return the text of a fault code of the Modbus register map, or an empty string for code 0 (no fault)."""
     return f"{FAULTS.get(code, 'unknown fault')} (code {code})" if code else ""
 
 

@@ -44,8 +44,8 @@ This bound and `MIN_DYNAMICS` reveal a wrong word or byte order, which makes a f
 class ModbusCnc:
     """CNC controller that is reached through Modbus registers.
 
-    The parts for motion, probing and the compensation store share one session. They exist only while the session is
-    open.
+    The parts of the device for motion, probing and the compensation store share one communication session with the
+    controller. They exist only while this session is open.
     """
 
     def __init__(self, settings: ModbusCncSettings, clock: Clock, name: str) -> None:
@@ -99,7 +99,9 @@ class ModbusCnc:
         self._session.command(CommandBlock(CommandCode.RESET))
 
     def stop(self) -> None:
-        """Send STOP, reconnecting first if the connection was lost. Does nothing if the device is closed."""
+        """Send the command STOP to the controller, reconnecting first if the connection was lost. Does nothing if the
+        device is closed.
+        """
         if self._parts is None:
             return
         if not self._session.link.connected:

@@ -23,10 +23,10 @@ HEARTBEAT_PAUSE_S = 0.3
 
 
 def diagnose(session: ModbusSession) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order.
+    """Return the findings about the controller of `session` in troubleshooting order.
 
-    A device error ends the checks and is added as a finding. If this function opened the link and the error suggests
-    wrong line settings, a finding about the baud rate follows.
+    A device error ends the checks and is added as a finding. If this function opened the link to the controller and the
+    error suggests wrong settings of a serial line, a finding about the baud rate follows.
     """
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected

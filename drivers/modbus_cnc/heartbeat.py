@@ -1,4 +1,4 @@
-"""Monitor of the controller's heartbeat."""
+"""Monitor of the heartbeat of a Modbus controller (a counter in its status registers)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from drivers.errors import LinkLost
 
 
 class PeerHeartbeat:
-    """Monitor that raises LinkLost if the controller's heartbeat has not changed for more than `lost_after_s` seconds.
+    """Monitor that raises LinkLost if a controller's heartbeat (a counter) has not changed for more than `lost_after_s`
+    seconds.
 
-    If more than `lost_after_s` seconds pass between two observations, an unchanged heartbeat proves nothing, and the
-    monitor starts again.
+    If more than `lost_after_s` seconds pass between two calls of `observe`, an unchanged heartbeat proves nothing, and
+    the monitor restarts its measurement of time.
     """
 
     def __init__(self, clock: Clock, lost_after_s: float, where: Mapping[str, str]) -> None:

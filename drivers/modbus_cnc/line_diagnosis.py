@@ -21,9 +21,10 @@ WATCHDOG_S = 1.0
 
 
 def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[DiagnosticFinding]:
-    """Yield findings about the duration of a poll and about the number of requests that had to be repeated.
+    """Yield findings about the duration of a poll (one exchange that writes the heartbeat and reads the status) and
+    about the number of requests that had to be repeated.
 
-    Call this function after the link has been used, because it reads the counters of the link.
+    Call this function after the link of `session` has been used, because the function reads the counters of this link.
     """
     poll_s = session.poll_wire_time_s
     left_s = WATCHDOG_S - max(session.settings.poll_interval_s, poll_s) - poll_s - session.settings.timeout_s
@@ -45,7 +46,7 @@ def search_baud_rate(
     """Yield a finding about the baud rate and parity at which a silent controller answers.
 
     One register is read with each usual combination of baud rate and parity. The search is made only if the link is a
-    serial line and `error` is a time-out or a damaged frame.
+    serial line and `error`, the error that ended the diagnosis, is a time-out or a damaged frame.
     """
     if settings.serial is None or not isinstance(error, LinkTimeout | DamagedFrame):
         return

@@ -1,4 +1,4 @@
-"""Creation of the configured link: Modbus TCP or a serial line."""
+"""Creation of the configured link to a Modbus controller: Modbus TCP or a serial line."""
 
 from __future__ import annotations
 

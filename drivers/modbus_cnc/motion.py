@@ -39,16 +39,21 @@ It allows for feed override and look-ahead.
 
 
 class ModbusMotionResult(NamedTuple):
-    """Result of a motion: its start position in mm, and the status image that shows its outcome."""
+    """Result of a motion: its start position in mm, and the status image (contents of the controller's status block)
+    that shows its outcome.
+    """
 
     start: Triple
     status: StatusImage
 
 
 class ModbusMotion:
-    """Executor of motions. It starts a motion, sends the heartbeat until the motion ends, and returns the result.
+    """Executor of motions on a Modbus controller.
 
-    If an exception interrupts the wait for the end, STOP is sent before the exception propagates.
+    It starts a motion, renews the driver's heartbeat (a counter that the controller monitors) until the motion ends,
+    and returns the result.
+
+    If an exception interrupts the wait for the end, the command STOP is sent before the exception propagates.
     """
 
     def __init__(self, session: ModbusSession, limits: AxisLimits) -> None:
@@ -61,8 +66,8 @@ class ModbusMotion:
     def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> ModbusMotionResult:
         """Carry out a motion and return its result.
 
-        A touch ends with a trip or a miss, and any other motion ends in position. Every other outcome raises a
-        DeviceError.
+        A touch ends with a trip or a miss, and any other motion ends with the axes in position. Every other outcome
+        raises a DeviceError.
         """
         session = self._session
         target = self._validated_target(code, target_mm, feed_mm_per_s)
@@ -81,7 +86,7 @@ class ModbusMotion:
         return ModbusMotionResult(accepted.position, status)
 
     def stop(self) -> None:
-        """Send STOP and return before the axes are at rest.
+        """Send the command STOP and return before the axes are at rest.
 
         The method does not wait for standstill because it may be called from inside a sleep of the clock.
         """

@@ -1,4 +1,4 @@
-"""Touch-trigger probe of the controller."""
+"""Touch-trigger probe of a controller with Modbus registers."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 class ModbusProbing:
     """Probing with the controller's touch-trigger probe.
 
-    A latched position is accepted only if it carries the sequence number of the touch and lies on the path of the
-    touch.
+    A latched position is accepted only if it carries the sequence number of the touch command and lies on the path of
+    the touch.
     """
 
     def __init__(self, session: ModbusSession, motion: ModbusMotion) -> None:

@@ -1,4 +1,7 @@
-"""Blocks of the register map as typed values. Each field stands for one name in the tables of the documented map."""
+"""Register blocks of docs/reference/modbus-register-map.md as typed values.
+
+Each field stands for one name in the tables of this document.
+"""
 
 from __future__ import annotations
 
@@ -49,8 +52,8 @@ class StatusImage(NamedTuple):
 
     @property
     def is_consistent(self) -> bool:
-        """True if both copies of the heartbeat in the image agree. They differ if the controller wrote the image during
-        the read.
+        """True if both copies of the heartbeat counter in the status image agree. They differ if the controller wrote
+        the image during the read.
         """
         return self.heartbeat == self.heartbeat_copy
 
@@ -72,7 +75,9 @@ class StatusImage(NamedTuple):
 
 
 class ControllerLimits(NamedTuple):
-    """Limits of travel, dynamics and tables, as reported by the controller in mm, mm/s and mm/s²."""
+    """Limits of axis travel, speed, acceleration and compensation tables, as reported by the controller in mm, mm/s and
+    mm/s².
+    """
 
     lower: Triple
     upper: Triple
@@ -87,7 +92,7 @@ class ControllerLimits(NamedTuple):
 
 
 class CommandBlock(NamedTuple):
-    """Contents of the command block, except the heartbeat and the sequence number. The session adds these two."""
+    """Contents of the command block, except the heartbeat and the sequence number. `ModbusSession` adds these two."""
 
     code: int
     bank: int = 0
@@ -98,9 +103,9 @@ class CommandBlock(NamedTuple):
 
 
 class TableDescriptor(NamedTuple):
-    """Descriptor of a table.
+    """Descriptor of a compensation table in the controller.
 
-    It contains the bank, the grid in mm, the resolution of the counts in mm, and the CRC-32 of the counts.
+    It contains the bank, the grid in mm, the correction in mm that one count stands for, and the CRC-32 of the counts.
     """
 
     bank: int
@@ -115,7 +120,7 @@ _LAST_OUTCOME = max(MotionOutcome)
 
 
 class BlockLayouts:
-    """Layouts of all register blocks for one number format."""
+    """Layouts of all register blocks of the Modbus register map for one number format."""
 
     def __init__(self, numbers: NumberFormat) -> None:
         self.status = RegisterLayout(_STATUS, numbers)
@@ -125,9 +130,10 @@ class BlockLayouts:
         self.block = RegisterLayout([RegisterField("counts", "i32", 60)], numbers)
 
     def decode_status(self, data: bytes, where: Mapping[str, str], first_register: int) -> StatusImage:
-        """Decode a status image. Raises ProtocolError if a register has a value that the map does not allow.
+        """Decode the contents of the status block. Raises ProtocolError if a register has a value that the register map
+        does not allow.
 
-        The error names this register.
+        The error states the address of this register.
         """
         status = StatusImage(*self.status.unpack(data))
         if status.protocol != PROTOCOL or status.version >> 8 != MAJOR_VERSION:

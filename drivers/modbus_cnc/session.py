@@ -1,4 +1,6 @@
-"""Session with one controller: status images, heartbeats in both directions, commands and acknowledgements."""
+"""Communication session with one Modbus controller: status images, heartbeats in both directions, commands and
+acknowledgements.
+"""
 
 from __future__ import annotations
 
@@ -34,9 +36,10 @@ URGENT_WITHIN_S = 1.0
 
 
 class ModbusSession:
-    """Session with one controller.
+    """Communication session with one Modbus controller.
 
-    All traffic passes through the session, so only the session sets the sequence numbers and the heartbeat.
+    All traffic passes through the session, so only the session sets the sequence numbers of commands and the driver's
+    heartbeat (a counter that the controller monitors).
     """
 
     def __init__(self, link: ModbusLink, clock: Clock, settings: ModbusCncSettings) -> None:
@@ -54,7 +57,8 @@ class ModbusSession:
         self._unacknowledged = 0
 
     def open(self) -> StatusImage:
-        """Connect, verify protocol and version, and continue from the controller's current sequence number.
+        """Connect, verify protocol and version of the register map, and continue from the sequence number that the
+        controller last acknowledged.
 
         If the controller is in a fault only because the heartbeat of an earlier session was lost, the fault is cleared.
         """
@@ -70,11 +74,15 @@ class ModbusSession:
         self.link.close()
 
     def status(self) -> StatusImage:
-        """Read one status image, and check its heartbeat and acknowledgement. Writes nothing."""
+        """Read one status image (contents of the status block). Writes nothing.
+
+        The method checks that the controller's heartbeat has not stopped, and that the session knows the acknowledged
+        sequence number.
+        """
         return self._check_status(self.read_status_unchecked())
 
     def read_status_unchecked(self) -> StatusImage:
-        """Read one status image without checking its heartbeat and acknowledgement.
+        """Read one status image (contents of the status block) without checking its heartbeat and acknowledgement.
 
         The two are not checked because another client may be using the controller.
         """
@@ -82,11 +90,15 @@ class ModbusSession:
 
     @property
     def poll_wire_time_s(self) -> float:
-        """Transmission time of one poll in s, or 0 if it is unknown."""
+        """Transmission time of one poll (write of the heartbeat and read of the status block) in s, or 0 if it is
+        unknown.
+        """
         return self.link.exchange_wire_time_s(1, self.layouts.status.size)
 
     def poll(self) -> StatusImage:
-        """Write a new heartbeat, and read and check one status image."""
+        """Write a new value of the driver's heartbeat, and read and check one status image (contents of the status
+        block).
+        """
         return self.write_and_read_status(
             self.settings.blocks.command, self._next_heartbeat().to_bytes(2, "big"), idempotent=True
         )
@@ -97,16 +109,16 @@ class ModbusSession:
         return self._check_status(self._consistent_status(self._decoded(answer)))
 
     def command(self, command: CommandBlock, *, within_s: float | None = None) -> StatusImage:
-        """Send a command, wait for its acknowledgement, and return the status image.
+        """Send a command, wait for its acknowledgement, and return the status image that contains it.
 
         Raises CommandRejected or PermissionMissing if the controller refuses the command.
         """
         return self.start(command, within_s=within_s)[1]
 
     def start(self, command: CommandBlock, *, within_s: float | None = None) -> tuple[int, StatusImage]:
-        """Send a command, wait for its acknowledgement, and return its sequence number and the status image.
+        """Send a command, wait for its acknowledgement, and return its sequence number and the latest status image.
 
-        The sequence number identifies the outcome of the command. The exceptions are those of `command`.
+        The sequence number identifies the outcome of the command. The method raises the same exceptions as `command`.
         """
         sequence = self._next_sequence()
         status = self._send(command, sequence)
@@ -122,7 +134,7 @@ class ModbusSession:
         return sequence, self._accepted(command, self._results[sequence], status)
 
     def send_urgent(self, code: CommandCode) -> StatusImage:
-        """Send HOLD, RESUME or STOP, and wait for the acknowledgement without sleeping on the clock.
+        """Send the command HOLD, RESUME or STOP, and wait for the acknowledgement without sleeping on the clock.
 
         A hold or an abort may be requested from inside a sleep of the clock, and a second sleep there would recurse.
         HOLD and RESUME first wait until an earlier command is acknowledged. STOP does not wait, so it may overwrite an

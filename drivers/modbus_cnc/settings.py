@@ -1,4 +1,4 @@
-"""Settings of a `modbus-cnc` device. The defaults are those of the register map."""
+"""Settings of a `modbus-cnc` device. The defaults are those of docs/reference/modbus-register-map.md."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
 class BlockAddresses(DriverOptions):
-    """Address of the first register of each block, counted from 0 as in a transmitted request."""
+    """Address of the first register of each block of the Modbus register map, counted from 0 as in a transmitted
+    request.
+    """
 
     status: Address = 1000
     limits: Address = 1100

@@ -1,6 +1,7 @@
 """Compensation store with two banks in a Modbus controller.
 
-A table is transferred in blocks through a group of registers (the data window) and is activated in two steps.
+A table is transferred in blocks through a group of registers (the data window) and is activated in two steps, arm and
+confirm.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ COARSEST_POLL_S = 0.1
 
 
 class ModbusStore:
-    """Compensation store in the controller to which the session is connected."""
+    """Compensation store in the controller to which `session` is connected."""
 
     def __init__(self, session: ModbusSession, limits: ControllerLimits) -> None:
         self._session = session
@@ -98,7 +99,8 @@ class ModbusStore:
 
         The bank is first armed with the CRC-32 of its table, which is read for this purpose. The activation is then
         confirmed with the nonce (a number used once) that the controller shows for the armed bank. If the controller
-        does not activate immediately, the method returns when the bank is pending.
+        does not activate immediately, the method returns when the bank is pending: it becomes active at the next reset,
+        power-up or referencing.
         """
         crc = 0
         if bank != 0:

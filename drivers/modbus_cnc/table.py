@@ -15,9 +15,10 @@ BLOCK_BYTES = 240
 
 
 def table_bytes(table: TableImage) -> bytes:
-    """Return all counts of a table as big-endian int32. The node index varies fastest along z and slowest along x.
+    """Return all counts (integer corrections) of a table as big-endian int32. The node index varies fastest along z and
+    slowest along x.
 
-    Each node has its counts in the order dx, dy, dz (register map, section 8).
+    Each node has its counts in the order dx, dy, dz (docs/reference/modbus-register-map.md, section 8).
     """
     return table.counts.astype(">i4").tobytes(order="C")
 
@@ -32,7 +33,7 @@ def block_count(nodes: tuple[int, int, int]) -> int:
 
 
 def data_blocks(data: bytes) -> Iterator[bytes]:
-    """Yield the data in blocks of `BLOCK_BYTES` bytes. The last block is padded with zeros."""
+    """Yield `data`, the bytes of a table, in blocks of `BLOCK_BYTES` bytes. The last block is padded with zeros."""
     for start in range(0, len(data), BLOCK_BYTES):
         yield data[start : start + BLOCK_BYTES].ljust(BLOCK_BYTES, b"\x00")
 
@@ -42,6 +43,6 @@ def table_descriptor(bank: int, table: TableImage, crc: int) -> TableDescriptor:
 
 
 def decode_table(descriptor: TableDescriptor, data: bytes) -> TableImage:
-    """Return the table with the grid of a descriptor and the counts in `data`, which holds 12 bytes per node."""
+    """Return the table with the grid of `descriptor` and the counts in `data`, which holds 12 bytes per node."""
     counts = np.frombuffer(data, dtype=">i4").astype(np.int32).reshape(*descriptor.nodes, 3)
     return TableImage(descriptor.origin, descriptor.step, descriptor.resolution, counts)

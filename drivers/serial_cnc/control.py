@@ -19,7 +19,7 @@ DOOR_CLOSED_AGAIN = "Door:0"
 
 
 class MotionControl:
-    """Hold, resume, stop and reset of the controller.
+    """Hold, resume, stop and reset of a GRBL controller.
 
     A stop has two phases. The feed hold is sent at once and does not lose the position. Once the axes are at rest, a
     later call of `read_status` sends a soft reset, which discards the rest of the motion. A soft reset during braking
@@ -34,7 +34,9 @@ class MotionControl:
 
     @property
     def stopping(self) -> bool:
-        """True if a stop was requested and its second phase is still pending."""
+        """True if a stop was requested and its second phase (the soft reset after the axes have come to rest) is still
+        pending.
+        """
         return self._stopping
 
     def hold(self) -> None:
@@ -44,7 +46,7 @@ class MotionControl:
         self._conversation.realtime(RESUME)
 
     def stop(self) -> None:
-        """Send the feed hold and return before the axes are at rest.
+        """Send a feed hold, the first phase of a stop, and return before the axes are at rest.
 
         The method does not wait for standstill because it may be called from inside a sleep of the clock.
         """
@@ -53,7 +55,9 @@ class MotionControl:
         self.read_status()
 
     def read_status(self) -> TrackedStatus:
-        """Query the status, complete a pending stop if the axes have come to rest, and return the status."""
+        """Query the status, complete a pending stop with a soft reset if the axes have come to rest, and return the
+        status.
+        """
         status = self._tracker.read_status()
         if self._stopping and status.state is not MotionState.MOVING:
             if status.state is not MotionState.FAULT:
@@ -62,14 +66,16 @@ class MotionControl:
         return status
 
     def finish(self) -> None:
-        """Complete a pending stop before the line is closed. Waits in wall time until the axes have come to rest."""
+        """Complete a pending stop before the serial line is closed. Waits up to `CLOSE_WITHIN_S` seconds of wall time
+        for the axes to come to rest.
+        """
         deadline_s = wall_seconds() + CLOSE_WITHIN_S
         while self._stopping and wall_seconds() < deadline_s:
             self.read_status()
             self._conversation.drain_for(CLOSE_POLL_S)
 
     def require_ready(self, within_s: float) -> TrackedStatus:
-        """Wait up to `within_s` for the end of a pending stop, and return a status in which a motion can start.
+        """Wait up to `within_s` seconds for the end of a pending stop, and return a status in which a motion can start.
 
         Raises DeadlineExpired if the stop does not end in time. Raises PermissionMissing or CommandRejected if the
         machine is not ready.
@@ -100,7 +106,7 @@ class MotionControl:
         """Unlock the controller after an alarm, or discard the rest of a motion that an open door has interrupted.
 
         An alarm is unlocked only if the position remained known; otherwise homing is needed, and CommandRejected is
-        raised. A motion is discarded only after the door has been closed. Does nothing if there is no fault.
+        raised. A motion is discarded only after the door has been closed. Does nothing in any other state.
         """
         status = self.read_status()
         if status.word == DOOR_CLOSED_AGAIN:

@@ -1,4 +1,5 @@
-"""Settings of the controller (``$`` numbers), and checks for values that would make probing wrong or impossible.
+"""Settings of a GRBL or grblHAL controller (``$`` numbers), and checks for values that would make probing wrong or
+impossible.
 
 Sources: gnea/grbl, doc/markdown/settings.md; grblHAL/core settings.h (`reportmask_t`) for bits that GRBL does not have.
 """
@@ -35,9 +36,10 @@ AXES = "XYZ"
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """Settings from the answers to ``$$`` and ``$I``.
+    """Settings of a GRBL or grblHAL controller, read from its answers to ``$$`` and ``$I``.
 
-    `hal` is True for grblHAL, whose bit masks have more bits than those of GRBL.
+    `values` maps the ``$`` number of each setting to its value. `hal` is True for grblHAL, whose bit masks have more
+    bits than those of GRBL.
     """
 
     values: Mapping[int, float]
@@ -88,7 +90,8 @@ class ControllerSettings:
     def limits(self, axis_zero_mm: tuple[float, float, float]) -> AxisLimits:
         """Return the travel in displayed axis positions, and the limits of speed and acceleration.
 
-        Machine zero is at the upper end of travel, unless the controller sets machine zero at the home position.
+        `axis_zero_mm` holds the machine coordinates of the displayed position 0. Machine zero is at the upper end of
+        travel, unless the controller sets machine zero at the home position.
         """
         at_home = int(self.values[HOMING]) & HAL_ORIGIN_AT_HOME if self.hal else "Z" in self.options.split(",")[0]
         lower, upper = [], []
@@ -118,7 +121,9 @@ class ControllerSettings:
         return ""
 
     def findings(self, *, manual_referencing: bool) -> Iterator[DiagnosticFinding]:
-        """Yield one finding for each group of settings. The finding about a bad setting states the value to set."""
+        """Yield one diagnostic finding for each group of settings. The finding about an unsuitable setting states the
+        value to set.
+        """
         fatal = self.fatal()
         if fatal:
             yield DiagnosticFinding("settings", ok=False, text=fatal)

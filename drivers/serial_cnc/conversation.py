@@ -148,7 +148,7 @@ class Conversation:
     # ------------------------------------------------------------------ requests
 
     def report(self) -> StatusReport:
-        """Query the status and return the report.
+        """Query the status and return the status report.
 
         A query has no side effect, so the query is repeated if its answer is lost or garbled.
         """

@@ -23,10 +23,10 @@ SLOW_ROUND_TRIP_S = 0.1
 def diagnose(
     conversation: Conversation, settings: SerialCncSettings, store: BankStore, directory: Path
 ) -> list[DiagnosticFinding]:
-    """Return the findings in troubleshooting order.
+    """Return the findings about a GRBL controller in troubleshooting order.
 
     A device error ends the checks of the controller and is added as a finding. The last finding is always about the
-    tables.
+    compensation tables.
     """
     findings: list[DiagnosticFinding] = []
     opened_here = not conversation.line.connected

@@ -1,7 +1,8 @@
 """Conversion between displayed axis positions and machine coordinates.
 
-The position sent is the displayed position plus the correction. Machine coordinates (``MPos``) are the position sent
-plus the axis zero. Work coordinates are the machine coordinates minus the work offset.
+The position sent is the displayed position plus the correction of the active compensation table. Machine coordinates
+(``MPos``) are the position sent plus the axis zero (the machine coordinates that are displayed as 0). Work coordinates
+are the machine coordinates minus the work offset.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class CoordinateFrames:
     def to_machine(self, displayed_mm: Vector) -> Vector:
         """Return the machine coordinates in mm, shape (3,), of a displayed position.
 
-        The correction is added, and the corrected position is limited to the travel.
+        The correction of the active compensation table is added, and the corrected position is limited to the travel of
+        the axes.
         """
         sent = np.clip(self._store.correction.apply(displayed_mm), self._lower, self._upper)
         result: Vector = sent + self._zero

@@ -1,4 +1,4 @@
-"""Identity of a controller: its build, settings, offsets and modes. The module reads them and changes nothing."""
+"""Identity of a GRBL controller: its build, settings, offsets and modes. The module reads them and changes nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RESPONSIVE_STATES = frozenset({"Idle", "Alarm"})
 
 @dataclass(frozen=True)
 class ControllerIdentity:
-    """Settings of the controller, with its parameters (lines of ``$#``) and its modes (words of ``$G``)."""
+    """Settings of a GRBL controller, with its parameters (lines of ``$#``) and its modes (words of ``$G``)."""
 
     settings: ControllerSettings
     parameters: list[MessageLine]
@@ -26,14 +26,14 @@ class ControllerIdentity:
 
 
 def await_rest(conversation: Conversation, clock: Clock, within_s: float) -> None:
-    """Wait at most `within_s` on the clock for the end of a motion that a previous user left running."""
+    """Wait at most `within_s` seconds on `clock` for the end of a motion that a previous user left running."""
     deadline = Deadline.after(clock, within_s)
     while conversation.report().state == MOVING and not deadline.expired:
         clock.sleep(POLL_S)
 
 
 def read_identity(conversation: Conversation) -> ControllerIdentity:
-    """Read the identity of a controller.
+    """Read the identity of a controller: its settings, parameters and modes.
 
     Raises CommandRejected if the controller is busy, and ProtocolError if it is not a GRBL controller.
     """

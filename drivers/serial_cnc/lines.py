@@ -15,7 +15,7 @@ Triple = tuple[float, float, float]
 
 
 class GarbledLineError(ValueError):
-    """Error for a line that belongs to no known class, or that has contents not allowed in its class."""
+    """Error for a line that belongs to no known class of GRBL lines, or that has contents not allowed in its class."""
 
 
 @dataclass(frozen=True)

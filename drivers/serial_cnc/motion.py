@@ -41,7 +41,11 @@ ANSWER_LOST_AFTER = 4
 
 @dataclass(frozen=True)
 class MotionOrder:
-    """Order for one motion: the line to send, and the goal expected at the end, in machine coordinates (mm)."""
+    """Order for one motion: the line to send, and the goal expected at the end, in machine coordinates (mm).
+
+    `what` names the motion in messages. `slice_s` is the longest pause between two status queries. If `barrier` is
+    True, a ``G4 P0`` is sent after the line, and its answer shows the end of the motion.
+    """
 
     line: str
     what: str
@@ -52,7 +56,7 @@ class MotionOrder:
 
 
 class SerialMotion:
-    """Executor of motion orders.
+    """Executor of motions on a GRBL controller.
 
     If an exception other than CommandRejected ends the wait for a motion, a stop is sent before the exception
     propagates.
@@ -89,7 +93,7 @@ class SerialMotion:
         self.require_at(goal, self.execute(order, start), "move")
 
     def execute(self, order: MotionOrder, start_mm: Vector) -> TrackedStatus:
-        """Send an order, wait until its motion ends, and return the status at the end."""
+        """Send the line of `order`, wait until its motion ends, and return the controller's status at the end."""
         conversation = self._conversation
         conversation.probe_results.clear()
         unexpected_restarts = self._tracker.unexpected_restarts

@@ -26,7 +26,7 @@ class DurationPrediction:
     def of(self, start_mm: Vector, goal_mm: Vector, feed_mm_per_s: float | None, slowest_share: float) -> float:
         """Return the predicted duration of a straight motion in s.
 
-        `slowest_share` is the factor, at most 1, by which the overrides reduce the speed.
+        `slowest_share` is the factor, at most 1, by which the controller's feed and rapid overrides reduce the speed.
         """
         at_full_speed_s = move_duration_s(
             start_mm.tolist(),
@@ -59,7 +59,7 @@ class PollSchedule:
         return self._clock.now() >= self._end_s
 
     def restart(self) -> None:
-        """Restart the time limit of the motion, because time on hold does not count."""
+        """Restart the time limit of a motion that is on hold, because time on hold does not count."""
         self.deadline = Deadline.after(self._clock, self._allowed_s)
 
     def pause_s(self) -> float:

@@ -78,7 +78,7 @@ class StatusTracker:
         """Number of restarts that this driver did not request."""
 
     def set_work_offset(self, lines: list[MessageLine], modes: str) -> None:
-        """Set the work offset from the answers to ``$#`` and ``$G``.
+        """Set the work offset (machine position minus work position) from the answers to ``$#`` and ``$G``.
 
         If these answers cannot be interpreted, the offset is taken from a later status report.
         """

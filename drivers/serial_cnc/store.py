@@ -85,7 +85,9 @@ class BankStore:
             )
 
     def activate(self, bank: int) -> None:
-        """Read the table of the bank back, check its CRC-32, record the bank as active, and only then use the table."""
+        """Read the table of `bank` from its file, check its CRC-32, record the bank as active, and only then use the
+        table.
+        """
         table = None
         if bank != 0:
             self._require_known(bank)

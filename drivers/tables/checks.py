@@ -1,4 +1,4 @@
-"""Checks of a table before it is staged."""
+"""Checks of a compensation table before it is staged (written to an inactive bank)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from drivers.roles import StoreLimits, TableImage
 
 
 def limits_violation(limits: StoreLimits, table: TableImage) -> str:
-    """Return the reason why a controller with these limits cannot store the table, or an empty string if it can."""
+    """Return the reason why a compensation store with the limits `limits` cannot store a table, or an empty string if
+    it can.
+    """
     if any(have > most for have, most in zip(table.shape, limits.max_nodes, strict=True)) or (
         math.prod(table.shape) > limits.max_total_nodes
     ):

@@ -38,7 +38,7 @@ TRAILER = re.compile(r"file_crc32 ([0-9A-F]{8})\n\Z")
 
 
 def counts_crc32(counts: NDArray[np.int32]) -> int:
-    """Return the CRC-32 of the counts as big-endian int32.
+    """Return the CRC-32 of the counts of a compensation table, taken as big-endian int32.
 
     The node index varies slowest along x; each node has its counts in the order dx, dy, dz.
     """

@@ -33,7 +33,9 @@ class TapeError(ValueError):
 
 @dataclass(frozen=True)
 class Word:
-    """Letter and number of a word, as written on the tape. Leading zeros are significant in bit parameters."""
+    """Word of a tape: a letter and a number (`text`), as written on the tape. Leading zeros are significant in bit
+    parameters.
+    """
 
     letter: str
     text: str
@@ -41,7 +43,8 @@ class Word:
     def same_as(self, other: Word) -> bool:
         """Return True if both words have the same letter and equal numbers.
 
-        Numbers of eight binary digits are compared as text, and other numbers by value.
+        A number written as exactly eight digits 0 or 1 is a bit pattern and is compared as text. Other numbers are
+        compared by value.
         """
         if self.letter != other.letter:
             return False
@@ -58,7 +61,7 @@ Block = tuple[Word, ...]
 
 @dataclass(frozen=True)
 class Tape:
-    """Contents of a tape, as the blocks between its two marks."""
+    """Contents of a tape, as the blocks of words between its two marks ``%``."""
 
     blocks: tuple[Block, ...]
 
@@ -68,7 +71,7 @@ class Tape:
 
 
 def parse_tape(text: str) -> Tape:
-    """Parse a tape, ignoring text before the first mark (a label) and after the second mark.
+    """Parse a tape, ignoring text before the first mark ``%`` (a label) and after the second mark.
 
     Raises TapeError if the text is not a valid tape.
     """
