@@ -1,12 +1,14 @@
-"""Search for a design of 24 positions on a 15° grid at four stations, compared with direct evaluation of the criterion.
+"""Search for a design (selection) of 24 artefact positions on a 15° grid at four stations, compared with direct
+evaluation of its criterion.
 
-The criterion is the expected VCE. At every step of the search, and for every candidate position, the direct evaluation
-computes the full covariance of all unknowns with that candidate added. From that covariance it computes the criterion
-as a trace. The direct evaluation is timed on a sample of candidates and extrapolated to all candidates of all steps.
+The criterion is the expected volumetric error after compensation (VCE). At every step of the search, and for every
+candidate position, the direct evaluation computes the full covariance of all unknowns of the identification with that
+candidate added to the positions already chosen. From that covariance it computes the criterion as a trace. The direct
+evaluation is timed on a sample of candidates and extrapolated to all candidates of all steps.
 
 Search and direct evaluation start from the same information factors of the candidates. A factor F gives the information
-matrix FᵀF that a candidate adds. The time for these factors and the time for the cycle times of the candidates are
-measured separately.
+matrix FᵀF that a candidate adds. The time to compute these factors and the time to predict the machine time of each
+candidate are measured separately.
 """
 
 from __future__ import annotations
@@ -37,9 +39,11 @@ def plain_value(candidates: CandidatePositions, precision: np.ndarray, index: in
 
 
 def plain_seconds(candidates: CandidatePositions, chosen: tuple[int, ...]) -> float:
-    """Return the mean time in s of one direct evaluation.
+    """Return the mean time in s of one direct evaluation of the criterion (the expected volumetric error after
+    compensation) for one candidate position.
 
-    The function also asserts that the direct evaluation of the chosen set gives the same criterion value as the search.
+    The function also asserts that direct evaluation and search give the same criterion value for `chosen`, the selected
+    positions.
     """
     precision = candidates.precision.copy()
     sample = np.linspace(0, candidates.count - 1, SAMPLE).astype(int)

@@ -1,6 +1,7 @@
-"""Time that the engine needs for a step, in addition to the time of the device.
+"""Time that the agent's engine, which carries out the steps of a plan, needs for a step in addition to the time of the
+device.
 
-The time is measured with two durable commits per step in the journal, and without a journal.
+The time is measured once with two durable database commits per step in the journal, and once without a journal.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ STEPS = 2000
 
 
 def moves(count: int, stamps: list[float]) -> Plan[None]:
-    """Yield the steps of a plan with `count` moves. Append the time to `stamps` whenever the next step is requested."""
+    """Yield the steps of a plan with `count` moves. Append the clock time to `stamps` whenever the next step is
+    requested.
+    """
     for number in range(count):
         yield MoveTo(f"station-1/az090-el045/ball-{number:04d}/touch-2/above", (1.0, 2.0, 3.0 + number))
         stamps.append(perf_counter())
@@ -35,9 +38,9 @@ def median_step_us(engine: Engine) -> float:
 
 
 def commit_us(directory: Path) -> float:
-    """Return the median time in µs of a single minimal durable commit on the same disk.
+    """Return the median time in µs of a single minimal durable database commit on the disk of `directory`.
 
-    This time is the lower limit for the time of a step with a commit in the journal.
+    This time is the lower limit for the time of a step that is committed to the journal.
     """
     journal = Journal(directory)
     connection = journal._connection

@@ -1,13 +1,15 @@
-"""Volumetric errors (VE, VCE) of 10,000 machines of the family by quadratic forms, compared with evaluation on a grid.
+"""Volumetric error (VE) and volumetric error after compensation (VCE) of 10,000 random machines of one prior population
+(the family): calculation with a quadratic form, compared with evaluation on a grid.
 
 The quadratic form is compared with two direct evaluations of every machine on a grid of 60×20×20 points. Both direct
 evaluations are timed on a sample of the machines, and the times per machine are compared.
 
-The direct evaluation `exact` multiplies the transforms of the axes at every point of the grid, which is the definition
-of VE. The direct evaluation `linear` starts from a precomputed basis of the field, and each machine then costs one
-matrix product. The quadratic form must agree with `linear` to 1e-9. Both direct evaluations remove the best rigid
-motion with a basis that is computed once. The preparation of the quadratic form (grid, basis, rigid motions) is timed
-as well, and one of the ratios includes the time of this preparation.
+The direct evaluation `exact` multiplies the homogeneous transforms of the axes at every point of the grid, which is the
+definition of VE. The direct evaluation `linear` starts from a precomputed basis of the error field (the derivatives
+with respect to the parameters), and each machine then costs one matrix product. The quadratic form must agree with
+`linear` to 1e-9. Both direct evaluations remove the best rigid motion with a basis that is computed once. The
+preparation of the quadratic form (grid, basis, rigid motions) is timed as well, and one of the ratios includes the time
+of this preparation.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ ROUNDS = 5
 
 
 class PlainGrid:
-    """Direct evaluation of the raw and the rigidly aligned rms error of single machines from all points of the grid."""
+    """Direct evaluation of the raw and the rigidly aligned rms error of single machines from all points of a grid in
+    the workspace.
+    """
 
     def __init__(self) -> None:
         self.grid = evaluation_grid(RANGES)
@@ -77,9 +81,9 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the median over the rounds for each figure.
+    """Return the figures of the benchmark by name; times are medians over several rounds.
 
-    Every round times all alternatives, and other load on the computer therefore affects all of them.
+    Every round times all ways of calculation, and other load on the computer therefore affects all of them.
     """
     rng = np.random.default_rng(1)
     machines = FAMILY.draw(rng, MACHINES)
@@ -118,7 +122,7 @@ def largest_difference(plain: PlainGrid, form: QuadraticForm, machines: Array) -
     """Return the largest relative difference between two calculations of the rms error of the machines `parameters`:
     with the quadratic form `form`, and with the linear evaluation of `plain` on a grid.
 
-    Only a sample of the machines is compared.
+    Only a sample of these machines is compared.
     """
     wanted = np.array([plain.by_linear(machine) for machine in machines[:SAMPLE]])
     found = np.stack(form.values(machines[:SAMPLE]), axis=1)

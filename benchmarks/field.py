@@ -1,8 +1,9 @@
-"""Exact deviation field on 24,000 points, compared with a plain loop of 4x4 matrices and with the quadratic form.
+"""Time to calculate the exact deviation of a machine at 24,000 points, compared with a plain loop of 4x4 matrices and
+with the quadratic form for the volumetric error.
 
-The loop is the obvious implementation. For each point and axis it evaluates the Legendre series, builds the transforms
-as 4x4 arrays, and multiplies them with `@`. The loop is timed on a sample of the same points, and the times per point
-are compared.
+The loop is the obvious implementation. For each point and axis it evaluates the Legendre series, builds the homogeneous
+transforms as 4x4 arrays, and multiplies them with `@`. The loop is timed on a sample of the same points, and the times
+per point are compared.
 """
 
 from __future__ import annotations
@@ -70,7 +71,9 @@ def axis_transform(axis: int, point: list[float], series: Array, lean: list[floa
 
 
 def plain_loop(points: Array, parameters: Array) -> Array:
-    """Return the deviations, shape (n, 3), in mm at n points, computed for each point by a product of 4x4 matrices."""
+    """Return the machine's deviations, shape (n, 3), in mm at n axis positions, computed for each point by a product of
+    4x4 matrices.
+    """
     series = [MODEL.coefficients(axis, parameters) for axis in range(3)]
     lean = list(MODEL.cross_terms(parameters).values())
     a0z, b0z, c0y = MODEL.squareness(parameters)
@@ -97,9 +100,9 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the median over the rounds for each figure.
+    """Return the figures of the benchmark by name; times are medians over several rounds.
 
-    Every round times all alternatives, and other load on the computer therefore affects all of them.
+    Every round times all ways of calculation, and other load on the computer therefore affects all of them.
     """
     grid, parameters = evaluation_grid(RANGES), machine()
     lengths = np.array([high for _, high in RANGES])

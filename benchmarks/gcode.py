@@ -1,8 +1,9 @@
 """Time and memory needed to correct a part program of a million lines.
 
-The memory is compared with the memory for a program that is shorter by a factor of 100. The time is compared with that
-of a simple program, which corrects one line after another and looks up the table for every line. The simple program is
-timed on a sample, and the times per line are compared. The output ends with one line of JSON.
+The memory is compared with the memory for a part program that is shorter by a factor of 100. The time is compared with
+that of a simple correction program, which corrects one line after another and looks up the compensation table for every
+line. The simple program is timed on a sample, and the times per line are compared. The output ends with one line of
+JSON.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ SAMPLE = 20_000
 
 
 def table() -> CompensationTable:
-    """Return a smooth compensation table with corrections of some tens of µm and a typical node spacing of
+    """Return a smooth compensation table with corrections of some tens of µm and a node spacing that is typical of
     controllers.
     """
     nodes = regular_nodes(((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0)), (100.0, 100.0, 100.0))

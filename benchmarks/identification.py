@@ -1,20 +1,22 @@
-"""Identification from the sets S1+S2+S3, compared with scipy's `least_squares` and with bare linear algebra.
+"""Time to identify machine errors from the position sets S1+S2+S3, compared with scipy's `least_squares` and with bare
+linear algebra.
 
-The case has 11 balls, 4 stations and Legendre order 5. In addition, the default identification with one order is
-compared with an identification that chooses one of seven orders by evidence.
+The case has 11 balls, 4 stations and Legendre order 5. In addition, the default identification with one Legendre order
+is compared with an identification that chooses one of seven orders by Bayesian evidence.
 
-The reference solves the same maximum-a-posteriori problem with `scipy.optimize.least_squares` and its own finite
-differences. The problem contains the exact model, the poses and the prior population, but no nuisance parameters.
+The function `reference` solves the same maximum-a-posteriori problem with `scipy.optimize.least_squares` and its own
+finite differences. The problem contains the exact machine model, the poses of the artefact and the prior population of
+machine errors, but no nuisance parameters.
 
-The bare core is only the linear algebra: it eliminates the poses by projection, forms the normal equations, factorises
-them and solves them once. The bare core is timed in two variants. The variant `bare_core` starts from a whitened
-Jacobian that is already arranged by position. The variant `core_with_basis` starts from axis positions and poses; it
-evaluates the basis of the field there, whitens it and arranges it. The variant `core_with_basis` is the fair baseline,
-because every identification must first build the Jacobian. Neither variant finds the poses, evaluates the exact model,
-takes a second step, returns a covariance or checks its input; `identify` does all of this.
+The bare core is only the linear algebra of an identification: it eliminates the poses by projection, forms the normal
+equations, factorises them and solves them once. The bare core is timed in two variants. The variant `bare_core` starts
+from a whitened Jacobian that is already arranged by position. The variant `core_with_basis` starts from axis positions
+and poses; it evaluates the basis of the error field there, whitens it and arranges it. The variant `core_with_basis` is
+the fair baseline, because every identification must first build the Jacobian. Neither variant finds the poses,
+evaluates the exact model, takes a second step, returns a covariance or checks its input; `identify` does all of this.
 
-Every round times all alternatives in turn. Times are medians over the rounds, and ratios are medians of the ratios
-within a round. Other load on the computer therefore affects all alternatives equally. If other programs use the
+Every round times all these alternatives in turn. Times are medians over the rounds, and ratios are medians of the
+ratios within a round. Other load on the computer therefore affects all alternatives equally. If other programs use the
 processor, set OPENBLAS_NUM_THREADS=1: waiting for threads on busy cores takes longer than the work on these small
 matrices.
 """
@@ -57,10 +59,10 @@ FIXED = Options(estimate_scales=False, outliers="none", misfit_mm=0.0)
 
 @dataclass(frozen=True)
 class Case:
-    """Simulated measurement of K positions.
+    """Simulated measurement of the artefact in K positions.
 
     `rotation`, shape (K, 3, 3), and `centre`, shape (K, 3) in mm, give the pose of the artefact in each position. The
-    function `reference` starts from these poses.
+    function `reference`, which solves the problem with scipy, starts from these poses.
     """
 
     model: ErrorModel
@@ -107,10 +109,11 @@ def build_case(seed: int = 1) -> Case:
 
 
 def reference(case_: Case) -> Array:
-    """Return the p model parameters, shape (p,), that scipy's `least_squares` finds with finite differences.
+    """Return the p model parameters, shape (p,), that scipy's `least_squares` finds with finite differences for the
+    simulated measurement `case_`.
 
-    The unknowns are scaled. Parameters are in units of their prior standard deviations, displacements of a pose in mm,
-    and rotations of a pose in mrad.
+    The unknowns (parameters and corrections of the artefact poses) are scaled. Parameters are in units of their prior
+    standard deviations, displacements of a pose in mm, and rotations of a pose in mrad.
     """
     seen, scale, size = case_.observations, case_.family.prior_standard_deviation, case_.model.size
     balls = case_.artefact.balls[seen.ball]
@@ -129,7 +132,8 @@ def reference(case_: Case) -> Array:
 
 
 def jacobian(case_: Case) -> tuple[Array, Array]:
-    """Return the whitened Jacobians of the model parameters, shape (K, 3 m, p), and of the poses, shape (K, 3 m, 6).
+    """Return two whitened Jacobians (in units of the noise) of the measured ball centres: with respect to the model
+    parameters, shape (K, 3 m, p), and to the artefact poses, shape (K, 3 m, 6).
 
     K is the number of positions, m is the largest number of balls in a position, and p is the number of parameters. The
     rows of a position with fewer than m balls are padded with zeros.
@@ -147,10 +151,11 @@ def jacobian(case_: Case) -> tuple[Array, Array]:
 
 
 def core(design: Array, poses: Array, target: Array) -> Array:
-    """Solve the linearised identification once: eliminate the poses by projection and solve the normal equations.
+    """Solve the linearised identification once: eliminate the artefact poses by projection and solve the normal
+    equations.
 
-    Returns the p parameters, shape (p,), in units of their prior standard deviations. `design` and `poses` are the
-    results of `jacobian`, and `target` contains the whitened residuals.
+    Returns the p model parameters, shape (p,), in units of their prior standard deviations. `design` and `poses` are
+    the results of `jacobian`, and `target` contains the residuals in units of the noise.
     """
     q, _ = np.linalg.qr(poses)
     # Project the poses out, then solve the normal equations (JᵀJ + I) x = Jᵀ r of the prior-scaled unknowns.
@@ -160,7 +165,7 @@ def core(design: Array, poses: Array, target: Array) -> Array:
 
 
 def by_evidence(case_: Case) -> Estimate:
-    """Run the default identification, but choose one of seven Legendre orders by evidence."""
+    """Run the default identification, but choose one of seven Legendre orders by Bayesian evidence."""
 
     def family_of(order: int) -> Family:
         return family_from_amplitudes(ErrorModel.uniform(case_.model.chain, RANGES, order), AMPLITUDES)
@@ -169,8 +174,8 @@ def by_evidence(case_: Case) -> Estimate:
 
 
 def seconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, Array]:
-    """Return the times in s of each alternative, as an array of shape (rounds,). Every round times all alternatives in
-    turn.
+    """Return, for each function in `works`, its times in s as an array of shape (rounds,). Every round times all
+    functions in turn.
     """
     times: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
@@ -182,10 +187,11 @@ def seconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, Ar
 
 
 def run() -> dict[str, float]:
-    """Return the median times in ms and the ratios of times, all measured in this process.
+    """Return, by name, the median times of the identification and its alternatives in ms and the ratios of times, all
+    measured in this process.
 
-    A figure with `fixed` in its name belongs to an identification without the estimation of scales, without the search
-    for outliers and without the misfit.
+    A figure with `fixed` in its name belongs to an identification that estimates no scale factors of noise and prior,
+    searches for no outliers, and has no misfit (errors that the model cannot represent).
     """
     prepared = build_case()
     everything = (prepared.model, prepared.observations, prepared.artefact, prepared.family)

@@ -1,12 +1,13 @@
-"""Errors that remain after compensation in a stock LinuxCNC, run without a realtime kernel.
+"""Errors of the motor positions that remain after compensation in a stock LinuxCNC, run without a realtime kernel.
 
 The compensation is applied in two ways: by external offsets, and by the kinematics component of this project.
 
     .venv/bin/python benchmarks/linuxcnc_compensation.py
 
-The benchmark needs root, linuxcnc-uspace and linuxcnc-uspace-dev. The table has 11 × 6 × 5 nodes with corrections up to
-24 µm over 800 × 400 × 320 mm, and the servo period is 1 ms. The motor positions are recorded with the sampler component
-of HAL. The expected corrections are computed from the table by independent arithmetic.
+The benchmark needs root, linuxcnc-uspace and linuxcnc-uspace-dev. The compensation table has 11 × 6 × 5 nodes with
+corrections up to 24 µm over 800 × 400 × 320 mm, and the servo period is 1 ms. The motor positions are recorded with the
+sampler component of HAL (LinuxCNC's hardware abstraction layer). The expected corrections are computed from the table
+by independent arithmetic.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def at_rest_mm(controller: Controller) -> float:
     """Return the largest difference in mm between the actual and the expected motor position, at 30 random positions at
     rest.
 
-    The expected motor position is the displayed position plus the correction of the table.
+    The expected motor position is the displayed axis position plus the correction of the compensation table.
     """
     worst = 0.0
     for place in np.random.default_rng(7).uniform([-50, -50, -50], [799, 399, 319], (30, 3)):
@@ -50,7 +51,7 @@ def at_rest_mm(controller: Controller) -> float:
 def in_motion_mm(controller: Controller, feed_mm_per_min: int) -> float:
     """Return the largest distance in mm of the motor path from the programmed line.
 
-    The correction of the table is subtracted from the motor path first.
+    The correction of the compensation table is subtracted from the motor path first.
     """
     controller.at(*START_MM)
     controller("mdi", "G4 P0.1")
@@ -72,7 +73,9 @@ def off_line(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def largest_table_s(store: LinuxCncStore) -> float:
-    """Return the time in s that is needed to write, load and read back a table of 262,144 nodes."""
+    """Return the time in s that is needed to write, load and read back a compensation table of 262,144 nodes, the
+    largest in this benchmark.
+    """
     counts = np.random.default_rng(3).integers(-200, 200, (64, 64, 64, 3)).astype(np.int32)
     begun = time.perf_counter()
     store.stage(2, TableImage((0.0, 0.0, 0.0), (12.0, 6.0, 5.0), 1e-4, counts))

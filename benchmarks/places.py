@@ -12,10 +12,10 @@ SHARED_MEMORY = "/dev/shm"  # noqa: S108  each benchmark creates its own directo
 
 
 def memory_directory(name: str) -> tempfile.TemporaryDirectory[str]:
-    """Return a temporary directory in memory, where commits of the journal need no disk access.
+    """Return a temporary directory in memory, where database commits of the run journal need no disk access.
 
-    The durability of the journal is tested elsewhere. If the system has no directory in memory, the directory is on
-    disk.
+    The durability of the journal is tested elsewhere, without this directory. If the system has no directory in memory,
+    the directory is on disk.
     """
     shared = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None
     return tempfile.TemporaryDirectory(prefix=f"volcal-{name}-", dir=shared)

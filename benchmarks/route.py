@@ -1,4 +1,5 @@
-"""Machine time of a plan with and without optimised paths and measuring order, and CPU time of the optimisation.
+"""Machine time of a measuring plan with and without optimisation of its paths and measuring order, and CPU time of the
+optimisation.
 
 With the option `--json` the output is one line of JSON.
 """
@@ -24,10 +25,11 @@ def minutes(job: Job) -> float:
 
 
 def run() -> dict[str, float]:
-    """Return the figures of all position sets. The key of a figure starts with the name of its position set.
+    """Return the machine times and CPU times of all position sets by name. The key of a figure starts with the name of
+    its position set.
 
-    `seeking_s` is the CPU time in s for the search for paths. It is the difference between a first plan, which searches
-    for the paths, and a second plan, which does not search again.
+    The figure `seeking_s` is the CPU time in s for the search for paths. It is the difference between the CPU times of
+    a first plan, which searches for the paths, and a second plan, which does not search again.
     """
     load_case(CASE_STUDY)
     found: dict[str, float] = {}

@@ -1,6 +1,7 @@
-"""Performance figures of the service at real speed, as one line of JSON.
+"""Performance figures of the calibration service at real speed, as one line of JSON.
 
-The figures are the time from an abort request to the stop command, the overhead per step, the CPU share and the memory.
+The figures are the time from an abort request to the stop command, the overhead per step, and the CPU share and memory
+of the service.
 
 `volcal serve` and `volcal simulate` run as separate processes on the wall clock. Four clients poll the status, and one
 client receives the events. The instant of an abort request is taken before its connection is made. The instant of the
@@ -90,7 +91,9 @@ def idle(running: Service, seconds: float) -> dict[str, float]:
 
 
 def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
-    """Return the time in ms from an abort request during a touch or a move until the command STOP is on the wire."""
+    """Return the time in ms from an abort request during a touch or a move until the command STOP passes on its way to
+    the controller.
+    """
     running.start()
     running.until(lambda now: now["state"] == "measuring" and now["step"], "a step; the axes are on their way")
     known = len(between.stops)
@@ -129,7 +132,7 @@ def ask_abort(running: Service) -> float:
 
 
 def measure_run(running: Service, seconds: float) -> dict[str, float]:
-    """Start a run, observe it for `seconds` s, abort it, and return its figures.
+    """Start a run in the service, observe it for `seconds` s, abort it, and return its figures.
 
     The figures are the times between the steps of the run, taken from its journal, and the CPU share and the memory of
     the service.
@@ -158,9 +161,10 @@ def measure_run(running: Service, seconds: float) -> dict[str, float]:
 
 
 def bare_commits_s(directory: Path, count: int) -> Iterator[float]:
-    """Yield the times in s of `count` minimal durable commits that are made during the run.
+    """Yield the times in s of `count` minimal durable database commits that are made on the disk of `directory` during
+    a run.
 
-    These times are the lower limit of the overhead of a step on this disk.
+    These times are the lower limit of the overhead of a step of the run.
     """
     journal = Journal(directory / "bare")
     connection = journal._connection

@@ -1,5 +1,5 @@
-"""Proxy between agent and controller that forwards Modbus TCP and records the instants at which the command STOP
-passes.
+"""Proxy between agent and controller that forwards Modbus TCP and records the instants at which the agent's command
+STOP passes.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _COMMAND = struct.Struct(">HH")
 class RecordingProxy:
     """Proxy that listens on `port` and forwards all data to `target`.
 
-    `stops` contains one instant of `time.perf_counter` for each command STOP of the agent. The instant is taken after
-    the command is read and before it is forwarded.
+    `stops` contains, for each command STOP of the agent, one instant in s on the clock `time.perf_counter`. The instant
+    is taken after the command is read and before it is forwarded.
     """
 
     def __init__(self, target: tuple[str, int]) -> None:

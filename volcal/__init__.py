@@ -1,12 +1,12 @@
 """volcal as a library: from measured ball centres to the errors of a machine tool, in a notebook or a script.
 
 The usual order of work is as follows. Read a machine, an artefact and ball centres. Identify the machine with
-`identify`, and call `predict` for the error with its covariance. Build a `compensation_table` and export it for a
-controller. Draw an `error_map`. Without measurements, `design` chooses positions, and `simulate` simulates a
-measurement.
+`identify`, and call `predict` for the error at given axis positions with its covariance. Build a `compensation_table`
+and export it for a controller. Draw the error over the workspace with `error_map`. Without measurements, `design`
+chooses positions of the artefact, and `simulate` simulates a measurement.
 
 Lengths are in mm unless a name says otherwise. Points are axis positions, given as arrays of shape (n, 3) for n points.
-All objects are frozen.
+No object can be modified after its construction.
 
 Modules are loaded on first use, and `import volcal` itself is therefore fast.
 """

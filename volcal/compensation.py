@@ -30,15 +30,15 @@ def compensation_table(
     anchor_mm: Sequence[float] = (0.0, 0.0, 0.0),
     tool_offset_mm: ArrayLike | None = None,
 ) -> CompensationTable:
-    """Build the table that compensates the estimated error.
+    """Build the compensation table that corrects the machine error described by `estimate`.
 
     The table contains corrections in mm, which the controller adds to the commanded axis position.
 
     `balls` are the measured balls, or axis positions of shape (n, 3) in mm; nodes within the region around them are
-    marked as measured. `step_mm` is the largest distance between neighbouring nodes along X, Y and Z. `anchor_mm` is
-    the axis position at which the correction is zero; a position outside the workspace is moved to the border of the
-    workspace. `tool_offset_mm`, shape (3,), is the offset of the tool for which the table is valid. If it is None, the
-    tool used in the measurement is taken. Raises ModelError or DataError if a value is invalid.
+    marked as measured. `step_mm` is the largest distance between neighbouring nodes of the table along X, Y and Z.
+    `anchor_mm` is the axis position at which the correction is zero; a position outside the workspace is moved to the
+    border of the workspace. `tool_offset_mm`, shape (3,), is the offset of the tool for which the table is valid. If it
+    is None, the tool used in the measurement is taken. Raises ModelError or DataError if a value is invalid.
 
     >>> table = volcal.compensation_table(estimate, balls)
     >>> table.corrections.shape
@@ -67,15 +67,16 @@ def export_table(
     opposite_sign: bool = False,
     **options: object,
 ) -> ControllerExport:
-    """Write `table` into `folder` in the format of a controller, and return the export.
+    """Write `table` into `folder` in the file format of a controller, and return the export (the files written and
+    their properties).
 
     The returned export lists what the format cannot represent (`losses`) and what has to be set by hand (`facts`).
 
     `format_name` is one of `CONTROLLER_FORMATS`. `estimate` is the estimate from which the table was built; some
-    formats need it. If `opposite_sign` is True, every value is written with the opposite of the documented sign.
-    `options` are the options of the format. Their names are those of the command `volcal table export`, with
-    underscores instead of hyphens. Raises DataError if the format or an option is unknown, or if the format cannot
-    represent the table. In these cases no file is written.
+    formats need it. If `opposite_sign` is True, every value is written with the opposite of the sign that the
+    controller's manual documents. `options` are the options of the format. Their names are those of the command `volcal
+    table export`, with underscores instead of hyphens. Raises DataError if the format or an option is unknown, or if
+    the format cannot represent the table. In these cases no file is written.
 
     >>> table = volcal.compensation_table(estimate, balls)
     >>> export = volcal.export_table(table, "linuxcnc-comp", folder)

@@ -39,16 +39,18 @@ class Prediction:
 
     @property
     def standard_uncertainty_mm(self) -> Array:
-        """Standard uncertainty of the error in mm in each direction, shape (n, 3)."""
+        """Standard uncertainty in mm of the estimated error at each of n points in the directions x, y and z, shape (n,
+        3).
+        """
         return np.sqrt(np.maximum(np.diagonal(self.covariance_mm2), 0.0)).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
 class VolumetricErrors:
-    """Volumetric error over the workspace before and after compensation.
+    """Volumetric error (rms length of the deviation over the workspace) before and after compensation.
 
     `before` is the estimated error of the uncompensated machine. `after` is the error that is expected if the machine
-    is compensated with the estimate.
+    is compensated with a table made from the estimate.
     """
 
     before: VolumetricRms
@@ -63,12 +65,14 @@ def identify(
     order: Order = "evidence",
     options: Options | None = None,
 ) -> Estimate:
-    """Identify the geometric errors of `machine` from the centres of the balls of `artefact`, and return the estimate.
+    """Identify the geometric errors of `machine` from the centres of the balls of `artefact`, and return them as an
+    `Estimate`.
 
     `balls` are the measured ball centres. `order` is the Legendre order of the 18 error motions. It is a number, "file"
     for the orders of the machine file, or "evidence" for the order that the measurements support best. `options` sets
-    the formulation, the prior, the weights and the treatment of outliers. Raises SingularSet if the positions cannot
-    determine any parameter, and DataError if a measured ball is not on the artefact.
+    the formulation (fit of ball centres or of distances between balls), the use of the prior population, the weights of
+    the measurements and the treatment of outliers. Raises SingularSet if the measured positions cannot determine any
+    parameter, and DataError if a measured ball is not on the artefact.
 
     >>> estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
     >>> estimate.rank, estimate.model.size
@@ -104,10 +108,11 @@ def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike 
 
 
 def volumetric_errors(estimate: Estimate, tool_offset_mm: ArrayLike | None = None) -> VolumetricErrors:
-    """Return the volumetric error over the workspace before and after compensation.
+    """Return the volumetric error over the workspace before and after compensation with `estimate`, the identified
+    machine errors.
 
-    Each error is the root mean square of the deviation on a grid of 60 x 20 x 20 points. It is given twice: raw
-    (`raw_um`), and after the best rigid motion of the workspace has been removed (`aligned_um`).
+    Each error is the root mean square of the length of the deviation on a grid of 60 x 20 x 20 points. It is given
+    twice: raw (`raw_um`), and after the best rigid motion of the workspace has been removed (`aligned_um`).
 
     >>> errors = volcal.volumetric_errors(estimate)
     >>> errors.after.aligned_um < 0.5 * errors.before.aligned_um

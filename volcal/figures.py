@@ -1,4 +1,6 @@
-"""Figures of an estimate. The library matplotlib is imported when the first figure is drawn."""
+"""Figures of an estimate (identified machine errors). The library matplotlib is imported when the first figure is
+drawn.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ ROOM_IN = 1.6  # part of a figure's height for titles and labels
 def error_map(
     estimate: Estimate, *, heights_mm: Sequence[float] | None = None, tool_offset_mm: ArrayLike | None = None
 ) -> Figure:
-    """Draw the estimated error and its uncertainty over XY planes of the workspace, and return the matplotlib figure.
+    """Draw the estimated machine error and its uncertainty over XY planes of the workspace, and return the matplotlib
+    figure.
 
     The upper row shows the length of the estimated deviation in µm after the best rigid motion of the workspace has
     been removed. The lower row shows the predicted length of the deviation that remains after compensation.

@@ -43,9 +43,10 @@ def shipped_file(name: str) -> Path:
 def read_machine(path: PathName) -> MachineDescription:
     """Return the machine that is described by a machine file (TOML).
 
-    The file describes the kinematic chain, the travel of the axes, the tools, the error model, the prior population and
-    the deflection. If the file names a deflection grid, that grid is read as well; its path is relative to the machine
-    file. Raises FormatError, which names file and key, if the file is invalid.
+    The file describes the kinematic chain, the travel of the axes, the tools, the error model, the prior population
+    (the expected distribution of the errors) and the deflection of the machine structure. If the file names a
+    deflection grid, that grid is read as well; its path is relative to the machine file. Raises FormatError, which
+    names file and key, if the file is invalid.
 
     >>> machine = volcal.read_machine(volcal.shipped_file("machines/case-study.toml"))
     >>> machine.name, machine.model.size
@@ -60,7 +61,8 @@ def read_artefact(path: PathName) -> Artefact:
     """Return the ball artefact that is described by an artefact file (TOML).
 
     The file contains the calibrated ball centres with their covariance, the ball diameter and the thermal expansion.
-    Raises FormatError, which names file and key, if the file is invalid, and DataError if a value is impossible.
+    Raises FormatError, which names file and key, if the file is invalid, and DataError if a value is physically
+    impossible.
 
     >>> artefact = volcal.read_artefact(volcal.shipped_file("artefacts/ball-bar-1500.toml"))
     >>> artefact.count
@@ -83,7 +85,7 @@ def read_balls(path: PathName, machine: MachineDescription) -> BallFile:
 
 
 def read_positions(path: PathName) -> tuple[Position, ...]:
-    """Return the positions of a position file in the order of measuring.
+    """Return the artefact positions of a position file in the order of measuring.
 
     The file is TOML if it has the suffix `.toml`, and otherwise CSV. Raises FormatError, which names the file and the
     row, column or key, if the file is invalid.
@@ -95,10 +97,10 @@ def read_positions(path: PathName) -> tuple[Position, ...]:
 
 
 def read_estimate(path: PathName) -> StoredEstimate:
-    """Return an estimate that is stored in a JSON file.
+    """Return an estimate (identified machine errors) that is stored in a JSON file.
 
-    The file was written by the command `volcal identify`, by a run, or by `write_estimate`. Raises FormatError, which
-    names file and key, if the file is invalid.
+    The file was written by the command `volcal identify`, by a calibration run, or by `write_estimate`. Raises
+    FormatError, which names file and key, if the file is invalid.
     """
     return parse_estimate(_text(path), str(path))
 
@@ -114,7 +116,7 @@ def read_table(path: PathName) -> CompensationTable:
 
 
 def write_balls(balls: BallFile, machine: MachineDescription, path: PathName) -> Path:
-    """Write ball centres to a ball file (CSV) and return its path.
+    """Write measured ball centres to a ball file (CSV) and return its path.
 
     The covariance of each ball centre is reduced to one standard uncertainty.
     """
@@ -122,14 +124,14 @@ def write_balls(balls: BallFile, machine: MachineDescription, path: PathName) ->
 
 
 def write_positions(positions: tuple[Position, ...], path: PathName) -> Path:
-    """Write positions to a position file (CSV) and return its path."""
+    """Write artefact positions to a position file (CSV) and return its path."""
     return _write(path, format_positions(positions))
 
 
 def write_estimate(estimate: Estimate, path: PathName, provenance: Mapping[str, str] | None = None) -> Path:
-    """Write an estimate to a JSON file and return its path.
+    """Write an estimate (identified machine errors) to a JSON file and return its path.
 
-    `provenance` contains texts by name that are stored with the estimate, such as the software version and dates.
+    `provenance` contains named texts that are stored with the estimate, such as the software version and dates.
     """
     return _write(path, format_estimate(estimate, provenance or {}))
 

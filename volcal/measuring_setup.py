@@ -34,10 +34,10 @@ class MeasuringSetup:
     """Set-up of a machine and an artefact on a mount at several stations. Each ball is touched five times.
 
     `stations_mm`, shape (S, 3), contains one point for each of S stations, starting with station 1. It is the point on
-    the azimuth axis of the mount at the height of the middle of the bar, in the workpiece frame. `tool` is the name of
-    the tool used for measuring; None means the first tool of the machine. `touch_sigma_um` is the standard deviation of
-    one touch. `clearance_mm` is the distance to the ends of travel that a touch needs in addition to the radii of ball
-    and tip. Raises DataError or ModelError if a value is invalid.
+    the azimuth axis of the mount at the height of the middle of the ball bar, in the workpiece frame. `tool` is the
+    name of the tool used for measuring; None means the first tool of the machine. `touch_sigma_um` is the standard
+    deviation of the noise of one touch, in µm. `clearance_mm` is the distance to the ends of travel that a touch needs
+    in addition to the radii of ball and tip. Raises DataError or ModelError if a value is invalid.
 
     >>> setup = volcal.case_study()
     >>> setup.machine.name, setup.artefact.count, len(setup.stations_mm)
@@ -73,7 +73,11 @@ class MeasuringSetup:
         return np.asarray(self.machine.tool(self.tool_name), dtype=np.float64)
 
     def position_set(self, name: str) -> tuple[Position, ...]:
-        """Return the positions of the set `S1`, `S2` or `S3`, or of a union such as `S1+S3`, at all stations.
+        """Return the artefact positions of the named set `S1`, `S2` or `S3`, or of a union such as `S1+S3`, at all
+        stations.
+
+        A ball bar lies along the axes (`S1`), along space diagonals (`S2`) or along the face diagonals of the planes
+        XY, ZX and YZ (`S3`).
 
         Raises TwinError if the name is unknown.
         """
@@ -81,7 +85,7 @@ class MeasuringSetup:
 
     @cached_property
     def procedure(self) -> Procedure:
-        """Measuring procedure of the set-up in the form that `twin.design` uses.
+        """Measuring procedure of the set-up in the form that the package `twin.design` (selection of positions) uses.
 
         It contains the geometric layout of the measurement with the tool, and the covariance of one measured ball
         centre.
@@ -103,14 +107,14 @@ class MeasuringSetup:
         return Procedure({self.tool_name: layout}, covariance_mm2)
 
     def at(self, stations_mm: ArrayLike) -> MeasuringSetup:
-        """Return a copy of this set-up with the mount at S other stations, given by `stations_mm`, shape
-        (S, 3), in mm.
+        """Return a copy of this set-up with the artefact's mount at S other stations, given by `stations_mm`, shape (S,
+        3), in mm.
         """
         return replace(self, stations_mm=as_points(stations_mm, "stations"))
 
 
 def case_study() -> MeasuringSetup:
-    """Return the set-up of the shipped case study.
+    """Return the measuring set-up of the case study that is shipped with volcal.
 
     The machine is a moving-column milling machine. The artefact is a 1500 mm ball bar, which is measured at four
     stations along X.

@@ -1,4 +1,6 @@
-"""Design of position sets: selection of the positions whose measurement leaves the smallest expected error."""
+"""Design of position sets: selection of the artefact positions whose measurement leaves the smallest expected error
+after compensation.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from volcal.measuring_setup import MeasuringSetup
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Set of positions, and the volumetric errors expected before and after compensation if this set is measured.
+    """Set of artefact positions, and the volumetric errors expected before and after compensation if this set is
+    measured.
 
     `valuation` contains the expected errors. The function `design` orders the positions by station, azimuth and
     elevation. The function `evaluate` keeps the given order.
@@ -39,14 +42,14 @@ def design(
     grid_deg: float = 30.0,
     stations: Sequence[int] | None = None,
 ) -> Design:
-    """Choose the positions whose measurement leaves the smallest expected volumetric error after compensation.
+    """Choose the artefact positions whose measurement leaves the smallest expected volumetric error after compensation.
 
     The error is taken after the best rigid motion of the workspace has been removed. Give either `count` or
     `target_vce_um`: `count` is the number of positions, and `target_vce_um` is the error in µm to reach with as few
     positions as possible. The candidates are all orientations on a grid of `grid_deg` in azimuth and elevation, at the
-    given `stations`, or at all stations if `stations` is None. All positions have the same cost here. The command
-    `volcal design` also takes account of the machine time, and checks the paths for collisions. Raises DataError if the
-    goal cannot be reached.
+    given `stations`, or at all stations if `stations` is None. Here all positions count as equally costly to measure.
+    The command `volcal design` also takes account of the machine time, and checks the paths for collisions. Raises
+    DataError if the requested number or error cannot be reached.
 
     >>> design = volcal.design(setup, 6, grid_deg=45.0)
     >>> len(design.positions)
@@ -69,7 +72,9 @@ def design(
 
 
 def evaluate(setup: MeasuringSetup, positions: Sequence[Position] | str) -> Design:
-    """Evaluate `positions` without a measurement, and return them as a `Design`.
+    """Evaluate a set of artefact positions without a measurement, and return it as a `Design`.
+
+    `positions` contains the positions, or is the name of a set such as `S1+S3`.
 
     The result contains the volumetric errors that are expected before and after compensation, if the machine is
     identified from these positions.

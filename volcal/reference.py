@@ -43,7 +43,7 @@ SECTIONS = {
 
 
 def page() -> str:
-    """Return the text of the reference page in Markdown."""
+    """Return the text of the Python API reference page in Markdown."""
     parts = [HEAD, f"{_prose(volcal)}\n\n", "The examples of this page start with:\n\n```python\n", PREAMBLE, "```\n"]
     for module, title in SECTIONS.items():
         parts.append(f"\n## {title}\n")

@@ -38,16 +38,18 @@ class Simulation:
 def simulate(
     setup: MeasuringSetup, positions: Sequence[Position] | str = "S3", *, seed: int = 1, deflection: str = "beams"
 ) -> Simulation:
-    """Draw a random machine from the prior population and simulate the measurement of `positions` on this machine.
+    """Draw a random machine from the prior population of machine errors and simulate the measurement of `positions` on
+    this machine.
 
     The machine has errors that the identified model cannot represent: error motions of Legendre order 7, and a
     deflection. `deflection` is one of the forms `none`, `rails`, `smooth`, `portal`, `thermal` and `beams`, where
-    `beams` is the deflection of the machine file with a random amplitude. The true values of artefact, thermometer,
-    drift and touch noise differ at random from their stated values.
+    `beams` is the deflection of the machine file with a random amplitude, `rails` are wavy rails, `smooth` is a smooth
+    random field, `portal` is a sagging cross-beam, and `thermal` is a thermally bowed bed and column. The artefact, the
+    thermometer, the drift and the touch noise differ at random from the values that are stated for them.
 
-    With `deflection="as modelled"` the model can represent the machine exactly, and the stated values are true. The
-    same `seed` always gives the same numbers. Raises DataError if the deflection is unknown or if no position can be
-    measured.
+    With `deflection="as modelled"` the model can represent the machine exactly, and the values stated for artefact,
+    thermometer, drift and touch noise are true. The same `seed` always gives the same numbers. Raises DataError if the
+    deflection is unknown or if no position can be measured.
 
     >>> simulation = volcal.simulate(setup, "S1", seed=3)
     >>> simulation.balls.observations.size, simulation.true_error([[0.0, 0.0, 0.0]]).shape
