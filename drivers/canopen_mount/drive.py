@@ -1,4 +1,4 @@
-"""One axis of the mount: a CiA 402 drive in profile position mode and homing mode.
+"""One axis of the rotary mount: a CiA 402 drive in profile position mode and homing mode.
 
 The driver polls the statusword of the drive with SDO requests (service data objects). It waits on a clock that it is
 given, so its behaviour is the same in virtual and in real time. It does not use PDOs (process data objects), because
@@ -227,10 +227,10 @@ class Drive:
         return done
 
     def quick_stop(self) -> None:
-        """Command a quick stop.
+        """Command a quick stop of the drive.
 
-        The method never sleeps, since it must also work after the clock has aborted a wait. Raises MotionFault if the
-        drive ignores the command.
+        The method never sleeps, since it must also work after a wait on the clock has been aborted. Raises MotionFault
+        if the drive ignores the command.
         """
         for _ in range(2):
             self.node.write(objects.CONTROLWORD, states.QUICK_STOP)
@@ -239,7 +239,7 @@ class Drive:
         raise MotionFault("the drive ignores the quick stop", hint="use the emergency stop", **self.node.where)
 
     def release(self) -> None:
-        """Switch off the power of the motor; the brake or the gear of the axis holds the mount.
+        """Switch off the power of the drive's motor; the brake or the gear of the axis holds the mount.
 
         The method has no effect if this object has not enabled the drive, because a diagnosis must not stop a motion of
         another process.

@@ -33,8 +33,8 @@ class DriveNode:
     """CANopen node of a drive; `axis` is its name in error messages.
 
     An SDO request that is not answered is repeated once, so it takes up to twice `sdo_timeout_s` of wall time. Requests
-    that write are repeated, too, because writing a value twice has no further effect: targets are absolute, and
-    commands in the controlword take effect on the rising edge of a bit.
+    that write are repeated, too, because writing a value twice has no further effect: target positions are absolute,
+    and commands in the controlword take effect on the rising edge of a bit.
     """
 
     def __init__(
@@ -145,7 +145,9 @@ class DriveNode:
         return state
 
     def take_emergencies(self) -> list[int]:
-        """Return the error codes of the emergency messages since the last call of this method, oldest first."""
+        """Return the error codes of the emergency messages that the node has sent since the last call of this method,
+        oldest first.
+        """
         with self._seen:
             codes, self._emergencies = self._emergencies, []
         return codes

@@ -65,7 +65,7 @@ class BridgeLink:
         return None if self._bridge is None else self._bridge.process.pid
 
     def open(self) -> None:
-        """Start the bridge process.
+        """Start the bridge process between volcal and LinuxCNC.
 
         Raises LinkLost if the bridge cannot be started or if LinuxCNC does not run, and ProtocolError if the version of
         the bridge's protocol is not the expected one.
@@ -121,7 +121,7 @@ class BridgeLink:
     def abort(self) -> None:
         """Stop any motion of the machine.
 
-        If the bridge has ended or does not answer, a new bridge is started to stop the motion.
+        If the bridge process has ended or does not answer, a new bridge process is started to stop the motion.
         """
         with self._lock:
             if self._unresponsive or not self.connected:

@@ -80,7 +80,7 @@ class LinuxCnc:
 
     @property
     def bridge_pid(self) -> int | None:
-        """Process id of the bridge; None if no bridge process has been started."""
+        """Process id of the bridge process between volcal and LinuxCNC; None if no bridge process has been started."""
         return self._session.link.pid
 
     def home(self) -> None:
@@ -116,7 +116,7 @@ class LinuxCnc:
         self._open.motion.reset()
 
     def stop(self) -> None:
-        """Stop the motion; if the bridge process has ended, a new one is started for the stop.
+        """Stop the motion of the machine; if the bridge process has ended, a new one is started for the stop.
 
         The method has no effect if the device is closed.
         """

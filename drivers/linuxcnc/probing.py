@@ -21,7 +21,7 @@ from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 class LinuxCncProbing:
     """Touches by the probing command G38.3, which raises no alarm if the probe does not trip.
 
-    The field `tripped` of the snapshot of LinuxCNC's state distinguishes a touch from a miss.
+    The field `tripped` of the snapshot of LinuxCNC's state distinguishes a touch from a miss (no trip).
     """
 
     def __init__(self, session: LinuxCncSession, motion: LinuxCncMotion) -> None:

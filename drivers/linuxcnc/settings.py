@@ -29,7 +29,7 @@ class PermissionPins(DriverOptions):
     consent: PinName | None = Field(default=None, description="if unset: taken as granted")
 
     def named(self) -> dict[Permission, str]:
-        """Return the names of the configured pins, keyed by permission."""
+        """Return the names of the configured HAL pins, keyed by permission."""
         return {Permission[name.upper()]: pin for name, pin in self if pin is not None}
 
 
@@ -80,6 +80,6 @@ class LinuxCncSettings(DriverOptions):
     temperatures: dict[str, PinName] = Field(default_factory=dict, description="name → HAL float in °C")
 
     def pins(self) -> tuple[str, ...]:
-        """Return the names of the HAL pins that are read with every snapshot."""
+        """Return the names of the HAL pins that are read with every snapshot of the state of LinuxCNC."""
         healthy = () if self.probe_healthy is None else (self.probe_healthy,)
         return (*self.permissions.named().values(), *healthy)

@@ -74,7 +74,7 @@ class Snapshot:
 
 
 def parse_snapshot(status: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
-    """Convert the answer of the bridge to the request "status" into a snapshot.
+    """Convert the answer of the bridge process to the request "status" into a snapshot.
 
     Raises ProtocolError if a field is missing or invalid.
     """

@@ -4,13 +4,14 @@ The bridge is run by the Python interpreter of the Linux distribution (`/usr/bin
 because the modules `linuxcnc` and `hal` are built for that interpreter. The bridge imports nothing from volcal.
 
 Each line on standard input is a request, and each line on standard output is an answer; both are JSON objects. Every
-request is answered within a few cycles of LinuxCNC's task; no request waits for the end of a motion. The bridge stops a
-motion that it has started if standard input ends, or if no request comes for `watch_s` seconds during the motion.
+request is answered within a few cycles of LinuxCNC's task process; no request waits for the end of a motion. The bridge
+stops a motion that it has started if standard input ends, or if no request comes for `watch_s` seconds (set by the
+request "hello") during the motion.
 
     {"id": 7, "do": "status"}  ->  {"id": 7, "ok": {...}}  or  {"id": 7, "error": "refused", "text": "..."}
 
-`error` is `refused` (the request was understood but not carried out), `unknown` (HAL has no such name) or `gone`
-(LinuxCNC does not answer).
+`error` is `refused` (the request was understood but not carried out), `unknown` (HAL, the hardware abstraction layer,
+has no such name) or `gone` (LinuxCNC does not answer).
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ ERRORS = (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR)
 
 
 class RefusedError(Exception):
-    """Error of a request that LinuxCNC or the bridge refuses in its present state."""
+    """Error of a request that LinuxCNC or the bridge process refuses in its present state."""
 
 
 class GoneError(Exception):
@@ -51,7 +52,7 @@ class GoneError(Exception):
 
 
 class Bridge:
-    """Bridge to the running LinuxCNC; it carries out the requests.
+    """Bridge to the running LinuxCNC; it carries out the requests that volcal sends.
 
     The request "hello", which volcal sends first, sets `watch_s`, the longest time without a request during a motion
     that the bridge has started. After a longer time, the bridge stops the motion. If `watch_s` is 0, the time is not
@@ -100,9 +101,9 @@ class Bridge:
         return 0.05 if self._watched() else None
 
     def watch(self) -> None:
-        """Stop the motion that the bridge has started if no request has come for too long.
+        """Stop the motion that the bridge has started if no request has come for `watch_s` seconds.
 
-        The time is `watch_s`, set by the request "hello". A paused motion is not stopped.
+        The request "hello" sets `watch_s`. A paused motion is not stopped.
         """
         if self._watched() and time.monotonic() - self._heard_s > self._watch_s:
             self._poll()
@@ -296,7 +297,7 @@ class Bridge:
 
 
 def answer_line(bridge: Bridge, line: bytes) -> Fields:
-    """Carry out the request in one line and return the answer.
+    """Carry out the request in one line of standard input, and return the answer.
 
     If the request is invalid or refused, the answer contains the error.
     """

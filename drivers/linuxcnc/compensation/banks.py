@@ -22,7 +22,7 @@ The iteration of the forward kinematics converges only for small slopes.
 
 
 class Banks:
-    """Banks of compensation tables; the table of each bank is stored in one file."""
+    """Banks (numbered storage places) of compensation tables; the table of each bank is stored in one file."""
 
     def __init__(self, settings: CompensationSettings, directory: Path, activation: Activation, device: str) -> None:
         self.directory = directory

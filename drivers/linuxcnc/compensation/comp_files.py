@@ -44,7 +44,7 @@ class CompFileStore:
         return self._banks.limits
 
     def active_bank(self) -> int:
-        """Return the bank that was selected when LinuxCNC was started."""
+        """Return the number of the bank of tables that was selected when LinuxCNC was started."""
         return self._signal(BANK_SIGNAL)
 
     def pending_bank(self) -> int | None:
@@ -52,7 +52,8 @@ class CompFileStore:
         return None if chosen == self.active_bank() else chosen
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the whole table of a bank as it was staged (written); None for bank 0 or an empty bank.
+        """Return the whole table of a bank as it was staged (written); None for bank 0 (no compensation) or an empty
+        bank.
 
         For the active bank, the method raises ChecksumMismatch if LinuxCNC was started with another table, and
         StoreError if there is no table.

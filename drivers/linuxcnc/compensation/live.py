@@ -52,7 +52,7 @@ class LiveStore:
         return self._banks.limits
 
     def active_bank(self) -> int:
-        """Return the active bank.
+        """Return the number of the active bank, whose table corrects the motion; 0 means no compensation.
 
         Raises StoreError if the loader (the HAL component `volcal_tables`) reports a fault that leaves no bank active.
         These faults are listed in `FAULTS_WITHOUT_BANK`.
@@ -66,7 +66,7 @@ class LiveStore:
         return None
 
     def read_table(self, bank: int) -> TableImage | None:
-        """Return the compensation table in the file of `bank`; None for bank 0 or an empty bank.
+        """Return the compensation table in the file of `bank`; None for bank 0 (no compensation) or an empty bank.
 
         Raises ChecksumMismatch if the file differs from the table in the memory of the controller.
         """
@@ -106,7 +106,7 @@ class LiveStore:
             )
 
     def activate(self, bank: int) -> None:
-        """Activate a bank, and wait until it is active.
+        """Activate a bank of the store, so that its table corrects the motion, and wait until it is active.
 
         The bank is activated by the HAL component `volcal_tables` (the loader). The bank is first armed with the CRC-32
         of its table. The activation is then confirmed with a number that the loader has issued for this activation only
