@@ -3,7 +3,7 @@
 ::
 
     TwinError (ValueError)
-    ├── ModelError     invalid chain, range or order, or an axis position outside a grid
+    ├── ModelError     invalid kinematic chain, axis range or Legendre order, or an axis position outside a grid
     ├── DataError      measured or calibrated values that cannot be used
     ├── FormatError    invalid text of a file; the error names the file, and the key or the row and column
     └── SingularSet    measurements that do not determine the requested quantities

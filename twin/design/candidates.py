@@ -50,8 +50,8 @@ class CandidatePositions:
         return len(self.positions)
 
     def covariance(self, chosen: Sequence[int] | Indices) -> Array:
-        """Return the posterior covariance (P, P) of the shared unknowns z after the `chosen` candidates have been
-        measured."""
+        """Return the posterior covariance (P, P) of the P unknowns z that all positions share, after the `chosen`
+        candidates have been measured."""
         rows = self.factors[np.asarray(chosen, dtype=np.intp)].reshape(-1, self.factors.shape[2])
         inverse = np.linalg.inv(self.precision + rows.T @ rows)  # C = (D + Σ WᵀW)⁻¹
         return np.asarray(0.5 * (inverse + inverse.T))

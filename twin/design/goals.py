@@ -1,5 +1,5 @@
 """Goals of a design (choice of the artefact positions to be measured): a number of positions, a limit of machine time,
-or a limit of the volumetric compensated error, which remains after compensation."""
+or a limit of the volumetric compensated error (error that remains after compensation)."""
 
 from __future__ import annotations
 

@@ -50,7 +50,8 @@ class SetUp:
         return AXES.index(self.model.chain.axes[0])
 
     def plan(self) -> PlannedMeasurement:
-        """Return the measurement as planned. Raise DataError if no position can be measured."""
+        """Return the planned measurement: the positions, and the ball centres that an error-free machine would measure.
+        Raise DataError if no position can be measured."""
         return self.procedure.plan(self.positions)
 
     def estimate(self) -> Estimate:

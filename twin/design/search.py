@@ -2,9 +2,9 @@
 exchanges positions as long as an exchange lowers the expected error.
 
 The gain of each position (decrease of the expected error) is computed exactly at every step. Lazy evaluation, which
-reuses old gains as upper bounds, is not used. It assumes that gains can only fall, but the expected error is a trace of
-the covariance, and for a trace one position may increase the gain of another. Lazy evaluation would also save little
-time, because `InformationState`, which stores the covariance, updates all gains at once.
+reuses old gains as upper bounds, is not used. It assumes that gains can only fall, but under this criterion (trace of
+the covariance multiplied by a quadratic form) one position may increase the gain of another. Lazy evaluation would also
+save little time, because `InformationState`, which stores the covariance, updates all gains at once.
 """
 
 from __future__ import annotations

@@ -22,8 +22,8 @@ _SAME_NODE_DIGITS = 6  # coordinates equal to a nanometre are the same node: exp
 
 
 def parse_deflection(text: str, source: str) -> DeflectionGrid:
-    """Return the deflection grid given as CSV text. Raise FormatError, which names `source`, the row (the header is row
-    1) and the column, if the text is invalid."""
+    """Return the deflection grid (displacements of the tool point at the nodes of a grid) given as CSV text. Raise
+    FormatError, which names `source`, the row (the header is row 1) and the column, if the text is invalid."""
     table, rows = _numbers(text, source)
     nodes, node_indices = [], []
     for axis in range(3):
@@ -41,8 +41,8 @@ def parse_deflection(text: str, source: str) -> DeflectionGrid:
 
 
 def format_deflection(grid: DeflectionGrid) -> str:
-    """Return a deflection grid as CSV text. In the sequence of lines, z varies fastest and x slowest. Displacements are
-    rounded to 0.1 nm."""
+    """Return a deflection grid (displacements of the tool point at the nodes of a grid) as CSV text. In the sequence of
+    lines, z varies fastest and x slowest. Displacements are rounded to 0.1 nm."""
     x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
     lines = [",".join(COLUMNS)]
     for point, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):

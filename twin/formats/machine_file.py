@@ -98,8 +98,8 @@ def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> Ma
     """Return the machine described by TOML text. `source` is the file name used in error messages.
 
     The function `read_text` takes a path relative to the machine file and returns the text of the file at this path. It
-    is used to read the deflection grid. Raise FormatError, which names the file and the key and gives a hint, if a text
-    is invalid.
+    is used to read the file with the gravity deflection of the machine, if there is one. Raise FormatError, which names
+    the file and the key and gives a hint, if a text is invalid.
     """
     section = read_toml(text, source, MachineSection)
     axes = (section.axes.X, section.axes.Y, section.axes.Z)

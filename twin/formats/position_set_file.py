@@ -1,8 +1,8 @@
 """Position set file (CSV or TOML): list of artefact positions with `station`, `azimuth_deg` and `elevation_deg` of each
 position, in measuring order.
 
-A column `tool` is needed if several tools are used. An empty cell in this column means the tool that the settings of
-the run name.
+A column `tool` is needed if several tools are used. An empty cell in this column means the tool named in the settings
+of the run.
 """
 
 from __future__ import annotations

@@ -127,7 +127,8 @@ class MachineDrift:
 
 @dataclass(frozen=True, eq=False)
 class DriftEstimate:
-    """Estimated drift: the values `z` (size,) of the unknowns of `drift`, with their covariance (size, size)."""
+    """Estimated drift of a machine: the values `z` (size,) of the unknowns of `drift`, with their covariance (size,
+    size)."""
 
     drift: MachineDrift
     z: Array

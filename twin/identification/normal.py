@@ -63,7 +63,7 @@ class Scales:
 
     @property
     def misfit(self) -> float:
-        """Scale of the prior rms of all kinds of misfit combined."""
+        """Scale (factor) on the prior rms of all kinds of misfit combined."""
         shares = MISFIT_KINDS.values()
         return math.sqrt(sum(share * scale**2 for share, scale in zip(shares, self.kinds, strict=True)))
 

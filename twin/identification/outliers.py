@@ -1,9 +1,9 @@
 """Outlying ball centres, found by studentised residuals. The three components of each residual are tested together.
 
-Let r be the whitened residual (3,) of a ball, and C (3, 3) its covariance under the model. The statistic t² = rᵀ C⁻¹ r
-compares the ball with a fit that leaves out this ball. All values of t² are divided by a common scale, which follows
-from their median over the balls. Gross errors do not affect this median. The limit for t² comes from the F
-distribution. The false alarm rate is shared by all balls (Bonferroni).
+Let r be the whitened residual (3,) of a ball (measured minus fitted centre), and C (3, 3) its covariance under the
+model. The statistic t² = rᵀ C⁻¹ r compares the ball with a fit that leaves out this ball. All values of t² are divided
+by a common scale, which follows from their median over the balls. Gross errors do not affect this median. The limit for
+t² comes from the F distribution. The false alarm rate is shared by all balls (Bonferroni).
 """
 
 from __future__ import annotations

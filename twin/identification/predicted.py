@@ -1,4 +1,4 @@
-"""Predicted accuracy of the compensated machine, before anything is written to the machine."""
+"""Predicted accuracy of the compensated machine, before a compensation table is written to its controller."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
 def field_uncertainty(
     estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike, aligned_over: ArrayLike | None = None
 ) -> Array:
-    """Return the posterior rms (n, 3) in mm, per direction, of the true minus the modelled deviation at axis positions
-    (n, 3).
+    """Return the posterior rms (n, 3) in mm, per direction, of the true minus the modelled tool point deviation at axis
+    positions (n, 3).
 
     If `aligned_over` (m, 3) is given, the best-fitting rigid motion over these m axis positions is removed first.
     """
@@ -69,8 +69,8 @@ def field_uncertainty(
 
 
 def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
-    """Return the expected outer product (3n, 3n) in mm² of the true minus the modelled deviation at axis positions (n,
-    3). Rows and columns are ordered point by point, with x, y and z of each point in this order."""
+    """Return the expected outer product (3n, 3n) in mm² of the true minus the modelled tool point deviation at axis
+    positions (n, 3). Rows and columns are ordered point by point, with x, y and z of each point in this order."""
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
     columns = field_columns(estimate, grid, offset).reshape(-1, len(moments))

@@ -53,9 +53,10 @@ class Solution:
 
 
 def solve(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
-    """Return the maximum a posteriori solution of the problem.
+    """Return the maximum a posteriori solution of an identification problem.
 
-    Raise SingularSet if the prior is off and the measurements leave part of the error field undetermined.
+    Raise SingularSet if `options` switches the prior off and the measurements leave part of the error field
+    undetermined.
     """
     if options.weights == "unit":
         return _solve_unit_weights(problem, options, formulation)

@@ -1,1 +1,1 @@
-"""Error model and forward model of a machine with three linear axes."""
+"""Error model of a machine with three linear axes, and computation of its tool point deviation (forward model)."""

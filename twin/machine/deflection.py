@@ -121,10 +121,10 @@ def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStr
     `x`, `y` and `z` are the grid nodes in mm. The deflection is zero in the middle of the grid, where the machine was
     levelled.
 
-    Four effects are added. First, the moment of the ram's weight bends the column. This is the cross-effect: a
-    displacement along Y and a rotation about X that grow with height. Second, the ram bends under its own weight and
-    the weight of the head. Third, the joint of the ram and the joint at the foot of the column rotate under this
-    moment. Fourth, the bed and the column rails yield locally.
+    Four effects are added. First, the moment of the overhanging ram and its head bends the column. This is the
+    cross-effect: a displacement along Y and a rotation about X that grow with height. Second, the ram bends under its
+    own weight and the weight of the head. Third, the joint of the ram and the joint at the foot of the column rotate
+    under this moment. Fourth, the bed and the column rails yield locally.
     """
     parts = structure or CantileverStructure()
     x3, y3, z3 = np.meshgrid(x, y, z, indexing="ij")

@@ -63,7 +63,7 @@ class MachineDescription:
         return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))
 
     def with_model(self, model: ErrorModel) -> MachineDescription:
-        """Return the same machine described by another model.
+        """Return the same machine described by another error model.
 
         Raises ModelError if the kinematic chain or the axis ranges of the other model differ.
         """
