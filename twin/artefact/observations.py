@@ -1,5 +1,5 @@
-"""Measurements of a run. A measurement gives the axis positions at which the stylus centre coincides with a ball
-centre.
+"""Measurements of a run, one per measured ball. A measurement gives the axis positions at which the stylus centre
+coincides with a ball centre.
 """
 
 from __future__ import annotations

@@ -17,9 +17,9 @@ def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: flo
     """Return two thermal regressors in K as an array (n, 2) for n instants in s. Both are zero at the first instant.
 
     Let t be the relative time of an instant, from 0 to 1. The first regressor is the change of the smoothed readings
-    `machine_c` (n,) of the machine's thermometer. If there is no thermometer, the first regressor is `change_k` · t.
-    The second regressor describes machine parts that warm up or cool down with a time lag. It is proportional to t, or
-    to t² if there is no thermometer.
+    `machine_c` (n,) of the machine's thermometer. If there is no thermometer, the first regressor is `change_k` · t,
+    where `change_k` is the assumed temperature change of the machine. The second regressor describes machine parts that
+    warm up or cool down with a time lag. It is proportional to t, or to t² if there is no thermometer.
     """
     first = int(np.argmin(instants_s))
     time = (instants_s - instants_s[first]) / max(float(np.ptp(instants_s)), 1.0)

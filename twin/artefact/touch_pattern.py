@@ -107,8 +107,9 @@ def redundancies(directions: Array) -> Array:
     1, of an error of the touch that appears in the residual of the same touch.
 
     The redundancy number is that of Baarda for a sphere fit with free radius. It is 1 minus the touch's diagonal
-    element of the hat matrix. If it is 0, an error of the touch cannot be detected, because no other touch checks it.
-    An example is the touch at the pole (the point of the ball that faces the stylus) in the five-touch pattern.
+    element of the hat matrix. If the redundancy number is 0, an error of the touch cannot be detected, because no other
+    touch checks it. An example is the touch at the pole (the point of the ball that faces the stylus) in the five-touch
+    pattern.
     """
     jacobian = np.column_stack([-directions, np.ones(len(directions))])
     basis = np.linalg.qr(jacobian)[0]

@@ -60,7 +60,9 @@ def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> 
 
 
 def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tuple[Body, ...]:
-    """Return the shaft and the pedestal of a mount at `location_mm` (3,), and the machine table, as bodies."""
+    """Return the collision bodies of a mount at `location_mm` (3,), which are its shaft and its pedestal, and the body
+    of the machine table.
+    """
     location = point(location_mm)
     x, y, z = location
     return (

@@ -35,8 +35,8 @@ LOSSES = ("curvature between points that are farther apart than those of the tab
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export a compensation table to two files. `points.csv` contains the number and the position of each point and its
-    corrections as integer counts. `parameters.txt` contains the controller parameters.
+    """Return the export of a compensation table as the texts of two files. `points.csv` contains the number and the
+    position of each point and its corrections as integer counts. `parameters.txt` contains the controller parameters.
     """
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")

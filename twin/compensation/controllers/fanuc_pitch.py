@@ -42,9 +42,9 @@ LOSSES = (
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export a compensation table to two files: `pitch-error.txt`, which contains the compensation data, and
-    `parameters.txt`, which contains the controller parameters. Both have the form of data files that the controller
-    reads (punched data).
+    """Return the export of a compensation table as the texts of two files: `pitch-error.txt`, which contains the
+    compensation data, and `parameters.txt`, which contains the controller parameters. Both have the form of data files
+    that the controller reads (punched data).
     """
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")

@@ -12,7 +12,9 @@ from twin.compensation.table_file import format_side_file, format_table
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export a compensation table to the two files `table.csv` and `table.json` that `volcal gcode correct` reads."""
+    """Return the export of a compensation table as the texts of the two files `table.csv` and `table.json` that `volcal
+    gcode correct` reads.
+    """
     written = replace(source.table, corrections=choices.sign * source.table.corrections)
     files = {"table.csv": format_table(written), "table.json": format_side_file(written)}
     return ControllerExport(

@@ -43,8 +43,8 @@ ACTIVE_BANK = FormatOption("cma_bank", OneOf(("A", "B")), "A", "HEIDENHAIN: acti
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export a compensation table to three `.COM` files, one per axis, for the requested bank (A or B), and to
-    `CONFIG.CMA`, in which the line of this bank is active.
+    """Return the export of a compensation table as the texts of three `.COM` files, one per causing axis, for the
+    requested bank (A or B), and of `CONFIG.CMA`, in which the line of this bank is active.
     """
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a .COM table")

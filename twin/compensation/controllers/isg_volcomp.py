@@ -46,8 +46,8 @@ class Motions:
     """Error motions of the axes X, Y and Z at the nodes of the compensation table.
 
     `series[axis]` (6, n) contains the error motions of one axis at its n nodes: EX, EY and EZ in mm, and EA, EB and EC
-    in rad. The errors EYZ and EAZ depend on Y and Z, so they are zero in `series`. Their values are in `crossed` (2,
-    ny, nz), on a grid of ny nodes along Y and nz nodes along Z.
+    in rad. The straightness error EYZ and the roll EAZ depend on Y and Z (cross-effect), so they are zero in `series`.
+    Their values are in `crossed` (2, ny, nz), on a grid of ny nodes along Y and nz nodes along Z.
     """
 
     series: tuple[Array, Array, Array]
@@ -55,8 +55,8 @@ class Motions:
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export the error motions to `volcomp.csv`, and a list file for the controller to `volcomp.lis`. The user has to
-    add the axis numbers to `volcomp.lis`.
+    """Return the export as the texts of `volcomp.csv`, which contains the error motions, and of the list file
+    `volcomp.lis`. The user has to add the axis numbers to `volcomp.lis`.
     """
     table, identified = source.table, source.estimate
     if identified is None:

@@ -25,8 +25,8 @@ LOSSES = (
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export a compensation table to the files `x.comp`, `y.comp` and `z.comp`, and to a file with the lines to be
-    added to the INI file of LinuxCNC.
+    """Return the export of a compensation table as the texts of `x.comp`, `y.comp` and `z.comp`, and of a file with the
+    lines to be added to the INI file of LinuxCNC.
     """
     table = source.table
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a COMP_FILE")

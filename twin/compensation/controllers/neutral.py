@@ -18,7 +18,7 @@ COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um", "extrapolated")
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export a compensation table to the file `compensation.csv`."""
+    """Return the export of a compensation table as the text of the file `compensation.csv`."""
     table = source.table
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     corrections = 1e3 * choices.sign * table.corrections.reshape(-1, 3)

@@ -45,8 +45,8 @@ NO_PRODUCTS = FormatOption("no_products", Switch(), False, "Siemens CEC: no mult
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export a compensation table to one INI file with all CEC tables and to a part program. The part program enables
-    all tables except those that are used only as factors.
+    """Return the export of a compensation table as the texts of one INI file with all CEC tables and of a part program.
+    The part program enables all tables except those that are used only as factors.
     """
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD18342")

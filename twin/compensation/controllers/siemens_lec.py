@@ -31,7 +31,7 @@ ENCODER = FormatOption("encoder", WholeNumber(0, 1), 0, "Siemens LEC: measuring 
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Export a compensation table to three INI files, one for each axis."""
+    """Return the export of a compensation table as the texts of three INI files, one for each axis."""
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD38000")
     steps = even_steps(table)

@@ -31,7 +31,7 @@ _MOST_TURNS = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """Circular or helical arc of one block.
+    """Circular or helical arc that one block (program line) commands.
 
     `axes` contains the numbers of the two axes of the arc's plane and of the axis normal to it. `centre` contains the
     coordinates of the centre in mm along the two axes of the plane. Angles are in rad. `angle` is the angle of the
@@ -59,7 +59,8 @@ def read_arc(
     unit_mm: float,
     centre_origin: Sequence[float] | None,
 ) -> Arc:
-    """Return the arc that a block with G2 or G3 in effect describes. `start` and `end` are axis positions in mm.
+    """Return the arc that a block (program line) with G2 or G3 in effect describes. `start` and `end` are axis
+    positions in mm.
 
     If arc centres are absolute (G90.1), `centre_origin` is the axis position of the program's zero point. If they are
     relative to the start of the arc (G91.1), it is None. Raises FormatError if the block does not describe an arc.

@@ -2,7 +2,8 @@
 deviate from the path by less than the tolerance.
 
 The uncorrected path is M(s), a line or an arc as a function of the path length s. The correction is c, which is
-trilinear in each cell of the table. The corrected path is P(s) = M(s) + c(M(s)). The unit tangent of M is d.
+trilinear in each cell of the compensation table. The corrected path is P(s) = M(s) + c(M(s)). The unit tangent of M is
+d.
 
 The deviation of P from a chord is zero at both ends of the chord. Consider a function that is zero at both ends of an
 interval of length h. Its absolute value is at most h/4 times the total variation of its derivative, because the Green's
@@ -37,7 +38,7 @@ _OTHERS = ((1, 2), (0, 2), (0, 1))
 
 @dataclass(frozen=True, eq=False)
 class TableCurvature:
-    """Upper bounds on the changes of slope of a table's corrections, valid for the whole table.
+    """Upper bounds on the changes of slope of a compensation table's corrections, valid for the whole table.
 
     - `kinks` (3,) contains the largest jump of the slope along x, y and z in mm/mm.
     - `mixed` (3,) contains the largest mixed second derivatives yz, xz and xy in 1/mm.

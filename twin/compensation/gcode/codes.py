@@ -2,7 +2,7 @@
 
 A code is stored as ten times its number in the program, for example 911 for G91.1. The meanings of the codes are those
 in RS-274/NGC (NISTIR 6556), LinuxCNC and Grbl 1.1. If Fanuc-like controllers interpret a code differently, the code is
-refused.
+refused, that is, the program is not corrected.
 """
 
 from __future__ import annotations

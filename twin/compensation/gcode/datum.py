@@ -25,7 +25,7 @@ def axes_in_block(block: Block) -> list[int]:
 def program_zero(block: Block, modal: ModalState) -> Triple:
     """Return the axis position in mm of the program's zero point.
 
-    Raises FormatError if the work offset is not known.
+    Raises FormatError if the work offset in effect is not known.
     """
     if modal.offset is None:
         name = modal.system

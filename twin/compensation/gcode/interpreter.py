@@ -1,4 +1,5 @@
-"""Interpreter of a part program. It tracks the modal state and the programmed axis positions from block to block.
+"""Interpreter of a part program. It tracks the modal state (such as units, plane and distance mode) and the programmed
+axis positions from block to block.
 
 The codes of one block are executed in the order of RS-274/NGC (NISTIR 6556, table 8). The order is: feed mode, tool,
 plane, units, tool length, coordinate system, distance mode, codes that use the axis words, and stops.

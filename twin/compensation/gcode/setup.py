@@ -20,7 +20,7 @@ class PartSetup:
     """Setup of a part program. All lengths are in mm, and all positions are axis positions (machine coordinates).
 
     - `work_offsets` contains the axis positions of the zero points of G54 and the other coordinate systems.
-    - `reference_points` contains the end points of G28 and G30.
+    - `reference_points` contains the reference points stored in the controller, at which G28 and G30 end.
     - `tools` maps an H number to the length that G43 adds to the programmed position.
     - `g92` is the G92 offset that an earlier program has left in effect.
     - `start` is the position of the axes before the first line, or None if it is unknown.

@@ -1,4 +1,5 @@
-"""Writer of the corrected program. It collects moves over many lines, corrects them in batches, and passes on the text.
+"""Writer of the corrected program. It collects moves over many lines, corrects them in batches, and passes on the text
+of the corrected lines.
 
 The writer tracks the position of the controller, computed from the rounded numbers that were written. Rounding errors
 therefore do not accumulate, even if the words are incremental.
