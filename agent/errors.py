@@ -1,4 +1,4 @@
-"""Errors of the application. The run raises them because of its own decisions; a device cannot raise them.
+"""Errors that a run of the application raises because of its own decisions; a device cannot raise them.
 
 ::
 

@@ -24,8 +24,8 @@ from twin.machine.machine_description import MachineDescription
 def load_machine(path: Path) -> MachineDescription:
     """Return the machine described by a machine file.
 
-    If the machine file names a file with a deflection grid, this file is read too. Its path is relative to the machine
-    file.
+    If the machine file names a file with a deflection grid (displacements of the tool point by gravity), this file is
+    read too. Its path is relative to the machine file.
     """
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):

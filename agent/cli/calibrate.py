@@ -77,7 +77,7 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
 def interruptible() -> Iterator[list[Supervisor]]:
     """Yield an empty list to which the caller can add supervisors, the objects that receive requests to stop a run.
 
-    During the block, Ctrl-C and SIGTERM send an abort request to every supervisor in the list.
+    During the `with` block, Ctrl-C and SIGTERM send an abort request to every supervisor in the list.
     """
     supervisors: list[Supervisor] = []
 

@@ -90,7 +90,8 @@ def demo_command(
 
 
 def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
-    """Return a copy of `settings` that refers to the running simulator and uses `out` as state directory.
+    """Return a copy of `settings` that refers to the running simulator and uses `out` as state directory, in which the
+    run stores its journal and results.
 
     `ready` is the report by which the simulator announces that it is ready. The report contains the addresses of the
     simulated devices and of the simulator's clock.

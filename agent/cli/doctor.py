@@ -1,4 +1,4 @@
-"""Command `volcal doctor`, which tests every device.
+"""Command `volcal doctor`, which tests every device named in the settings.
 
 The command connects to each device, reads from it and measures its latency. It moves nothing and writes nothing.
 """

@@ -1,5 +1,5 @@
-"""Output of the errors of a command. An error is printed as one line on stderr, never as a traceback, and the exit code
-is that of the error's class.
+"""Output of the errors of the commands of `volcal`. An error is printed as one line on stderr, never as a traceback,
+and the exit code is that of the error's class.
 
 Exit codes of `volcal`:
 

@@ -42,8 +42,8 @@ def config_option(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add to a command the options `--config`, `--position-set`, `--stations` and `--formulation` (the formulation of
-    the identification: ball centres or distances).
+    """Add to a command the options `--config`, `--position-set`, `--stations` and `--formulation` (whether the errors
+    of the machine are identified from ball centres or from distances).
     """
     return measured_options(click.option("--formulation", type=click.Choice(["centres", "distances"]))(command))
 

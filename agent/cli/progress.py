@@ -44,8 +44,8 @@ class _Watcher:
 
 @contextmanager
 def watching(console: Console) -> Iterator[Listener]:
-    """Yield a function that prints the states and the progress of a run on `console`. The function is called with each
-    announcement of the run.
+    """Yield a function that prints the states and the progress of a run on `console`. The run calls this function with
+    each of its announcements.
 
     The progress bar is closed at the end of the `with` block.
     """

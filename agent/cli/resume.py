@@ -1,4 +1,6 @@
-"""Command `volcal resume`, which resumes or abandons a run that ended because its process ended."""
+"""Command `volcal resume`, which resumes or abandons an interrupted run, that is, a run that ended because its process
+ended.
+"""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def longest_wait_s(clock: Clock) -> float:
     """Return the longest time that a wait on `clock` may last before it checks for requests to hold or abort the run. A
     longer wait is divided into parts of this length.
 
-    The result is in s of machine time, the time that `clock` shows.
+    The result is in s of machine time, that is, of the time that `clock` shows.
     """
     match clock:
         case LockstepClock():

@@ -1,4 +1,4 @@
-"""Conversion of steps and their results to JSON for the journal, and back.
+"""Conversion of the steps of a run and their results to JSON for the journal, the database that records them, and back.
 
 Floats are not rounded: each float is read back with exactly the value that was written.
 """

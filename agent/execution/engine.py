@@ -3,9 +3,9 @@
 The engine takes a step from the plan, carries it out, writes its result to the journal, and sends the result to the
 plan. A step that moves or changes something is also written to the journal before it is carried out.
 
-The engine is a short synchronous loop on one thread. It depends neither on the meaning of a step nor on the devices. An
-action, which is found by the type of the step, carries out the step. A `StepJournal` records the step, and an observer,
-a function given to the engine, is called with the step and its result.
+The engine is a short synchronous loop on one thread. It depends neither on the meaning of a step nor on the devices.
+The step is carried out by an action, a function that is found by the type of the step. A `StepJournal` records the
+step, and an observer, a function given to the engine, is called with the step and its result.
 """
 
 from __future__ import annotations
@@ -61,14 +61,15 @@ class Engine:
         self._observer = observer
 
     def without_journal(self) -> Engine:
-        """Return an engine with the same actions and the same observer but without a journal.
+        """Return an engine with the same actions and the same observer as this engine, but without a journal.
 
         The run uses this engine to withdraw the probe if the journal can no longer be written.
         """
         return Engine(self._actions, None, self._observer)
 
     def aside(self) -> Engine:
-        """Return an engine with the same actions, for steps that are not part of the procedure of the run.
+        """Return an engine with the same actions as this engine, for steps that are not part of the procedure of the
+        run.
 
         For example, steps withdraw the probe and restore the table if a run ends early, and steps move the probe back
         if the run is resumed. Such steps are journaled, but when a resumed run replays its journal, it skips them. They

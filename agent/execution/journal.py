@@ -32,7 +32,8 @@ _DISK_HINT = "check the disk under `state_directory`"
 
 
 class Journal:
-    """Database of all runs, a file in the state directory `directory`. It is created if it does not exist.
+    """Journal, the database of all runs. It is a file in the state directory `directory`. It is created if it does not
+    exist.
 
     There is one writer at a time. Pages and reports may read the database at the same time.
 
@@ -117,7 +118,9 @@ class _Count:
 
 
 class RunJournal:
-    """Writer of the records of one run. The class implements `StepJournal`, the interface that the engine uses."""
+    """Writer of the records of one run in the journal. The class implements `StepJournal`, the interface that the
+    engine uses.
+    """
 
     def __init__(
         self, connection: sqlite3.Connection, run: int, run_id: str, clock: Clock, recorded: ReplayLog | None = None
@@ -212,7 +215,7 @@ class RunJournal:
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
         """Store a whole compensation table, `image`, that belongs to the controller's table memory number `bank`.
-        `image` is None if the bank is empty.
+        `image` is None if this memory is empty.
 
         `role` is ``backup`` if the table was read from the controller before anything was written, ``staged`` if the
         run wrote it to the controller, and ``restored`` if the run made it active again.

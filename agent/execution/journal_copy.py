@@ -21,9 +21,9 @@ from agent.execution.journal_schema import FILE_NAME
 def copy_journal(directory: Path, target: Path, edit_settings: Callable[[Any], Any]) -> Path:
     """Copy the journal of a state directory into the existing directory `target` and return the path of the copy.
 
-    A run may write to the journal during the copy. `edit_settings` is called with the settings document of each run and
-    returns the document to be stored in the copy. The original settings do not remain in unused pages of the copied
-    database file.
+    A run may write to the journal during the copy. `edit_settings` is called with the settings of each run, decoded
+    from JSON, and returns the settings to be stored in the copy. The original settings do not remain in unused pages of
+    the copied database file.
 
     Raises JournalFailed if the journal cannot be read or the copy cannot be written.
     """

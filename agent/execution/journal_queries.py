@@ -5,7 +5,7 @@ Each statement selects the columns of one row type in the order of the fields of
 The statements are in a module of their own, apart from the reader, so that a change of the database tables affects only
 this module and `journal_schema.sql`. A list of kinds of rows, such as kinds of events, is passed as one JSON parameter;
 every statement is therefore constant. The reader replaces the text `{aside}` in a statement by a condition that
-excludes rows that are not part of the procedure, or by an empty text.
+excludes rows that are not part of the procedure of a run, or by an empty text.
 """
 
 # ruff: noqa: S608  every statement is put together from constants of this module

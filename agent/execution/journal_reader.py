@@ -45,14 +45,14 @@ _TIMEOUT_S = 2.0
 
 
 def has_journal(directory: Path) -> bool:
-    """Return True if the state directory contains a journal; there is none before the first run."""
+    """Return True if the state directory `directory` contains a journal; there is none before the first run."""
     return (directory / FILE_NAME).is_file()
 
 
 @contextmanager
 def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> Iterator[JournalReader]:
-    """Yield a reader of the journal in a state directory. The journal is open during the `with` block and is not
-    changed.
+    """Yield a reader of the journal in the state directory `directory`. The journal is open during the `with` block and
+    is not changed.
 
     Raises an error of the class `failure` if there is no journal, or if the journal cannot be read at the start or
     later in the block.
@@ -89,7 +89,7 @@ class JournalReader:
         return self._first(RunRow, queries.RUN + "WHERE run_id = :run_id", run_id=run_id)
 
     def require_run(self, run_id: str) -> RunRow:
-        """Return the run with the identity `run_id`.
+        """Return the row of the run with the identity `run_id`.
 
         Raises InputError, which names the latest runs, if the journal has no such run.
         """
@@ -104,14 +104,14 @@ class JournalReader:
         return self._first(RunRow, queries.RUN + "ORDER BY run DESC LIMIT 1")
 
     def last_working_run(self) -> RunRow | None:
-        """Return the last run that recorded a step or passed its preflight (the simulated execution of its plan); None
-        if there is none.
+        """Return the row of the last run that recorded a step or passed its preflight (the simulated execution of its
+        plan); None if there is none.
         """
         return self._first(RunRow, queries.LAST_WORKING_RUN if self.has_origins() else queries.LAST_RUN_WITH_STEPS)
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
-        """Return at most `limit` runs, the latest first, each with the number of its measured balls and the number of
-        its touches.
+        """Return the rows of at most `limit` runs, the latest first, each with the number of its measured balls and the
+        number of its touches.
 
         Only runs with a number below `before_run` are returned.
         """
@@ -168,16 +168,18 @@ class JournalReader:
         return max(int(self._value(steps, run=run)), int(self._value(balls, run=run)))
 
     def touches(self, run: int) -> tuple[TouchRow, ...]:
-        """Return the touches of a run that have a result. Touches that are not part of the procedure are omitted."""
+        """Return the touches of a run that have a result. Touches that are not part of the procedure of the run are
+        omitted.
+        """
         query = "SELECT ordinal, key, at, result FROM touches WHERE run = :run ORDER BY ordinal"
         return self._rows(TouchRow, query, run=run)
 
     def count_touches(self, run: int) -> int:
-        """Return the number of touches of a run that have a result and are part of the procedure."""
+        """Return the number of touches of a run that have a result and are part of the procedure of the run."""
         return int(self._value("SELECT count(*) FROM touches WHERE run = :run", run=run))
 
     def balls(self, run: int) -> tuple[BallRow, ...]:
-        """Return the ball centres of a run in the order of measurement. The run may still be in progress."""
+        """Return the measured ball centres of a run in the order of measurement. The run may still be in progress."""
         query = "SELECT ordinal, key, record FROM balls WHERE run = :run ORDER BY ordinal"
         return self._rows(BallRow, query, run=run)
 
@@ -232,7 +234,7 @@ class JournalReader:
         return self._rows(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid", run=run)
 
     def last_estimate(self, run: int) -> str | None:
-        """Return the JSON text of the run's last estimate; None if there is none."""
+        """Return the JSON text of the run's last estimate of the machine's errors; None if there is none."""
         return self._first(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid DESC LIMIT 1", run=run)
 
     def tables(self, run: int, *, procedure_only: bool = False) -> tuple[TableRow, ...]:

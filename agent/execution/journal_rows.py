@@ -28,7 +28,7 @@ class _Recorded:
 
 @dataclass(frozen=True)
 class RunRow:
-    """Run in the journal, without its steps and results.
+    """Row of a run in the journal, without the steps and results of the run. `run_id` is the identity of the run.
 
     `started` and `ended` are UTC times in ISO 8601; `ended` is None before the end of the run. `state` is the text of a
     `RunState`, such as ``measuring``.
@@ -46,7 +46,7 @@ class RunRow:
 
 @dataclass(frozen=True)
 class RunCounts:
-    """Run with the number of its measured balls and the number of its touches that have a result."""
+    """Row of a run, with the number of its measured balls and the number of its touches that have a result."""
 
     run: RunRow
     balls: int
@@ -71,7 +71,8 @@ class OriginRow(_Recorded):
 
 @dataclass(frozen=True)
 class StepRow:
-    """Step of a run. `begun_s` and `finished_s` are machine times in s.
+    """Step of a run. `kind` is the name of the step's class, `detail_text` contains its fields, and `result_text` its
+    result. `begun_s` and `finished_s` are the machine times in s at which it began and ended.
 
     `finished_s` and `result_text` are None if the step did not end.
     """
@@ -128,7 +129,7 @@ class TemperatureRow(_Recorded):
 
 @dataclass(frozen=True)
 class EventRow(_Recorded):
-    """Event of a run. `at` is the UTC time of the event in ISO 8601."""
+    """Event of a run, such as a change of state, a note or a fault. `at` is the UTC time of the event in ISO 8601."""
 
     number: int
     at: str
@@ -154,8 +155,8 @@ class TableRow:
     ``staged`` (written to the controller by the run) or ``restored`` (made active again by the run). `bank` is the
     number of the table memory of the controller.
 
-    If the bank was empty, `crc32` and the fields after it are None. `origin_mm_text`, `step_mm_text` and `shape_text`
-    are JSON lists exactly as written.
+    If this memory was empty, `crc32` (the checksum of the corrections) and the fields after it are None.
+    `origin_mm_text`, `step_mm_text` and `shape_text` are JSON lists exactly as written.
     """
 
     run: int

@@ -63,7 +63,8 @@ class ReplayLog:
     def consume(self, table: str, *entry: str) -> bool:
         """Remove the next recorded entry of the database table `table` and return True if it equals `entry`.
 
-        Return False if no entry is left. Raises PlanDiverged if the next entry differs from `entry`.
+        Return False if no recorded entry of this table is left. Raises PlanDiverged if the next entry differs from
+        `entry`.
         """
         waiting = self.entries.get(table)
         if not waiting:

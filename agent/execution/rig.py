@@ -113,7 +113,7 @@ class Rig:
         return complaints
 
     def await_standstill(self) -> None:
-        """Wait until the axes stand still.
+        """Wait until the axes of the machine stand still.
 
         While the axes brake, a controller accepts neither a move nor the activation of another compensation table.
         """

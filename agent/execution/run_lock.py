@@ -53,7 +53,9 @@ def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
 
 
 class Ownership:
-    """Acquired lock on the machine. The lock file contains a text that describes the owner."""
+    """Acquired lock on the machine. The lock file contains a text that describes the owner, such as the run in
+    progress.
+    """
 
     def __init__(self, handle: TextIO, owner: str) -> None:
         self._handle = handle

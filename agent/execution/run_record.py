@@ -40,8 +40,9 @@ class RunRecord:
     """Complete record of a run.
 
     `ordinal` is the number of the run in its journal, counted in the order in which the runs started. `settings_text`
-    is the JSON text of the settings exactly as stored. `estimate` is the JSON text of the run's last estimate of the
-    machine's errors, or None if there is none. `balls` and `touches` are the numbers of measured balls and touches.
+    is the JSON text of the settings with which the run was started, exactly as stored. `estimate` is the JSON text of
+    the run's last estimate of the machine's errors, or None if there is none. `balls` and `touches` are the numbers of
+    measured balls and touches.
 
     Each entry of `temperatures` contains a machine time in minutes after the start of the first step, and a mapping
     from sensor names to temperatures in °C. `minutes` is the machine time in minutes from the start of the first step
@@ -102,7 +103,7 @@ class RunHead:
 
 @dataclass(frozen=True)
 class RunSteps:
-    """Steps of a run, and the settings document with which the run was started."""
+    """Steps of a run, and the settings, decoded from JSON, with which the run was started."""
 
     settings: Mapping[str, Any]
     steps: tuple[StepRow, ...]

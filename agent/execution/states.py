@@ -71,7 +71,7 @@ def may_follow(now: RunState, after: RunState) -> bool:
     """Return True if a run may change from the state `now` to the state `after`.
 
     The change is permitted if the mapping `FORWARD` lists `after` among the states that may follow `now`. A change to
-    ABORTING or FAULTED is permitted from every state that is not final.
+    ABORTING or FAULTED is permitted from every state except the final ones (COMPLETE, REFUSED, ABORTED and FAULTED).
     """
     if now in FINAL:
         return False

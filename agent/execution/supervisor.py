@@ -1,4 +1,4 @@
-"""Requests to hold or abort a run. Any thread may make a request.
+"""Requests to hold (pause), resume or abort a run. Any thread may make a request.
 
 A request takes effect on the thread of the run, either while this thread waits on the clock or in a computation that
 checks for requests.
@@ -21,8 +21,8 @@ class Supervisor:
     to it.
 
     The clock of the run (an `InterruptibleClock`) calls the method `check` during its waits. The callback `on_hold`
-    starts the machine's feed hold, and `on_resume` ends it. Both are called on the thread of the run, between two waits
-    of a driver and never during a transaction.
+    starts the machine's feed hold, and `on_resume` ends it. Both are called on the thread of the run while it waits on
+    the clock, and never while a driver exchanges a message with a device.
 
     The callback `heartbeat` is called at every check and repeatedly during a hold. From these calls, a watchdog can see
     that the thread of the run does not hang.
@@ -65,8 +65,8 @@ class Supervisor:
         self._hold.clear()
 
     def check(self) -> None:
-        """Raise `Aborted` or `Interrupted` if the end of the run has been requested. If a hold has been requested, wait
-        until the run is resumed.
+        """Raise `Aborted` or `Interrupted` if the end of the run has been requested. If a hold (pause) of the run has
+        been requested, wait until the run is resumed.
 
         Requests are ignored after a call of `shield`, or if this method is called during a hold. The callback
         `heartbeat` is called in every case.

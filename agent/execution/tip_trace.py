@@ -19,7 +19,7 @@ TOUCH_LINE_TOLERANCE_MM = 2.0
 class LastMotion:
     """Record of the last motion of the stylus tip, in axis positions in mm.
 
-    The caller calls `begin` when a motion begins, and `end` only if the motion ended as intended.
+    The method `begin` is called when a motion begins, and `end` only if the motion ended as intended.
     """
 
     _at: Point | None = None

@@ -86,8 +86,8 @@ class Margins:
 class Drawing:
     """Figure in the style of the reports, rendered as SVG. `width_in` and `height_in` are in inches.
 
-    The object is a context manager that yields an empty matplotlib figure, in which the caller draws. After the block,
-    the method `svg` returns the result.
+    The object is a context manager that yields an empty matplotlib figure, in which the caller draws. After the `with`
+    block, the method `svg` returns the result.
     """
 
     def __init__(self, name: str, width_in: float, height_in: float, margins: Margins | None = None) -> None:

@@ -25,7 +25,8 @@ _KEY = "history.url"
 class DatabaseAddress:
     """Address of the history database.
 
-    `url` contains the password and must not be printed. `machine` is the name of this machine in the database.
+    `url` contains the password and must not be printed. `machine` is the name under which the runs of this machine are
+    stored in the database.
     """
 
     url: URL

@@ -1,4 +1,4 @@
-"""Trends of one machine, the selection of trends to be shown, and the alarms of the trends."""
+"""Trends of the results of one machine, the selection of trends to be shown, and the alarms of the trends."""
 
 from __future__ import annotations
 

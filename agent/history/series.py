@@ -34,14 +34,14 @@ _CHANGED_MACHINE = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Series of a quantity over n runs of one machine.
+    """Series of the values that one quantity, such as a volumetric error, had in n runs of one machine.
 
     `nights` is the number of nights between the first run and each run, shape (n,). `values` contains the values in the
     unit `unit`, shape (n,). `sigmas` contains the standard uncertainties of the values in the same unit, shape (n,).
     `stated` is True if the standard uncertainties are known; otherwise all elements of `sigmas` are 1.
 
-    `tolerance` is the largest acceptable absolute value, or None if there is none. `two_sided` is True if values may
-    have either sign. `steps` contains the nights at which the machine or its table is known to have changed.
+    `tolerance` is the absolute value that must not be reached, or None if there is none. `two_sided` is True if values
+    may have either sign. `steps` contains the nights at which the machine or its table is known to have changed.
     """
 
     name: str

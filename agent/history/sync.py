@@ -19,7 +19,7 @@ def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
     directory `directory`.
 
     Return the identities of the stored runs, in the order in which they were stored. Raises LinkLost if the connection
-    to the database is lost; the next call then stores the remaining runs.
+    to the database is lost; the next call of this function then stores the remaining runs.
     """
     return _store_changed(directory, run_ids(directory), store)
 

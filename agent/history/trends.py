@@ -1,6 +1,6 @@
 """Trend of a series of values from night to night: the drift per night, the control limits, and the alarms.
 
-An alarm can be raised before a value reaches its tolerance.
+An alarm can be raised before the quantity reaches its tolerance.
 """
 
 from __future__ import annotations

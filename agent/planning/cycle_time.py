@@ -78,7 +78,8 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
     """Return the machine time for measuring `positions` in the given order.
 
     Positions at the same station must be contiguous. At the start, the axes are at the lower end of their travel, and
-    both angles of the mount are zero. Only `positions` are timed; the held-out positions of `job` are not included.
+    both angles of the rotary mount (azimuth and elevation) are zero. Only `positions` are timed; the held-out positions
+    of `job` are not included.
     """
     order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)
     _, steps = walk_plan(job, measure_positions(order, job.layout, job.rules))
@@ -94,7 +95,8 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
 
 
 def position_minutes(job: Job, position: Position) -> float:
-    """Return the machine minutes that one more position adds at its station.
+    """Return the machine minutes that the measurement of `position` adds if other positions are measured at its station
+    too.
 
     If the settings ask for free paths (shortest collision-free paths), the time begins at the end of a measurement of
     ball 0 with both mount angles zero, and ends after the last ball of `position`. If they ask for plain paths (by way

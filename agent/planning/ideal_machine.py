@@ -20,7 +20,7 @@ from twin.collision.motion_law import StraightPath, entry_distance, straight_pat
 
 
 class IdealMachine:
-    """Ideal machine whose axes start at `start_mm`.
+    """Ideal machine for timing a plan. Its axes start at the axis positions `start_mm`.
 
     A mount that serves all stations starts with both angles zero. If every station has its own mount, each mount starts
     at the angles of its first turn, which therefore takes no motion time. The balls are at their nominal locations in

@@ -72,8 +72,8 @@ class Job:
 
     @cached_property
     def measuring_order(self) -> MeasuringOrder:
-        """Order in which the position set and the held-out positions are measured before the new compensation table is
-        active.
+        """Order in which the position set and the held-out positions (used only for verification) are measured before
+        the new compensation table is active.
         """
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
@@ -89,7 +89,8 @@ class Job:
 
     @property
     def repeat_rules(self) -> RepeatRules:
-        """Rules for measuring the first positions again at the end of the measurements.
+        """Rules for measuring the first positions of the position set again at the end of the measurements if the
+        temperature of the machine has changed.
 
         Held-out positions are not repeated.
         """

@@ -57,7 +57,8 @@ class StepKindTiming:
 
 
 def observed_steps(steps: Iterable[StepRow], model: TimeModel) -> list[ObservedStep]:
-    """Return the steps of a run with their times.
+    """Return the steps of a run with their observed times and the times of their motion according to the time model
+    `model`.
 
     The positions of the axes and the angles of the mount, from which the motion times follow, are tracked from step to
     step. A step is left out if it starts from an unknown position or did not end.

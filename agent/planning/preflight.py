@@ -29,7 +29,7 @@ and the measurements that verify the new table."""
 
 @dataclass(frozen=True)
 class PreflightResult:
-    """Result of a preflight.
+    """Result of a preflight, the simulated execution of a whole plan.
 
     `measured` contains the simulated measurements for the estimate, and `verified` those that verify the new table.
     `timeline` maps the key of each step to the machine time in s at the end of the step. `steps` contains the steps

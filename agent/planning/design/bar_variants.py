@@ -31,7 +31,7 @@ class Bar:
 
     @classmethod
     def of(cls, artefact: Artefact) -> Bar:
-        """Return `artefact` as a bar.
+        """Return `artefact` as a ball bar, with the length and the tilt found from its ball centres.
 
         Raises DataError if the artefact does not consist of equally spaced balls on alternately tilted holders.
         """

@@ -64,7 +64,7 @@ class DesignResult:
 
 
 def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
-    """Return the best position set found for `goal`.
+    """Return the best position set found for the goal `goal` among the candidates of `problem`.
 
     If `with_preflight` is True, the plan of the set found is executed on a simulated machine (preflight). If the
     preflight refuses a position, the position is excluded and the search is repeated. If `verify` is True, held-out

@@ -17,7 +17,7 @@ from agent.planning.design.pareto_front import FrontPoint
 
 @dataclass(frozen=True)
 class ReferenceSet:
-    """Existing position set that is compared with a design, such as the position set of the settings."""
+    """Existing position set, such as that of the settings, that is compared with a designed position set."""
 
     name: str
     minutes: float

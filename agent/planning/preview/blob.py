@@ -22,7 +22,7 @@ NO_BALL = -1
 
 
 def embedded(preview: Preview) -> str:
-    """Return the preview as JSON text that can be embedded in a `<script>` element.
+    """Return `preview` as JSON text that can be embedded in a `<script>` element of an HTML page.
 
     The text contains no character ``<`` and therefore cannot end the element.
     """

@@ -19,11 +19,12 @@ from twin.collision.geometry import Point, point, translate_point
 
 
 def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], visit: int) -> Refusal:
-    """Return the refusal of a plan as it is shown in the preview.
+    """Return the refusal of the plan of `job`, as it is shown in the preview: the refused step, the two colliding
+    bodies, and the tip centre at the collision.
 
-    `refused` is the error raised by the preflight. `waypoints` contains the waypoints of the plan; the last one is that
-    of the refused step. `visit` is the index of the visit (measurement of one position) to which the refused step
-    belongs.
+    `refused` is the error raised by the preflight. `waypoints` contains the state of the machine after each step of the
+    plan; the last one is that of the refused step. `visit` is the index of the visit (measurement of one position) to
+    which the refused step belongs.
     """
     bodies: tuple[str, ...] = ()
     tip = translate_point(lower_end(job), point(job.tool_offset_mm))

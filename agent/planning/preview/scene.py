@@ -97,7 +97,7 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Preview:
-    """Preview of a plan.
+    """Preview of a plan: the placements of the artefact, the visits to them, and the path of the stylus tip.
 
     `travel` is the box in which the tip centre can move, and `table` is the drawn part of the machine table. `probe`
     contains the bodies of the probe, with coordinates relative to the tip centre.
