@@ -83,9 +83,9 @@ class ProbingParameters:
     `feed_mm_per_s` is the feed of the measuring touch. `fast_touch` is a fast touch before the measuring touch, or
     None. `guarded_feed_mm_per_s` is the feed of moves near a ball that is being located.
 
-    `narrow_search` holds the search distances for a ball whose location is known, and `wide_search` longer ones. A ball
-    found farther than `recentre_mm` from its expected centre is measured again; `repeats` is the largest number of such
-    repeats. `touch_sigma_mm` is the standard uncertainty of a touch.
+    `narrow_search` holds the search distances for a ball whose location is well known, and `wide_search` longer ones. A
+    ball found farther than `recentre_mm` from its expected centre is measured again. `repeats` is the largest number of
+    repeated measurements of a ball. `touch_sigma_mm` is the standard uncertainty of a touch.
     """
 
     directions: Array
