@@ -29,7 +29,7 @@ def run() -> dict[str, float]:
     its position set.
 
     The figure `seeking_s` is the CPU time in s for the search for paths. It is the difference between the CPU times of
-    a first plan, which searches for the paths, and a second plan, which does not search again.
+    two calculations of the plan: the first searches for the paths, and the second does not search again.
     """
     load_case(CASE_STUDY)
     found: dict[str, float] = {}

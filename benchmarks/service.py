@@ -106,7 +106,9 @@ def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
 
 
 def early_abort_ms(running: Service) -> float:
-    """Return the time in ms from an abort request during the preflight until the service's state shows the abort."""
+    """Return the time in ms from an abort request during the preflight (simulated execution of the plan) until the
+    service's state shows the abort.
+    """
     running.start()
     running.until(lambda now: now["state"] == "preflight", "the preflight")
     began = ask_abort(running)

@@ -1,4 +1,5 @@
-"""Computing time of two ways to predict the machine time of a plan: the cycle-time model and the preflight.
+"""Computing time of two ways to predict the machine time of a plan: the cycle-time model and the preflight (simulated
+execution).
 
 The cycle-time model assumes an ideal machine, and the preflight simulates the physics. The difference between the two
 predicted machine times is reported too.

@@ -69,7 +69,9 @@ class MeasuringSetup:
 
     @property
     def tool_offset_mm(self) -> Array:
-        """Offset of the tool used for measuring, in mm, shape (3,)."""
+        """Offset of the tool used for measuring (from the reference point of the ram to the stylus centre), in mm,
+        shape (3,).
+        """
         return np.asarray(self.machine.tool(self.tool_name), dtype=np.float64)
 
     def position_set(self, name: str) -> tuple[Position, ...]:

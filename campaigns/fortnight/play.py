@@ -53,7 +53,7 @@ class Programme:
     def season(self) -> Season:
         """Season of this fortnight: the number of nights and the night of the collision.
 
-        The collision happens before the calibration of the evening whose incident is `DAMAGE`.
+        The collision happens before the calibration of the evening whose incident is the collision (`DAMAGE`).
         """
         damaged = self.evenings.index(DAMAGE) if DAMAGE in self.evenings else len(self.evenings)
         return Season(len(self.evenings) - 1, damaged, seed=1)

@@ -6,10 +6,11 @@ night includes facts that only the simulator knows: the true volumetric error wi
 the reach. The reach is the error that a full calibration in the same night would have left.
 
 The reach is computed by a Monte Carlo simulation of ball centres, without touches. The simulation takes the true ball
-centres of the whole position set on a copy of that night's machine. It measures them through the exact error field with
-the noise that the touches on a ball cause, and identifies the machine errors with the Legendre order that the Bayesian
-evidence selects. Then the true error with the resulting table is evaluated. The reach is the mean over `DRAWS` random
-draws. The results of the full calibrations that were run in the season are reported too.
+centres of the artefact in the whole position set on a copy of that night's machine. It measures them through the exact
+error field with the noise that the touches on a ball cause, and identifies the machine errors with the Legendre order
+that the Bayesian evidence selects. Then the true error with the resulting table is evaluated. The reach is the mean
+over several random draws of the noise (their number is `DRAWS`). The results of the full calibrations that were run in
+the season are reported too.
 
     python -m campaigns.nights --nights 30 --step 17 [--figure nights.png] [--csv nights.csv]
 

@@ -80,7 +80,8 @@ def full_calibration_vce_um(season: Season, night: int) -> float:
     """Return the mean true volumetric error after compensation (VCE), in µm, that full calibrations of the machine as
     it is in `night` would leave.
 
-    The mean is taken over `DRAWS` simulated measurements. The best-fitting rigid motion is removed from the error.
+    The mean is taken over several simulated measurements (their number is `DRAWS`). The best-fitting rigid motion is
+    removed from the error.
     """
     job = load_season_case(Path("unused"))
     world = World(scenario_of_night(season.scenario, night))

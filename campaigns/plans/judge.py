@@ -2,8 +2,8 @@
 
 The check shares no distance function with the planner or the simulated world. It takes only facts from the world: the
 axis positions at an instant, the mount angles, and the location of the artefact. A capsule (cylinder with spherical
-ends) at rest is represented by a row of points with a radius, at the spacing `SPACING_MM`. The probe is represented by
-a point for the tip, two segments along Y, and a box.
+ends) at rest is represented by a row of points with a radius, at a fixed spacing (`SPACING_MM`). The probe is
+represented by a point for the tip, two segments along Y, and a box.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Command `python -m campaigns.warming`, which simulates calibrations while machine and bar warm up."""
+"""Command `python -m campaigns.warming`, which simulates calibrations while machine and ball bar warm up."""
 
 from __future__ import annotations
 

@@ -1,16 +1,17 @@
-"""Calibrations while machine and bar warm by 3 K, compared with calibrations at constant temperature.
+"""Calibrations while machine and ball bar (the artefact) warm by 3 K, compared with calibrations at constant
+temperature.
 
-Whole calibrations are carried out on the simulated case study, in this process and on virtual time. In the warm run the
-hall becomes warmer at the start, and bar and machine follow with a lag. The scales, the spindle and the ram of the
-machine expand. The column bends with an additional lag behind the machine's thermometer, and the bar bows. The
-thermometers have noise, lag and offsets.
+Whole calibrations are carried out on the simulated case study, in this process and on virtual time. In the calibration
+with warming (the warm run), the air in the hall becomes warmer at the start, and bar and machine follow with a lag. The
+scales, the spindle and the ram of the machine expand. The column bends with an additional lag behind the machine's
+thermometer, and the bar bows. The thermometers have noise, lag and offsets.
 
 The results are true volumetric errors with the compensation table that the run has written; the best-fitting rigid
 motion is removed. The errors are evaluated for the machine as it was at the measurement of the last ball of the
 position set, because the estimate describes this state. The same machine and bar are also calibrated at constant
-temperature, once at 20 °C and once at 23 °C. At 23 °C the expansion of the bar is as uncertain as in the warm run. The
-ball centres of the warm run are identified two more times. Both identifications assume that the machine does not drift.
-The second also assumes that the bar is at 20 °C.
+temperature, once at 20 °C and once at 23 °C. At 23 °C the expansion of the bar is as uncertain as in the warm run. From
+the ball centres of the warm run, the machine errors are identified two more times. Both identifications assume that the
+machine does not drift thermally. The second also assumes that the bar is at 20 °C.
 
     python -m campaigns.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
 

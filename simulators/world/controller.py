@@ -183,7 +183,7 @@ class Controller:
         self._begin(MoveKind.TOUCH, target, feed_mm_per_s)
 
     def hold(self) -> None:
-        """Brake the axes along the path, and store the motion command; the method `resume` completes that command
+        """Brake the axes along their path, and store the motion command; the method `resume` completes that command
         later.
         """
         if self._motion is not None and self._motion.ends_in is MotionState.IDLE:
@@ -216,7 +216,7 @@ class Controller:
             self._enter_fault(reason)
 
     def reset(self) -> None:
-        """Clear a fault. While the axes move, the method does nothing."""
+        """Clear the fault state of the controller. While the axes move, the method does nothing."""
         if self._state is MotionState.FAULT and self._motion is None:
             self._state, self.fault = MotionState.IDLE, ""
 

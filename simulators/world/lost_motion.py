@@ -12,7 +12,8 @@ STILL_MM = 1e-4
 
 
 class PlayOperator:
-    """Model of the backlash of each axis as a play operator: the slide lags its drive by up to half the backlash.
+    """Model of the backlash of each axis as a play operator: the slide (the moved part of the axis) lags its drive by
+    up to half the backlash.
 
     The slide does not move while the drive, after a reversal, moves through the backlash. A reversal shorter than the
     backlash therefore changes the lag by less than the backlash. The lag of an axis that does not move is unchanged.

@@ -55,8 +55,8 @@ class RotaryAxis:
 class MountPhysics:
     """Both rotary axes (azimuth and elevation) of one mount.
 
-    The function `on_turn` is called whenever a motion begins or changes. Mounts with different names have different
-    true errors.
+    The function `on_turn` is called whenever a motion of either axis begins or changes. Mounts with different names
+    have different true errors.
     """
 
     def __init__(
@@ -130,12 +130,14 @@ class MountPhysics:
         return self._axes[AZIMUTH].position_deg(instant_s), self._axes[ELEVATION].position_deg(instant_s)
 
     def true_angles_rad(self, azimuth_deg: float, elevation_deg: float) -> tuple[float, float]:
-        """Return the true azimuth and elevation of the bar in rad for the given encoder readings."""
+        """Return the true azimuth and elevation of the ball bar in rad, including the errors of the mount, for the
+        given encoder readings.
+        """
         return self._errors.angles_rad(azimuth_deg, elevation_deg)
 
     def wobble_mm(self, azimuth_deg: float) -> Array:
-        """Return the displacement of the azimuth axis by its wobble, shape (3,), in mm, at the given
-        encoder reading.
+        """Return the displacement of the azimuth axis by its wobble, shape (3,), in mm, at the given encoder reading of
+        the azimuth.
         """
         return self._errors.wobble_mm(azimuth_deg)
 

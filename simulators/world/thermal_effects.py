@@ -19,7 +19,7 @@ ARTEFACT, MACHINE, AMBIENT = "artefact", "machine", "ambient"
 
 
 class ThermalEffects:
-    """Thermal model of one machine.
+    """Thermal model of one machine: thermometer readings, tip drift and deformation.
 
     The travel ranges `ranges_mm` of the axes and `tool_offset_mm` determine the lever arms of the thermal deformation.
     `seed` is the seed of the thermometer noise.
@@ -89,7 +89,7 @@ class ThermalEffects:
 
 @dataclass(frozen=True, eq=False)
 class ThermalField:
-    """Thermal deformation field of a machine with changed scales and a bent column.
+    """Thermal deformation of a machine with changed scales and a bent column, as a function of the axis position.
 
     `stretch`, shape (3,), is the relative change of the scale of each axis; the zero of each scale stays in place. The
     column is a cantilever that is heated from one side, and it bends along Y. At the position z of the Z axis, the

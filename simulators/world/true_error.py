@@ -40,8 +40,8 @@ class MachineTruth:
         points in the workspace.
 
         The first value is the raw error, and the second is the aligned error, which remains after the best-fitting
-        rigid motion is removed. If `bank` is None or 0, both values are errors without a table. Raises InputError if
-        the bank is empty.
+        rigid motion is removed. If `bank` is None or 0, both values are errors without a compensation table. Raises
+        InputError if the bank is empty.
         """
         displayed = self._grid
         correction = np.zeros_like(displayed)

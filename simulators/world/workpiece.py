@@ -80,7 +80,9 @@ class Workpiece:
         self._cached = None
 
     def shift(self, by_mm: Point, turn_deg: float) -> None:
-        """Displace and rotate the mount, as after a knock or a careless placement."""
+        """Displace the mount by `by_mm` and rotate it about its azimuth axis by `turn_deg`, as after a knock or a
+        careless placement.
+        """
         self._location_mm = np.add(self._location_mm, by_mm)
         self._yaw_rad += math.radians(turn_deg)
         self._cached = None

@@ -51,7 +51,9 @@ class Worktable:
 
     @property
     def workpiece(self) -> Workpiece:
-        """Workpiece that carries the movable artefact; if every station has its own artefact, the first workpiece."""
+        """Workpiece (mount and artefact) whose artefact the operator can move; if every station has its own artefact,
+        the first workpiece.
+        """
         if len(self._pieces) == 1 or self._scenario.artefacts:
             return self._pieces[0]
         return self._pieces[self._at - 1]
