@@ -1,6 +1,7 @@
-"""Simulated machine: a world with physics that a clock advances, and protocol servers that give access to the world.
+"""Simulated machine: a world with physics whose time a clock advances, and protocol servers that give access to the
+world.
 
-The servers exchange only bytes with their clients.
+The protocol servers exchange only bytes with their clients.
 """
 
 SIMULATE_HELP = "Run the simulated machine on real links until it is stopped."

@@ -1,4 +1,5 @@
-"""One device that implements all device roles with a simulated world in this process. It serves preflights and tests.
+"""One device that implements all device roles with a simulated world in this process. It serves tests and preflights
+(simulated executions of a plan before anything moves).
 
 The end of each motion is known when the motion begins. The device sleeps on the given clock exactly until this end, and
 the sleep advances the world.
@@ -48,7 +49,7 @@ class SimulatedMachineDevice:
     # ------------------------------------------------------------------ device
 
     def open(self) -> None:
-        """Connect the world to the clock.
+        """Connect the simulated world to the clock that was passed to the device.
 
         A virtual clock advances the world with every sleep. With any other clock, the device advances the world to the
         present time before each answer.
@@ -180,7 +181,7 @@ class SimulatedMachineDevice:
         return self._controller.temperatures()
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Move the artefact if the request asks for a move, and return True for consent.
+        """Move the artefact if the request asks for a move, and return True (the answer yes).
 
         Returns False only if a request to move the artefact names no station.
         """

@@ -21,7 +21,7 @@ log = structlog.get_logger()
 
 
 class SimulatedOperatorSettings(DriverOptions):
-    """Address on which `volcal simulate` listens for control requests, as given in its ready line."""
+    """Address on which `volcal simulate` listens for control requests, as printed in its first line of output."""
 
     former_keys: ClassVar[Mapping[str, str]] = {"answer_within_s": "response_timeout_s"}
 
@@ -63,7 +63,7 @@ class SimulatedOperator:
         return [DiagnosticFinding(self._name, ok=True, text=text)]
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Place the artefact at the requested station if the request names one, and return True for consent.
+        """Place the artefact at the requested station if the request names one, and return True (the answer yes).
 
         Raises CommandRejected if the simulator refuses the request, and LinkError if the simulator does not answer.
         """

@@ -1,4 +1,5 @@
-"""Plugin `simulated`: a machine in this process, for preflights and trials.
+"""Plugin `simulated`: a machine in this process, for trials and preflights (simulated executions of a plan before
+anything moves).
 
 The settings are either the path of a scenario file or the keys of a scenario. `ideal = true` removes all errors of the
 simulated machine.
@@ -18,7 +19,9 @@ from simulators.world.world import World
 
 
 class SimulatedSettings(BaseModel):
-    """Settings of the plugin: either `scenario`, the path of a scenario file, or the keys of `ScenarioDocument`."""
+    """Settings of the plugin `simulated`: either `scenario`, the path of a scenario file, or the keys of
+    `ScenarioDocument`.
+    """
 
     model_config = ConfigDict(extra="allow", frozen=True)
 

@@ -1,7 +1,8 @@
 """Scenario of a simulation, given as a TOML file or as the same keys in the settings. Unknown keys are refused.
 
 If a value has a unit, the name of its key ends with this unit. If a section (`[truth]`, `[mount]`, …) is missing, its
-defaults apply. `ideal = true` removes every error, as for a preflight.
+defaults apply. `ideal = true` removes every error, as for a preflight (simulated execution of a plan before anything
+moves).
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ class TruthSettings(StrictModel):
 
 
 class ArtefactTruthSettings(StrictModel):
-    """Deviation of the true artefact from its certificate.
+    """Deviation of the true artefact from its calibration certificate.
 
     `certificate_error` is in units of the certificate's standard uncertainties, and `cte_error` is in units of the
-    standard uncertainty of the CTE.
+    standard uncertainty of the coefficient of thermal expansion (CTE).
     """
 
     seed: int = Field(default=4, ge=0)
@@ -111,8 +112,8 @@ class AgeingSettings(StrictModel):
     errors of X, Y and Z change as sines with the amplitudes `seasonal_um_per_m`, the phases `phases_deg` and the period
     `season_nights`. All errors also change in a random walk. `walk_um` is the rms over the working volume of the
     deviation that one night of this walk adds. On night `collision_night`, errors jump by the values of `collision`, in
-    µm or µrad. Each key of `collision` is the ISO name of an error and may add the Legendre order of the coefficient
-    that jumps. Without an order, the coefficient of the lowest order jumps.
+    µm or µrad. Each key of `collision` is the ISO name of an error, such as EXX, and may add the Legendre order of the
+    coefficient that jumps, as in EXX[1]. Without an order, the coefficient of the lowest order jumps.
     """
 
     night: int = Field(default=0, ge=0)
@@ -135,8 +136,8 @@ class ScenarioDocument(StrictModel):
     its own mount. In this case `artefacts` may give one artefact for each station; otherwise one artefact is moved from
     mount to mount.
 
-    If `noise_by_step` is True, noise depends on the step tag that an agent sends with a motion, and a repeated step has
-    the same noise. Otherwise, noise depends on the number of the motion.
+    If `noise_by_step` is True, noise depends on the step tag (a number that identifies the step) that an agent sends
+    with a motion, and a repeated step has the same noise. Otherwise, noise depends on the number of the motion.
     """
 
     machine: Path
@@ -196,7 +197,7 @@ class Scenario:
 
     @property
     def mount_count(self) -> int:
-        """Number of mounts."""
+        """Number of rotary mounts of the simulated machine."""
         return len(self.settings.stations_mm) if self.settings.own_mounts else 1
 
     def _refuse_mounts_that_do_not_fit(self) -> None:
@@ -213,7 +214,9 @@ class Scenario:
             )
 
     def without_errors(self) -> Scenario:
-        """Return the scenario without any error, as used for a preflight."""
+        """Return the scenario without any error, as used for a preflight (simulated execution of a plan before anything
+        moves).
+        """
         return dataclasses.replace(self, settings=ideal_document(self.settings))
 
 

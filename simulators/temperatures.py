@@ -23,10 +23,10 @@ class ThermalSettings(StrictModel):
     None. In addition, the temperatures of artefact and machine may drift linearly with time, in K per hour.
 
     The thermal effects are proportional to the temperature change since the start. `growth_um_per_k` moves the tip,
-    because spindle and ram grow. `scale_um_per_m_k` stretches the scale of each axis about its zero. `bend_um_per_k`
-    displaces the top of the column forwards; this bending lags behind the machine's thermometer with the time constant
-    `bend_time_constant_h`. `artefact_bow_um_per_k` displaces the middle of the bar, per kelvin by which the ambient
-    temperature has risen more than the temperature of the bar.
+    because spindle and ram grow. `scale_um_per_m_k` stretches the measuring scale of each axis about its zero.
+    `bend_um_per_k` displaces the top of the column forwards; this bending lags behind the machine's thermometer with
+    the time constant `bend_time_constant_h`. `artefact_bow_um_per_k` displaces the middle of the artefact, a bar, per
+    kelvin by which the ambient temperature has risen more than the temperature of the bar.
 
     `artefact_sensors` is the number of thermometers on the artefact. `sensor_offset_k` gives the offset of each
     thermometer by its name (``artefact``, ``artefact-2``, ``machine``, ``ambient``). `sensor_noise_k` is the noise of

@@ -1,1 +1,1 @@
-"""Simulated plant (machine, balls and mount) around a real LinuxCNC controller."""
+"""Simulated plant (machine, balls and rotary mount) around a real LinuxCNC controller."""

@@ -24,8 +24,9 @@ JOINTS = 3
 class LinuxCncInstance:
     """Context manager for a running LinuxCNC.
 
-    `speed` is the number of seconds that pass in the controller per second of wall time. `directory` holds the INI and
-    HAL files and receives the log. Programs that the HAL files load are searched for in the directory `programs` first.
+    `speed` is the number of seconds that pass in the controller per second of wall time. `directory` holds the
+    configuration (INI file and files of the hardware abstraction layer, HAL) and receives the log. Programs that the
+    HAL files load are searched for in the directory `programs` first.
     """
 
     def __init__(self, directory: Path, ini: str, *, speed: float, programs: Path) -> None:

@@ -1,6 +1,6 @@
 """LinuxCNC and the simulated plant (machine, balls and mount) around it, as one machine in its own Linux namespaces.
 
-The machine has CAN drives and a control channel.
+The rotary mount has CAN drives. A control channel offers the actions of a person at the machine.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ BUILD_WITHIN_S: Final = 120.0
 
 
 def build(components: Path, out: Path) -> list[Path]:
-    """Compile the HAL components of the plant and of the driver, and return the paths of the modules for LinuxCNC to
-    load.
+    """Compile the components of the simulated plant and of volcal's LinuxCNC driver for LinuxCNC's hardware abstraction
+    layer (HAL), and return the paths of the modules for LinuxCNC to load.
 
     Raises ConfigurationError if a component does not compile.
     """
@@ -61,8 +61,8 @@ def _compile(command: list[str], directory: Path) -> None:
 
 
 class LinuxCncMachine:
-    """Context manager that runs the whole machine. It can be entered once, by a process inside the machine's
-    namespaces.
+    """Context manager that runs LinuxCNC and the simulated plant around it. It can be entered once, by a process inside
+    the machine's namespaces.
 
     The directory `work` holds the configuration and the components, and receives all other files.
     """

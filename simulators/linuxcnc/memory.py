@@ -51,7 +51,7 @@ _HEAD = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class DeviationGrid:
-    """Deviations on a grid of uncorrected axis positions, in mm.
+    """Deviations of the tool centre point on a grid of uncorrected axis positions, in mm.
 
     The grid nodes are at `origin_mm + index * step_mm`. `deviation_mm` has shape (nx, ny, nz, 3): the numbers of nodes
     along x, y and z, and the three components of a deviation.
@@ -64,7 +64,7 @@ class DeviationGrid:
 
 @dataclass(frozen=True)
 class ProbeBehaviour:
-    """Parameters of the probe and the axes; `reach_mm` is the distance between tip and ball centre at contact."""
+    """Parameters of the simulated probe and axes; `reach_mm` is the distance between tip and ball centre at contact."""
 
     seed: int
     reach_mm: float
@@ -78,9 +78,9 @@ class ProbeBehaviour:
 
 
 class PlantMemory:
-    """Shared memory through which this process and the servo thread exchange the simulated state.
+    """Shared memory through which this process and the servo thread of LinuxCNC exchange the simulated state.
 
-    Closing the object does not remove the file.
+    Closing the object does not remove the file at `path` that holds the memory.
     """
 
     def __init__(self, path: Path, grid: DeviationGrid, nature: ProbeBehaviour) -> None:
@@ -101,7 +101,7 @@ class PlantMemory:
         self._read = 0
 
     def show(self, balls_mm: Array, *, drift_mm: tuple[float, float, float], temperatures_c: list[float]) -> None:
-        """Publish the ball centres, the thermal drift of the tip, and the temperatures.
+        """Publish to the servo thread of LinuxCNC the ball centres, the thermal drift of the tip, and the temperatures.
 
         `balls_mm` has shape (n_balls, 3) and is in the workpiece frame.
         """
@@ -115,7 +115,7 @@ class PlantMemory:
         self._head["sequence"] += 1
 
     def read_trace(self) -> Array:
-        """Return the tip positions since the previous call, in mm and with shape (n_positions, 3).
+        """Return the positions of the stylus tip since the previous call, in mm and with shape (n_positions, 3).
 
         The first position is the last one of the previous call. If the memory has overflowed since that call, the
         oldest positions are missing.

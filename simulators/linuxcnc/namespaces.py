@@ -63,11 +63,11 @@ def unavailable_reason() -> str:
 
 
 def make_private(work: Path, modules: list[Path]) -> None:
-    """Prepare the namespaces. This must be the first call inside them.
+    """Prepare the Linux namespaces of this process, which must be new. This must be the first call inside them.
 
     The function activates the loopback interface and mounts a private /dev/shm and a private /tmp. In the private /tmp,
-    `work` and the volcal programs are still found at their old paths. The files `modules` are added to the modules that
-    LinuxCNC can load.
+    the directory `work` and the volcal programs are still found at their old paths. The files `modules` are added to
+    the modules that LinuxCNC can load.
     """
     _run("ip", "link", "set", "lo", "up")
     # faketime names its shared memory by process ids, which restart in a new namespace

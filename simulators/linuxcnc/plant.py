@@ -1,7 +1,8 @@
 """World around LinuxCNC: the simulated true machine, artefact and mount.
 
-The state of the world is published to the servo thread. The world's own simulated controller is not used: LinuxCNC
-moves the axes, and a realtime component reports probe trips. Collisions are searched for along the path of the tip.
+The state of the world is published to the servo thread of LinuxCNC. The world's own simulated controller is not used:
+LinuxCNC moves the axes, and a realtime component reports probe trips. Collisions are searched for along the path of the
+tip.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ NEAR_MM = 2.0
 
 
 class LinuxCncPlant:
-    """Simulated plant; `on_advance` is called after each advance of the world's time."""
+    """Simulated plant (machine, balls and mount) around LinuxCNC; `on_advance` is called after each advance of the
+    simulated time.
+    """
 
     def __init__(self, scenario: Scenario, file: Path) -> None:
         self.world = World(scenario)
@@ -55,7 +58,9 @@ class LinuxCncPlant:
         self.on_advance(0.0)
 
     def on_advance(self, now_s: float) -> None:
-        """Publish the present state and search for collisions on the path taken since the last call."""
+        """Publish the present state of the plant to LinuxCNC, and search for collisions on the path of the tip since
+        the last call.
+        """
         snapshot = self.world.table.snapshot(now_s)
         trace = self.memory.read_trace()
         if snapshot is not self._shown:

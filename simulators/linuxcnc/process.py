@@ -21,7 +21,9 @@ _ASK = "import socket, sys; s = socket.create_connection((sys.argv[1], int(sys.a
 
 
 class LinuxCncProcess:
-    """Context manager that runs LinuxCNC and its plant, and ends both on exit."""
+    """Context manager that runs LinuxCNC and the simulated plant around it in a separate process, and ends both on
+    exit.
+    """
 
     def __init__(self, *, scenario: Path, configuration: Path, components: Path, work: Path, speed: float) -> None:
         self.work = work

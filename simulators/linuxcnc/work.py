@@ -12,7 +12,9 @@ TABLES = "tables"
 
 
 def prepare_work_directory(configuration: Path, components: Path, work: Path) -> None:
-    """Copy the INI, HAL and tool files and the HAL files of the components, and create the directory for tables.
+    """Copy LinuxCNC's INI, HAL (hardware abstraction layer) and tool files and the HAL files of the components.
+
+    A directory for compensation tables is created as well.
 
     The agent's settings are not copied.
     """

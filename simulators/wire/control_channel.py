@@ -1,4 +1,5 @@
-"""Control channel over TCP. It offers the actions of a person at the machine, and facts known only to the simulator.
+"""Control channel over TCP. It offers the actions of a person at the machine, and facts known only to the simulator,
+such as the true errors.
 
 Each request and each answer is one JSON object on one line. Invalid input is answered with ``{"error": ...}``.
 """
@@ -30,7 +31,8 @@ log = structlog.get_logger()
 
 class VolumetricTruth(Protocol):
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """Return the true volumetric error in µm with the table of `bank` active, first raw and then aligned.
+        """Return the true volumetric error in µm with the compensation table of `bank` active, first raw and then
+        aligned.
 
         The aligned error remains after the best-fitting rigid motion is removed. If `bank` is None or 0, no table is
         active.
@@ -71,7 +73,7 @@ class ControllerView(Protocol):
 
 
 class ControllableWorld(TimeDriven, Protocol):
-    """Interface that the control channel needs from a world."""
+    """Interface that the control channel needs from a simulated world."""
 
     @property
     def controller(self) -> ControllerView: ...

@@ -25,7 +25,8 @@ class PseudoTerminal:
     """One serial line. The function `received` is called with the bytes that arrive, in this object's own thread.
 
     Bytes sent are lost once the terminal's buffer is full, as on a line without handshake. Tests set `distort` to a
-    function that alters the bytes sent, as a bad cable does. Raises ConfigurationError if the link cannot be made.
+    function that alters the bytes sent, as a bad cable does. Raises ConfigurationError if a link to the terminal cannot
+    be created at the path `link`.
     """
 
     def __init__(self, name: str, received: Callable[[bytes], None], link: str = ANY) -> None:
@@ -77,7 +78,7 @@ class PseudoTerminal:
             return 0
 
     def pump(self) -> None:
-        """Process received bytes in the caller's thread, for callers that are driven by machine time."""
+        """Process received bytes in the caller's thread, for callers that are driven by simulated machine time."""
         with contextlib.suppress(BlockingIOError):
             if not self._closed:
                 self._received(os.read(self._ours, RECEIVE_BYTES))

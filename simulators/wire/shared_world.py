@@ -1,4 +1,4 @@
-"""One world with its lock, and the protocol servers and CAN nodes that advance with its time."""
+"""One simulated world with its lock, and the protocol servers and CAN nodes that advance with its time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 
 
 class TimeDriven(Protocol):
-    """Interface of an object whose machine time is advanced by its owner."""
+    """Interface of an object, such as a simulated world, whose machine time is advanced by its owner."""
 
     @property
     def now(self) -> float: ...
@@ -27,7 +27,8 @@ class _Companion:
 
 
 class SharedWorld(Generic[W_co]):
-    """World with a lock that serialises access. Hold `lock` (re-entrant) while reading `world` or commanding it.
+    """Simulated world with a lock that serialises access. Hold `lock` (re-entrant) while reading `world` or commanding
+    it.
 
     Companions are objects that follow the world's time, such as a heartbeat monitor or CAN nodes. They are called after
     each advance, under the lock. If a companion must be called at a certain instant, its `wakes_at` returns this
@@ -61,7 +62,9 @@ class SharedWorld(Generic[W_co]):
             self._companions.append(_Companion(on_advance, wakes_at))
 
     def advance_to(self, instant_s: float) -> None:
-        """Advance the world and its companions to `instant_s`. Does nothing if this instant has passed."""
+        """Advance the world, and the objects that follow its time, to the machine time `instant_s`. Does nothing if
+        this instant has passed.
+        """
         with self.lock:
             while self._world.now < instant_s:
                 self._step_to(min(instant_s, self._next_wake(instant_s)))

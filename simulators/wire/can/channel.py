@@ -56,7 +56,7 @@ class CanChannel:
 
 
 def open_channel(spec: str) -> CanChannel:
-    """Open the simulator's end of the bus given by `spec`, in one of the forms listed in the module.
+    """Open the simulator's end of the bus given by `spec`, in one of the forms listed in the docstring of the module.
 
     Raises ConfigurationError if `spec` has none of the known forms or the bus is not available.
     """
@@ -80,7 +80,9 @@ def open_channel(spec: str) -> CanChannel:
 
 
 def multicast_works(group: str = MULTICAST_GROUP, *, within_s: float = 0.5) -> bool:
-    """Return True if a frame sent to the multicast group is received on this computer within `within_s`."""
+    """Return True if a frame sent to the UDP multicast address `group` is received on this computer within `within_s`
+    seconds.
+    """
     try:
         port = _free_udp_port()
         with _multicast_bus(group, port) as sender, _multicast_bus(group, port) as receiver:

@@ -1,9 +1,9 @@
-"""CiA 402 drive for one axis of the simulated mount, written from the text of this profile.
+"""CiA 402 drive for one axis of the simulated mount, written from the text of this device profile.
 
 The drive implements the power drive state machine, profile position mode, homing mode, quick stop, fault reaction and
-limits. The position unit is the encoder count unless the factor group defines another unit. Speeds are in position
-units per second. The drive has no motion of its own: the physics of the mount advances with the world's clock. The
-drive reads the state of the mount on every request and after every advance.
+limits. The position unit is the encoder count unless the factor group (the objects for resolution, gear ratio and feed)
+defines another unit. Speeds are in position units per second. The drive has no motion of its own: the physics of the
+mount advances with the world's clock. The drive reads the state of the mount on every request and after every advance.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class MountAxes(Protocol):
     def moving(self, axis: str) -> bool: ...
 
     def halt(self, axis: str | None = None) -> None:
-        """Brake one axis, or both if `axis` is None."""
+        """Brake one axis of the mount, or both if `axis` is None."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ class DriveConfig:
     """Configuration of one simulated drive.
 
     `counts_per_degree` is the number of encoder increments per degree, and `zero_deg` is the mount angle at which the
-    encoder reads 0. `factors` is the factor group, or None if the drive has no factor group.
+    encoder reads 0. `factors` is the factor group (the objects that define the position unit), or None if the drive has
+    none.
     """
 
     node_id: int
@@ -66,7 +67,10 @@ class DriveConfig:
 
 
 class PowerDriveState(IntEnum):
-    """Drive states. The values are bits 0-3, 5 and 6 of the statusword (bit 5, quick stop, is active low)."""
+    """States of a CiA 402 drive.
+
+    The values are bits 0-3, 5 and 6 of the statusword (bit 5, quick stop, is active low).
+    """
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -82,7 +86,9 @@ POWERED = frozenset({PowerDriveState.SWITCHED_ON, PowerDriveState.ENABLED, Power
 
 
 class ServoDrive:
-    """Device application of one simulated drive, which a `CanopenNode` connects to the bus."""
+    """Device application of one simulated drive (the part without communication), which a `CanopenNode` connects to the
+    bus.
+    """
 
     def __init__(self, config: DriveConfig, axes: MountAxes) -> None:
         self._config = config
@@ -122,11 +128,13 @@ class ServoDrive:
 
     @property
     def error_register(self) -> int:
-        """Error register 0x1001. Bit 0 means a generic error, and bit 5 means an error of the device profile."""
+        """Value of the error register, object 0x1001. Bit 0 means a generic error, and bit 5 means an error specific to
+        the device profile.
+        """
         return 0x21 if self._state in (PowerDriveState.FAULT, PowerDriveState.FAULT_REACTION) else 0x00
 
     def trip(self, code: int, *, persistent: bool = False) -> None:
-        """Cause an internal fault: stop the motion and send an emergency message with `code`.
+        """Cause an internal fault: stop the motion and send an emergency message with the error code `code`.
 
         A reset does not clear a `persistent` fault.
         """
@@ -160,7 +168,7 @@ class ServoDrive:
         self._home_switch = not lost
 
     def warn(self, code: int) -> None:
-        """Send an emergency message with `code`, without entering a fault state."""
+        """Send an emergency message with the error code `code`, without entering a fault state."""
         self._emergencies.append(code)
 
     def take_emergencies(self) -> list[int]:

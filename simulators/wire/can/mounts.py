@@ -35,7 +35,7 @@ BUS_OFF = can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=T
 
 
 class CanMounts:
-    """Drives of all mounts on one CAN bus. The constructor opens the bus.
+    """Drives of all mounts on one CAN bus. The constructor opens the bus given by `spec`.
 
     `lock` protects the world, whose state the drives read.
     """
@@ -54,7 +54,8 @@ class CanMounts:
         return self._channel.agent_settings
 
     def fail(self, node_id: int, fault: str) -> None:
-        """Inject a fault into one drive, or clear it. The caller must hold the lock.
+        """Inject a fault into the drive with the given node id, or clear it. The caller must hold the lock of the
+        world.
 
         Raises InputError for an unknown node or fault.
         """

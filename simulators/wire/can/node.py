@@ -41,7 +41,9 @@ class Application(Protocol):
     def advance(self, now_s: float) -> None: ...
 
     def take_emergencies(self) -> list[int]:
-        """Return the error codes to be sent, oldest first. Code 0 means that an error was reset."""
+        """Return the error codes of the emergency messages to be sent, oldest first. Code 0 means that an error was
+        reset.
+        """
 
 
 class CanopenNode:
@@ -110,7 +112,7 @@ class CanopenNode:
         return []
 
     def advance(self, now_s: float) -> list[Frame]:
-        """Advance the node to the time `now_s`, and return the frames due until then.
+        """Advance the node to the time `now_s`, and return the frames that the node must send until then.
 
         The frames contain only one heartbeat even if several heartbeats were due.
         """
@@ -127,7 +129,9 @@ class CanopenNode:
         self._heartbeat_ms = 0
 
     def lose_answers(self, count: int) -> None:
-        """Drop the next `count` SDO answers. The requests are nevertheless executed."""
+        """Drop the next `count` answers of the service data object (SDO) server. The requests are nevertheless
+        executed.
+        """
         self._answers_to_lose = count
 
     def _command(self, command: int) -> list[Frame]:

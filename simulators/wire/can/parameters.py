@@ -1,8 +1,8 @@
 """Parameters of a simulated drive outside its state machine, with their power-on values, as listed in CiA 402.
 
-Most parameters are only stored. The factor group (0x608F, 0x6091, 0x6092) and the polarity (0x607E) take effect. A
-position is increments * feed / (encoder resolution * gear ratio). Bit 7 of the polarity reverses the sign of the
-position.
+Most parameters are only stored. The factor group (objects 0x608F, 0x6091 and 0x6092, which define the position unit)
+and the polarity (0x607E) take effect. A position is increments * feed / (encoder resolution * gear ratio). Bit 7 of the
+polarity reverses the sign of the position.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class FactorGroup:
 
     @classmethod
     def in_increments(cls, increments: int, gear: int) -> FactorGroup:
-        """Return factors with which the position unit is one encoder increment."""
+        """Return a factor group with which the position unit is one encoder increment."""
         return cls((increments, 1), (gear, 1), (increments * gear, 1))
 
     def entries(self) -> dict[Key, tuple[str, int]]:
@@ -66,7 +66,8 @@ class FactorGroup:
 class Parameters:
     """Values of a drive's parameters by index and sub-index.
 
-    If the drive has no factor group, its position unit is the encoder increment.
+    If the drive has no factor group (the objects that define the position unit), its position unit is the encoder
+    increment.
     """
 
     def __init__(self, factors: FactorGroup | None) -> None:
@@ -97,7 +98,7 @@ class Parameters:
         return (-1.0 if self[POLARITY] & REVERSED_POSITION else 1.0) * feed / (resolution * gear)
 
     def within_limits(self, position: int) -> int:
-        """Return `position` clipped to the software limits, or unchanged if no limits are set."""
+        """Return `position` clipped to the drive's software limits, or unchanged if no limits are set."""
         lower, upper = self[LOWER_LIMIT], self[UPPER_LIMIT]
         return min(max(position, lower), upper) if lower < upper else position
 

@@ -23,7 +23,9 @@ ABORT_LOCAL_STATE = 0x08000022
 
 
 class SdoAbortError(Exception):
-    """Error with which the reader or writer of an entry aborts a transfer. `code` is sent to the client."""
+    """Error with which the function that reads or writes an entry of the object dictionary aborts a transfer. The abort
+    code `code` is sent to the client.
+    """
 
     def __init__(self, code: int) -> None:
         super().__init__(f"SDO abort 0x{code:08X}")
@@ -32,7 +34,7 @@ class SdoAbortError(Exception):
 
 @dataclass(frozen=True)
 class ObjectEntry:
-    """One entry of the object dictionary.
+    """One entry of the object dictionary of a CANopen node.
 
     `code` is the `struct` letter of the entry's little-endian type, and is empty for a visible string.
     """

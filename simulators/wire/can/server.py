@@ -46,7 +46,9 @@ class CanServer:
         return self
 
     def advance(self, now_s: float) -> None:
-        """Set the time of all nodes to `now_s`, and send the heartbeats and emergency messages that are due."""
+        """Set the time of all nodes to `now_s`, and send the heartbeats and emergency messages that they must send
+        until then.
+        """
         with self._lock:
             for node in self._nodes:
                 self._send(node.advance(now_s))

@@ -35,7 +35,7 @@ IDENTIFICATION = {"V": b"V1013", "N": b"NVC01"}
 
 
 class SlcanPeerBus(can.BusABC):
-    """Bus behind the adapter. The host opens the pseudo-terminal at `port`.
+    """CAN bus behind a simulated serial adapter. The host opens the pseudo-terminal at `port`.
 
     `link` is a path that is made a link to the pseudo-terminal, or "any" for no link.
     """
@@ -62,7 +62,7 @@ class SlcanPeerBus(can.BusABC):
         self._off_bus = True
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame to the host if the host has opened the channel."""
+        """Send a frame to the host if the host has opened the channel of the serial adapter."""
         del timeout
         if not self._open or self._off_bus or msg.is_error_frame:
             return
@@ -162,7 +162,7 @@ class SlcanPeerBus(can.BusABC):
 
 
 def format_frame(message: can.Message) -> bytes:
-    """Return the text of a frame as the adapter writes it, without the final CR."""
+    """Return the text of a frame as the serial CAN adapter writes it, without the final CR."""
     letters = "rR" if message.is_remote_frame else "tT"
     extended = message.is_extended_id
     identifier = f"{message.arbitration_id:08X}" if extended else f"{message.arbitration_id:03X}"
@@ -171,7 +171,9 @@ def format_frame(message: can.Message) -> bytes:
 
 
 def parse_frame(command: str) -> can.Message:
-    """Return the frame of a transmit command. Raises ValueError for an invalid command."""
+    """Return the frame that a transmit command for the serial CAN adapter contains. Raises ValueError for an invalid
+    command.
+    """
     extended, remote = command[0] in "TR", command[0] in "rR"
     digits = 8 if extended else 3
     identifier, length, data = command[1 : 1 + digits], command[1 + digits : 2 + digits], command[2 + digits :]

@@ -56,7 +56,7 @@ class SocketcandServerBus(can.BusABC):
         self._lock = threading.RLock()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame to every client in raw mode, and disconnect clients that do not accept it."""
+        """Send a frame to every client in raw mode, and disconnect clients to which it cannot be sent."""
         del timeout
         self._broadcast(msg, sender=None)
 

@@ -26,7 +26,7 @@ class PlannedMove:
 
 
 class GrblAxes:
-    """Axes that execute the moves of the planner.
+    """Axes that execute the moves that the planner of a simulated GRBL controller has accepted.
 
     `current_move` holds a move from its start until the controller has noticed its end.
     """
@@ -92,9 +92,10 @@ class GrblAxes:
         return any(value > 0.0 or value < -length for value, length in zip(target_mm, travel, strict=True))
 
     def begin(self, move: PlannedMove, *, touching: bool = False, leaving: bool = False) -> bool:
-        """Start a move, and return False if the physics refuses the move.
+        """Start a move, and return False if the simulated machine refuses the move.
 
-        With `touching`, the move ends at a trip of the probe. With `leaving`, the move ends when the probe comes free.
+        If `touching` is True, the move ends at a trip of the probe. If `leaving` is True, the move ends when the probe
+        comes free.
         """
         self.current_move, self._leaving, self.released_at_mm = move, leaving, None
         target = np.array(self._coordinates.to_axes(move.target_mm))
@@ -110,16 +111,17 @@ class GrblAxes:
         return True
 
     def watch_pin(self) -> None:
-        """Brake the axes if the move was started with `leaving` and the probe has come free."""
+        """Brake the axes if the current move was to end when the probe comes free, and the probe has come free."""
         free_s = self._physics.probe_free_s if self._leaving else None
         if free_s is not None and self._now() >= free_s and self.released_at_mm is None:
             self.released_at_mm = self.position()
             self._physics.halt()
 
     def next_event_s(self) -> float | None:
-        """Return the time in s of the next event, or None if no event is known.
+        """Return the machine time in s of the next event of the current move, or None if no event is known.
 
-        The event is the end of the motion or, if this is earlier, the instant at which the probe comes free.
+        The event is the end of the motion or, if this is earlier and the move is to end there, the instant at which the
+        probe comes free.
         """
         free_s = self._physics.probe_free_s if self._leaving and self.released_at_mm is None else None
         known = [instant for instant in (self._physics.motion_ends_s, free_s) if instant is not None]

@@ -86,7 +86,7 @@ class GrblController:
 
     def received(self, data: bytes) -> None:
         """Handle the real-time characters among the received bytes at once, and store the other bytes for the main
-        program.
+        program, which reads them line by line.
         """
         for byte in data:
             if byte in _REALTIME:
@@ -96,13 +96,15 @@ class GrblController:
         self._run()
 
     def on_advance(self, _now_s: float) -> None:
-        """Handle an opened door, and continue the main program, after the world has advanced."""
+        """Handle an opened door, and continue the main program (which executes lines), after the simulated time has
+        advanced.
+        """
         if self._axes.door_open and self.state is not GrblState.DOOR:
             self.open_door()
         self._run()
 
     def wakes_at(self) -> float | None:
-        """Return the next instant in s at which the controller must be called, or None if there is none."""
+        """Return the next instant in s at which `on_advance` must be called, or None if there is none."""
         known = [instant for instant in (self._axes.next_event_s(), self._dwell_until_s) if instant is not None]
         return min(known, default=None)
 

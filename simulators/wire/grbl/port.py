@@ -1,4 +1,4 @@
-"""Simulated GRBL controller on a pseudo-terminal, as part of a world."""
+"""Simulated GRBL controller on a pseudo-terminal, as part of a simulated world."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class WorldWithAxes(TimeDriven, Protocol):
 
 
 class GrblPort:
-    """Simulated GRBL controller on a pseudo-terminal. It controls the axes and the probe of the world."""
+    """Simulated GRBL controller on a pseudo-terminal. It controls the axes and the probe of the simulated world."""
 
     def __init__(
         self,

@@ -27,7 +27,7 @@ OVERRIDES_EVERY = {True: 20, False: 10}
 
 @dataclass(frozen=True)
 class StatusSnapshot:
-    """Controller state at one instant, with lengths in mm in machine coordinates.
+    """State of a GRBL controller at one instant, with lengths in mm in machine coordinates.
 
     `state` is the name of the state with its sub-state, if there is one (``Hold:0``).
     """
@@ -46,7 +46,7 @@ class StatusSnapshot:
 
 
 class StatusReporter:
-    """Formatter of status reports, which selects the fields of each report.
+    """Formatter of GRBL status reports, which selects the fields of each report.
 
     The work offset and the overrides are contained only in some reports, at regular intervals and after each change.
     """

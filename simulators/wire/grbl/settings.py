@@ -27,7 +27,7 @@ class SettingRefusedError(Exception):
 
 
 class GrblSettings:
-    """Settings for axes with the given limits.
+    """The `$` settings of a simulated GRBL 1.1, for axes with the limits `limits`.
 
     Homing and soft limits are enabled. The default resolution is 1000 steps per mm.
     """

@@ -1,1 +1,1 @@
-"""Simulated controller behind the Modbus register map (TCP and RTU)."""
+"""Simulated controller that clients reach through the Modbus register map (TCP and RTU)."""

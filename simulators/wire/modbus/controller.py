@@ -3,7 +3,8 @@
 The module contains its own server on a plain socket instead of using pymodbus, for two reasons. The first reason is
 speed, because a nightly run makes about 35,000 status transactions. A complete transaction takes 0.13 ms here. The
 asyncio server of pymodbus 3.16 needs 0.39 ms before any register is interpreted (both times are measured). The second
-reason is that the write and the read of function 23 must be one transaction under the world's lock.
+reason is that the write and the read of Modbus function 23 must be one transaction under the lock of the simulated
+world.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class WorldWithController(TimeDriven, Protocol):
 def attach_registers(
     shared: SharedWorld[WorldWithController], numbers: RegisterNumberFormat | None = None
 ) -> ControllerRegisters:
-    """Return the registers of the world's controller, connected to the world's time.
+    """Return the Modbus registers of the simulated controller, connected to the time of the simulated world.
 
     After each advance of this time, the registers check whether a motion has ended or must be stopped.
     """
@@ -43,7 +44,10 @@ def attach_registers(
 
 
 class ModbusController:
-    """Modbus TCP server of the world's controller on `address`. It serves one client at a time; other clients wait."""
+    """Modbus TCP server of the simulated controller on `address`.
+
+    It serves one client at a time; other clients wait.
+    """
 
     def __init__(
         self,

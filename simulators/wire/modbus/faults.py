@@ -1,4 +1,4 @@
-"""Fault codes of the register map (table 9.1) for the fault texts of the simulated machine."""
+"""Fault codes (docs/reference/modbus-register-map.md, table 9.1) for the fault texts of the simulated machine."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ _FAULT_WORDS: Final = (
 
 
 def fault_code(fault: str) -> FaultCode:
-    """Return the code for a fault text of the simulated machine, or 99 (other) if no code matches."""
+    """Return the fault code of the Modbus register map for a fault text of the simulated machine, or 99 (other) if no
+    code matches.
+    """
     words = fault.lower()
     for marker, code in _FAULT_WORDS:
         if marker in words:
@@ -37,7 +39,10 @@ def fault_code(fault: str) -> FaultCode:
 
 
 def outcome_of(fault: FaultCode) -> ModbusOutcome:
-    """Return the motion outcome (table 9.3) for a motion that ended with the fault text `fault`."""
+    """Return the outcome of a motion that ended with the fault code `fault`.
+
+    Fault codes and outcomes are those of docs/reference/modbus-register-map.md, tables 9.1 and 9.3.
+    """
     if fault is FaultCode.PROBE_TRIPPED:
         return ModbusOutcome.GUARD_TRIPPED
     return ModbusOutcome.HEARTBEAT_LOST if fault is FaultCode.HEARTBEAT_LOST else ModbusOutcome.FAULT

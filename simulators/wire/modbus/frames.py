@@ -1,7 +1,9 @@
-"""Modbus TCP framing. The received stream is split into requests, and functions 3, 16 and 23 act on a set of registers.
+"""Modbus TCP framing. The received stream is split into requests, and the Modbus functions 3, 16 and 23 act on a set of
+registers.
 
-Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application Protocol V1.1b3
-(functions 3, 16 and 23: 6.3, 6.12, 6.17); docs/reference/modbus-register-map.md, section 1.
+Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (Modbus application protocol (MBAP) header, 3.1.3);
+MODBUS Application Protocol V1.1b3 (functions 3, 16 and 23: 6.3, 6.12, 6.17); docs/reference/modbus-register-map.md,
+section 1.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Registers for motion: commands, outcome, latch, fault codes, and supervision of the agent's heartbeat.
 
-Source: docs/reference/modbus-register-map.md, 3, 5, 7 and 9.
+Source: docs/reference/modbus-register-map.md, sections 3, 5, 7 and 9.
 """
 
 from __future__ import annotations
@@ -68,9 +68,10 @@ class MotionRequest:
 
 
 class MotionRegisters:
-    """Registers 1004 … 1037 and the state behind them.
+    """Registers 1004 … 1037 of the Modbus register map (machine state, motion outcome, latched position), and the data
+    from which they are derived.
 
-    After a stop or a fault, the axes first brake. Until they are at rest, the state register shows moving, and the
+    After a stop or a fault, the axes first brake. Until they are at rest, the state register shows 1 (moving), and the
     outcome register shows 1 (under way).
     """
 
@@ -99,14 +100,14 @@ class MotionRegisters:
 
     @property
     def permissions(self) -> int:
-        """Contents of register 1006, in which each permission has one bit."""
+        """Contents of register 1006 of the Modbus register map, in which each permission has one bit."""
         given = self._machine.permissions
         return sum(1 << bit for bit, name in enumerate(PERMISSION_BITS) if given[name])
 
     @property
     def probe(self) -> int:
-        """Contents of register 1007. Bit 0 means that the probe is loaded, bit 1 that it is healthy, bit 2 that it is
-        deflected.
+        """Contents of register 1007 of the Modbus register map. Bit 0 means that the probe is loaded, bit 1 that it is
+        healthy, bit 2 that it is deflected.
         """
         machine = self._machine
         return machine.probe_loaded | machine.probe_healthy << 1 | machine.probe_deflected << 2
@@ -119,7 +120,9 @@ class MotionRegisters:
         self._watched_since_s = self._now()
 
     def wakes_at(self) -> float | None:
-        """Return the instant in s at which the heartbeat in register 2000 becomes overdue, or None if no axis moves."""
+        """Return the instant in s at which the agent's heartbeat (register 2000) becomes overdue, or None if no axis
+        moves.
+        """
         if self._ending or self._machine.motion is not MotionState.MOVING:
             return None
         return self._watched_since_s + HEARTBEAT_WITHIN_S

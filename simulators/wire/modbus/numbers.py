@@ -14,7 +14,7 @@ BYTES_PER_NUMBER = 8
 
 
 class RegisterNumberFormat(Protocol):
-    """Codec for the ``f64`` type of the register map: four registers, eight bytes, high word first."""
+    """Codec for the ``f64`` type of the Modbus register map: four registers, eight bytes, high word first."""
 
     def pack(self, *values: float) -> bytes: ...
 
@@ -22,7 +22,7 @@ class RegisterNumberFormat(Protocol):
 
 
 class Float64Numbers:
-    """Encoding as IEEE 754 binary64."""
+    """Encoding of a number as IEEE 754 binary64 in four registers."""
 
     def pack(self, *values: float) -> bytes:
         return struct.pack(f">{len(values)}d", *values)
@@ -33,7 +33,9 @@ class Float64Numbers:
 
 @dataclass(frozen=True)
 class ScaledInt32Numbers:
-    """Encoding as an int32 in the first two of the four registers. The number is the int32 times `scale`.
+    """Encoding of a number, which occupies four registers, as an int32 in the first two of them.
+
+    The number is the int32 times `scale`.
 
     The other two registers are 0.
     """

@@ -1,4 +1,4 @@
-"""Interfaces of the physics behind the registers. `simulators.world.controller.Controller` implements them."""
+"""Interfaces of the physics behind the Modbus registers. `simulators.world.controller.Controller` implements them."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class TableMemory(Protocol):
 
 
 class ControllerPhysics(MovingMachine, TableMemory, Protocol):
-    """Interface to everything that the registers need from the simulated controller.
+    """Interface to everything that the Modbus registers need from the simulated controller.
 
     `simulators.world.controller.Controller` implements it.
     """

@@ -1,7 +1,8 @@
-"""Register map from the side of the controller: blocks, codes, and the layout of each block.
+"""Modbus register map from the side of the controller: blocks, codes, and the layout of each block.
 
-Source: docs/reference/modbus-register-map.md, sections 2 to 5, 8 and 9. The module is written from that page and not
-from the agent's driver, because an error in a shared map, such as a swapped word, would not be noticed.
+Source: docs/reference/modbus-register-map.md, sections 2 to 5, 8 and 9. The module is written from that page of the
+documentation and not from the agent's driver, because an error in a shared map, such as a swapped word, would not be
+noticed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ TEMPERATURE_SLOTS: Final = 8
 
 @dataclass(frozen=True)
 class RegisterBlock:
-    """Block of consecutive holding registers. A request must stay inside one block."""
+    """Block of consecutive holding registers, from `address`. A request must stay inside one block."""
 
     address: int
     registers: int
@@ -31,7 +32,7 @@ class RegisterBlock:
         return self.address <= address and address + count <= self.address + self.registers
 
     def slice_of(self, address: int, count: int) -> slice:
-        """Return the byte range of `count` registers from `address` within this block's image."""
+        """Return the slice of the block's bytes that holds `count` registers from `address`."""
         start = 2 * (address - self.address)
         return slice(start, start + 2 * count)
 
@@ -49,7 +50,9 @@ BLOCK_NUMBER_REGISTER: Final = 2320
 
 
 class ModbusExceptionCode(IntEnum):
-    """Exception codes (section 1 of the register map) with which the simulator answers; code 4 is never needed."""
+    """Exception codes (docs/reference/modbus-register-map.md, section 1) with which the simulator answers; code 4 is
+    never needed.
+    """
 
     FUNCTION_NOT_OFFERED = 1
     ILLEGAL_ADDRESS = 2
@@ -57,7 +60,7 @@ class ModbusExceptionCode(IntEnum):
 
 
 class ModbusCommandCode(IntEnum):
-    """Command codes (section 5)."""
+    """Command codes (docs/reference/modbus-register-map.md, section 5)."""
 
     MOVE_RAPID = 11
     MOVE_FEED = 12
@@ -86,7 +89,7 @@ MOTION_COMMANDS: Final = frozenset(
 
 
 class ModbusState(IntEnum):
-    """Machine states (register 1004)."""
+    """Machine states (register 1004 of the Modbus register map)."""
 
     IDLE = 0
     MOVING = 1
@@ -95,7 +98,7 @@ class ModbusState(IntEnum):
 
 
 class FaultCode(IntEnum):
-    """Fault codes (table 9.1)."""
+    """Fault codes (docs/reference/modbus-register-map.md, table 9.1)."""
 
     NONE = 0
     EMERGENCY_STOP = 1
@@ -112,7 +115,7 @@ class FaultCode(IntEnum):
 
 
 class ResultCode(IntEnum):
-    """Command results (table 9.2)."""
+    """Command results (docs/reference/modbus-register-map.md, table 9.2)."""
 
     NONE_YET = 0
     ACCEPTED = 1
@@ -136,7 +139,7 @@ class ResultCode(IntEnum):
 
 
 class ModbusOutcome(IntEnum):
-    """Motion outcomes (table 9.3)."""
+    """Motion outcomes (docs/reference/modbus-register-map.md, table 9.3)."""
 
     NONE = 0
     UNDER_WAY = 1
@@ -150,7 +153,7 @@ class ModbusOutcome(IntEnum):
 
 
 class LatchResult(IntEnum):
-    """Latch results (register 1025)."""
+    """Latch results: whether the probe tripped in a touch (register 1025 of the Modbus register map)."""
 
     NONE = 0
     TRIPPED = 1
@@ -158,7 +161,7 @@ class LatchResult(IntEnum):
 
 
 class ModbusBankState(IntEnum):
-    """Bank states (registers 1046 and 1047)."""
+    """States of a compensation bank (registers 1046 and 1047 of the Modbus register map)."""
 
     EMPTY = 0
     BEING_WRITTEN = 1

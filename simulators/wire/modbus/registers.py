@@ -1,6 +1,6 @@
-"""Holding registers of the controller: byte images of the blocks, and the effects of writing to them.
+"""Holding registers of the simulated controller: byte images of the blocks, and the effects of writing to them.
 
-Source: docs/reference/modbus-register-map.md, 2 to 6 and 8.
+Source: docs/reference/modbus-register-map.md, sections 2 to 6 and 8.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ ACTIVATION_CODE: Final = {
 
 
 class ControllerRegisters:
-    """Registers of the controller, which are read and written by address as bytes. The caller must hold the world's
-    lock.
+    """Registers of the simulated controller, which are read and written by address as bytes. The caller must hold the
+    lock of the simulated world.
     """
 
     def __init__(self, machine: ControllerPhysics, numbers: RegisterNumberFormat, now: Callable[[], float]) -> None:
@@ -230,7 +230,9 @@ def _require_representable(store: StoreLimits) -> None:
 
 
 def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFormat) -> bytes:
-    """Return the bytes of the block 1100 … 1162, which holds the limits of the controller."""
+    """Return the bytes of registers 1100 … 1162 of the Modbus register map, a block that holds the limits of the
+    controller.
+    """
     travel = numbers.pack(*axes.lower_mm, *axes.upper_mm, *axes.rapid_mm_per_s, *axes.acceleration_mm_per_s2)
     return LIMITS_LAYOUT.pack(
         travel,
@@ -243,7 +245,8 @@ def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFo
 
 
 def temperature_counts(temperatures: Mapping[str, float]) -> list[int]:
-    """Return eight temperatures in thousandths of a degree Celsius, filled up with `NO_TEMPERATURE`.
+    """Return eight temperatures in thousandths of a degree Celsius, filled up with `NO_TEMPERATURE` (the value for a
+    missing sensor).
 
     The temperatures of artefact, ambient and machine come first. The others follow in the order of their names.
     """

@@ -1,9 +1,9 @@
 """Simulated controller as a Modbus RTU unit on a pseudo-terminal.
 
 A pseudo-terminal has no transmission time and no baud rate, so this module simulates both. In lockstep, the agent
-controls time. The agent itself advances the machine's clock by the transmission time, and an answer is sent at once.
-With any other clock, the request, the silence before the answer and the answer take as long as on a cable. A client
-that has set another baud rate gets no answer.
+controls time: it advances the machine's clock by the transmission time, and an answer is sent at once. With any other
+clock, the request, the silence before the answer and the answer take as long as on a cable. A client that has set
+another baud rate gets no answer.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Parameters of the serial line. Parity and stop bits affect only the timing.
+    """Parameters of the simulated serial line. Parity and stop bits affect only the timing.
 
     `link` is a path that is made a link to the pseudo-terminal, or "any" for no link.
     """
@@ -59,9 +59,9 @@ class LineSettings:
 
 
 class ModbusRtuController:
-    """Modbus RTU server of the world's controller, which is unit 1 on the line.
+    """Modbus RTU server of the simulated controller, which is unit 1 on the serial line.
 
-    `clock` determines the duration of each transmission. It is None in lockstep.
+    `clock` determines the duration of each transmission. It is None in lockstep, when the agent controls time.
     """
 
     def __init__(

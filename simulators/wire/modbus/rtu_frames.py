@@ -20,7 +20,7 @@ class InvalidFrameError(Exception):
 
 
 def frame_crc(data: bytes) -> bytes:
-    """Return the CRC-16 as two bytes, low byte first."""
+    """Return the CRC-16 of a Modbus RTU frame as two bytes, low byte first."""
     register = 0xFFFF
     for byte in data:
         register ^= byte

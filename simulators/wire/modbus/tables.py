@@ -1,6 +1,6 @@
-"""Compensation tables in the registers: transfer in blocks, commit with CRC-32, and two-step activation.
+"""Compensation tables in the Modbus registers: transfer in blocks, commit with CRC-32, and two-step activation.
 
-Source: docs/reference/modbus-register-map.md, 8.
+Source: docs/reference/modbus-register-map.md, section 8.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ ARMED_FOR_S: Final = 5.0
 
 @dataclass(frozen=True)
 class TableGridDescriptor:
-    """Grid of one table, as in registers 2100 … 2133."""
+    """Bank, grid, resolution and CRC-32 of one compensation table, as in registers 2100 … 2133 of the Modbus register
+    map.
+    """
 
     bank: int
     shape: tuple[int, int, int]
@@ -62,7 +64,7 @@ class TableGridDescriptor:
         return all(map(isfinite, (*self.origin_mm, *self.step_mm, self.resolution_mm)))
 
     def fits(self, limits: StoreLimits) -> bool:
-        """Return True if the grid is within the limits and its steps are positive.
+        """Return True if the grid is within `limits` and its steps are positive.
 
         A step need not be positive on an axis with a single node.
         """
@@ -104,7 +106,7 @@ class CompleteTable:
 
 
 class BankRegisters:
-    """Registers of the status block that describe the banks, and the commands that change them.
+    """Registers of the Modbus status block that describe the banks, and the commands that change them.
 
     `memory` holds complete tables only. Banks with an unfinished transfer or a wrong CRC are recorded only in this
     class. A transfer cannot change the active bank of `memory`, and the table of this bank remains active during a
@@ -196,9 +198,10 @@ class BankRegisters:
         return None if same and descriptor.fits(self.limits) else ResultCode.DESCRIPTOR_NOT_ALLOWED
 
     def take_block(self, number: int, data: bytes) -> None:
-        """Append a block of data to the transfer.
+        """Append a block of data to the table that is being transferred.
 
-        `data` holds the contents of registers 2200 … 2319, and `number` is the value of register 2320.
+        `data` holds the contents of registers 2200 … 2319 of the Modbus register map, and `number` is the value of
+        register 2320.
         """
         transfer = self._transfer
         if transfer is None:
