@@ -1,4 +1,4 @@
-"""Simulated operator that moves the artefact of a simulated machine over its control channel."""
+"""Simulated operator that moves the artefact of a simulated machine over the machine's control channel."""
 
 from __future__ import annotations
 

@@ -30,7 +30,8 @@ Value = TypeVar("Value")
 
 
 class TruthSettings(StrictModel):
-    """Settings for the true errors of the simulated machine, which are drawn from the machine family.
+    """Settings for the true errors of the simulated machine, which are drawn from the machine family (the distribution
+    of the errors of machines of one make).
 
     `scale` multiplies the error amplitudes of the family.
     """

@@ -18,7 +18,7 @@ _ACTIVE = re.compile(r"volcal-active-bank 1\nbank (\d)\ncounts_crc32 ([0-9A-F]{8
 
 
 class BankFiles:
-    """Directory that contains the table files.
+    """Directory that contains the files of the compensation tables.
 
     Methods raise StoreError if a file is invalid or inaccessible, and ChecksumMismatch if a stored table was changed.
     """

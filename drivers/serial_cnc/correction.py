@@ -1,7 +1,7 @@
-"""Application of a table's correction to a point, and its inverse.
+"""Application of the correction of a compensation table to a position, and its inverse.
 
-Interpolation is the same as in a controller with tables: trilinear between nodes. Outside the grid, the correction at
-the nearest point of the grid's border applies.
+Interpolation is the same as in a controller that stores tables: trilinear between nodes. Outside the grid, the
+correction at the nearest point of the grid's border applies.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Correction:
             self._last = np.array(table.shape) - 1
 
     def at(self, position_mm: Vector) -> Vector:
-        """Return the correction in mm, shape (3,), at a displayed position."""
+        """Return the correction in mm, shape (3,), at the displayed axis position `position_mm`."""
         if self._table is None:
             return np.zeros(3)
         # Grid coordinates, limited to the grid; `cell` is the lower node of the cell, `share` the position within it.
@@ -49,7 +49,9 @@ class Correction:
         return result
 
     def apply(self, position_mm: Vector) -> Vector:
-        """Return the commanded position for a displayed position: commanded = displayed + correction(displayed)."""
+        """Return the commanded axis position for the displayed axis position `position_mm`: commanded = displayed +
+        correction(displayed).
+        """
         return position_mm + self.at(position_mm)
 
     def remove(self, sent_mm: Vector) -> Vector:

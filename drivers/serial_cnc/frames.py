@@ -35,7 +35,7 @@ class CoordinateFrames:
         self._where = where
 
     def to_machine(self, displayed_mm: Vector) -> Vector:
-        """Return the machine coordinates in mm, shape (3,), of a displayed position.
+        """Return the machine coordinates in mm, shape (3,), of the displayed axis position `displayed_mm`.
 
         The correction of the active compensation table is added, and the corrected position is limited to the travel of
         the axes.
@@ -48,7 +48,7 @@ class CoordinateFrames:
         return self._store.correction.remove(machine_mm - self._zero)
 
     def require_reachable(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """Raise CommandRejected if a target is outside the travel, or if the target or the feed is invalid."""
+        """Raise CommandRejected if a target is outside the axis travel, or if the target or the feed is invalid."""
         if not np.all(np.isfinite(target_mm)) or not (feed_mm_per_s is None or 0.0 < feed_mm_per_s < math.inf):
             raise CommandRejected(f"to {target_mm} with feed {feed_mm_per_s}: not a motion", **self._where)
         for axis, value, low, high in zip("XYZ", target_mm.tolist(), self._lower, self._upper, strict=True):

@@ -82,7 +82,7 @@ class SerialMotion:
         return self._control.require_ready(self._settings.motion_margin_s)
 
     def move_straight(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """Move in a straight line (G0 or G1) to a displayed position, without checking the probe."""
+        """Move in a straight line (G0 or G1) to the displayed axis position `target_mm`, without checking the probe."""
         start = self.require_ready().position_mm
         goal = self._frames.to_machine(target_mm)
         word = "G0" if feed_mm_per_s is None else "G1"
@@ -216,7 +216,7 @@ class SerialMotion:
 
 
 def axis_words(position_mm: Vector) -> str:
-    """Return the words for X, Y and Z in mm, as in ``X1.0000Y2.0000Z3.0000``.
+    """Return the G-code words for X, Y and Z in mm, as in ``X1.0000Y2.0000Z3.0000``.
 
     Four decimals are finer than the steps to which the controller rounds.
     """

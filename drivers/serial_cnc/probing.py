@@ -27,7 +27,7 @@ SHORTEST_MM = 5e-4
 
 @dataclass(frozen=True)
 class ProbeCycleResult:
-    """Result of a probe cycle, and the status after the cycle."""
+    """Result of a probe cycle (G38.3 or G38.5), and the controller's status after the cycle."""
 
     result: ProbeResult
     status: TrackedStatus
@@ -64,7 +64,7 @@ class SerialProbing:
         return Touch(position) if ended.result.tripped else Miss(position)
 
     def move_guarded(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """Move to a displayed position, and raise GuardTripped if the probe trips.
+        """Move to the displayed axis position `target_mm`, and raise GuardTripped if the probe trips.
 
         If the probe is deflected at the start, the axes first move towards the target until the probe comes free.
         Raises CommandRejected if this would press the probe further.

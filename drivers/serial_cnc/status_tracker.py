@@ -58,7 +58,7 @@ class TrackedStatus:
 
 
 class StatusTracker:
-    """Record of the controller's state, kept up to date from the reports while the device is open."""
+    """Record of a GRBL controller's state, kept up to date from its status reports while the device is open."""
 
     def __init__(self, conversation: Conversation, settings: ControllerSettings, *, by_hand: bool) -> None:
         self._conversation = conversation

@@ -14,7 +14,7 @@ Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 class TapeSettings(DriverOptions):
     """Settings of the serial line for tapes.
 
-    The defaults are those of the controller's manuals: 4800 baud, eight bits including parity, two stop bits.
+    The defaults are those of the FANUC manuals: 4800 baud, eight bits including parity, two stop bits.
     """
 
     port: str = Field(min_length=1)

@@ -19,7 +19,7 @@ NEGATIVE_VALUE, PULSE_TOO_SHORT, NO_SUCH_SETTING, BAD_NUMBER, SOFT_LIMITS_NEED_H
 
 
 class SettingRefusedError(Exception):
-    """Error for a refused setting. `code` is the number after ``error:``."""
+    """Error for a `$` setting that the simulated GRBL refuses. `code` is the number after ``error:``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)

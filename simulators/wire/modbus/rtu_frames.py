@@ -33,7 +33,8 @@ def frame_crc(data: bytes) -> bytes:
 
 
 def take_request(buffer: bytearray) -> tuple[int, bytes] | None:
-    """Remove the request at the front of `buffer`, and return its unit and the bytes between unit and CRC.
+    """Remove the request at the front of `buffer`, and return its unit address and the bytes between unit address and
+    CRC.
 
     Returns None if the request is incomplete. If the bytes cannot become a valid request, the buffer is emptied and
     InvalidFrameError is raised.
