@@ -56,8 +56,8 @@ class MachineDrift:
     (temperature changes in K).
 
     `parameter_indices` contains the indices of the f parameters that drift. `deviations` (f,) contains the prior
-    standard deviations of their drift in mm/K or rad/K. `regressor_count` is the number of thermal regressors. Scales
-    and tip depend on the first regressor (the temperature rise) only.
+    standard deviations of their drift in mm/K or rad/K. `regressor_count` is the number of thermal regressors. The
+    scale errors of the axes and the tip position depend on the first regressor (the temperature rise) only.
     """
 
     names: tuple[str, ...]
@@ -109,15 +109,15 @@ class MachineDrift:
 
     def change_matrix(self, course: Array) -> Array:
         """Return the matrix (f + 3, size) that, multiplied by the `size` drift unknowns, gives the changes of the f
-        drifting parameters and of the three tip coordinates since the start. `course` (w,) contains the values in K of
-        the w thermal regressors for which the changes are computed; at the start all are zero."""
+        drifting parameters and of the three tip coordinates since the start of the measurement. `course` (w,) contains
+        the values in K of the w thermal regressors for which the changes are computed; at the start all are zero."""
         units = np.diag(np.append(self.deviations, np.full(3, self.tip_mm_per_k)))
         further = [share * units[:, self.bending] for share in course[1:].tolist()]
         return np.concatenate((course[0] * units, *further), axis=1)
 
     def change(self, z: Array, course: Array) -> Array:
-        """Return the changes (f + 3,) of the f drifting parameters in mm or rad, followed by the changes of the three
-        tip coordinates in mm.
+        """Return the changes (f + 3,), since the start of the measurement, of the f drifting parameters in mm or rad,
+        followed by the changes of the three tip coordinates in mm.
 
         `z` (size,) contains the drift unknowns, and `course` (w,) contains the values in K of the w thermal regressors
         for which the changes are computed.
@@ -135,9 +135,9 @@ class DriftEstimate:
     covariance: Array
 
     def change(self, course: Array) -> dict[str, tuple[float, float]]:
-        """Return the change of each drifting parameter and tip coordinate with its standard uncertainty, both in mm or
-        rad. The change is computed for the values `course` (w,) of the thermal regressors in K, which are zero at the
-        start.
+        """Return the change, since the start of the measurement, of each drifting parameter and tip coordinate with its
+        standard uncertainty, both in mm or rad. The change is computed for the values `course` (w,) of the thermal
+        regressors in K, which are zero at the start.
 
         The keys are names such as ``EXX[1]`` and ``tip X``.
         """

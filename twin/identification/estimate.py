@@ -45,13 +45,13 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Estimated parameters (p,) of the compensation model in mm or rad, with their covariance (p, p).
+    """Estimated parameters (p,) of the error model used for compensation, in mm or rad, with their covariance (p, p).
 
-    The covariance is marginal over poses, certificate, thermal strain, misfit and drift. `residuals_mm` (n, 3) contains
-    the residuals of all n rows (measured ball centres), including rejected rows, in the order of the observations.
-    `chi2_normalised` is the sum of squared residuals in units of the stated noise, divided by the degrees of freedom.
-    `rejected` contains the position, the ball and the tool of each rejected row. `scales` are the estimated scales
-    (factors on the standard deviations) of noise, prior and misfit.
+    The covariance includes the uncertainty due to the artefact's poses and certificate, thermal strain, misfit and
+    drift. `residuals_mm` (n, 3) contains the residuals of all n rows (measured ball centres), including rejected rows,
+    in the order of the observations. `chi2_normalised` is the sum of squared residuals in units of the stated noise,
+    divided by the degrees of freedom. `rejected` contains the position, the ball and the tool of each rejected row.
+    `scales` are the estimated scales (factors on the standard deviations) of noise, prior and misfit.
 
     `misfit` contains the errors that the model cannot represent; it is None if they were not estimated. `information`
     (p, p) is the information matrix of the measurements alone, for parameters in units of `prior_scale`. `z` (P,) and

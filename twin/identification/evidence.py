@@ -8,8 +8,8 @@ the artefact have been eliminated by projection. After integration over z, twice
 
 (MacKay 1992; Rasmussen and Williams 2006, 5.4). Here `rows` is the number of equations, σ is the touch noise, and D is
 the prior precision of z. The matrix N = AᵀA and the right side r = Aᵀy belong to the normal equations. The gradient
-needs only the diagonal of H⁻¹. The logarithm of each scale has a weak normal prior and two bounds. This prior and the
-bounds prevent extreme scales if there are few measurements.
+with respect to the scales needs only the diagonal of H⁻¹. The logarithm of each scale has a weak normal prior and two
+bounds. This prior and the bounds prevent extreme scales if there are few measurements.
 """
 
 from __future__ import annotations
