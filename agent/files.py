@@ -1,4 +1,5 @@
-"""Reading of files with plain error messages, and writing of files that are either complete and durable or absent.
+"""Functions that read files and report errors in plain words, and functions that write a file either completely and
+durably or not at all.
 
 This module reads and writes the text of files; the package `twin.formats` converts text to values. The function
 `translated` turns errors of the package `twin` into errors of the application, with the same message, locations and

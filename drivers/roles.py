@@ -3,7 +3,7 @@
 Lengths are in mm, speeds in mm/s, times in s, temperatures in °C, and mount angles in degrees. Axis positions are those
 that the controller displays, in the order X, Y, Z. Every method may raise `DeviceError`. Every wait has a deadline
 inside the driver and sleeps on the clock passed to the driver. If an exception of any kind ends a wait, the driver
-stops the motion that it started before the exception propagates.
+first stops the motion that it started, and only then lets the exception propagate.
 """
 
 from __future__ import annotations

@@ -253,8 +253,8 @@ class JournalReader:
         return self._first(TableRow, query, run=run, role=role)
 
     def last_backup(self, run: int | None = None) -> TableRow | None:
-        """Return the row of the backup table stored by the run number `run`, that is, of the compensation table read
-        from the controller before anything was written. Return None if there is none.
+        """Return the journal row of the backup that the run number `run` stored, or None if there is none. The backup
+        is the compensation table that was read from the controller before anything was written.
 
         If `run` is None, the backup of the last run that stored one is returned.
         """

@@ -15,8 +15,8 @@ from agent.history.store import HistoryStore, RunEnd, utc_time
 
 
 def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
-    """Store all new and all changed runs in the history database. The runs are read from the journal in the state
-    directory `directory`.
+    """Copy all new and all changed runs from the journal in the state directory `directory` to the history
+    database.
 
     Return the identities of the stored runs, in the order in which they were stored. Raises LinkLost if the connection
     to the database is lost; the next call of this function then stores the remaining runs.

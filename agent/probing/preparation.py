@@ -65,7 +65,8 @@ PREFIX = "probe"
 def prepare_probe(
     order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, preparation: Preparation
 ) -> Plan[PreparationResult]:
-    """Make the checks of `preparation` on the datum ball, which is the first suitable ball of the positions in `order`.
+    """Carry out the checks listed in `preparation` on the datum ball, which is the first suitable ball of the positions
+    in `order`.
 
     The probe may be anywhere at the start. After the checks, it is moved clear of the artefact (see
     `PathPlanner.leave`). Raises MeasurementFault if no ball is suitable, if the ball is not found or exceeds its

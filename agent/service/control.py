@@ -95,7 +95,8 @@ class Event:
 
 
 class Control(Protocol):
-    """Interface of the owner of the machine, which every endpoint uses."""
+    """Interface through which every endpoint (HTTP, OPC UA, panel gateway) uses the owner of the machine, the object
+    that alone controls it."""
 
     def status(self) -> Status: ...
 

@@ -55,7 +55,7 @@ _MACHINES_PER_CHECK = 5  # number of richer machines per machine as modelled
 class ComparedEstimate:
     """Comparison of one estimate with the true errors of its machine.
 
-    `form` names the form in which the elastic deflection of the machine was drawn, and `chosen` says how the Legendre
+    `form` names the shape of the random elastic deflection of the machine, and `chosen` says how the Legendre
     order was chosen. `levels` maps each kind of confidence region to the confidence levels at which the regions just
     contain the true values. `ve_mm` is the true volumetric error without compensation (VE), `vce_mm` the true
     volumetric error after compensation (VCE) and `predicted_vce_mm` the VCE predicted by the estimate, all in mm.
@@ -185,8 +185,8 @@ class CoverageTable:
     rng: np.random.Generator
 
     def select(self, chosen: str, form: str | None = None) -> list[ComparedEstimate]:
-        """Return the comparisons for the estimates whose Legendre order was chosen as `chosen` says and whose machine
-        has the form of deflection `form`. If `form` is None, return them for all forms."""
+        """Return the comparisons in which the Legendre order was chosen by the method `chosen` and the deflection of
+        the machine has the shape `form`. If `form` is None, return those for all shapes."""
         forms = DEFLECTION_FORMS if form is None else (form,)
         return [one for one in self.compared if one.chosen == chosen and one.form in forms]
 

@@ -123,9 +123,9 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
 
 
 def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
-    """Return the covariance (p, p), in mm and rad, of the part of the parameters that is missing from the estimate,
-    because the measurements do not show it or because noise hides it. The covariance is taken over random machines of
-    the prior population (the family).
+    """Return the covariance (p, p), in mm and rad, of the difference between the true parameters and their expected
+    estimate. A difference remains if the measurements do not show a parameter or if noise hides it. The covariance is
+    taken over random machines of the prior population (the family).
 
     `covariance` (p, p) is the posterior covariance of the parameters. If C is this covariance in units of `prior_scale`
     (p,), the result in the same units is the product C C. A parameter that the family holds at zero does not

@@ -44,7 +44,7 @@ def alternatives(
     deviations of noise, prior and misfit). Each alternative contains plausible scales with the corresponding estimate.
 
     `scales` are the likeliest scales. `posterior` is the posterior of the P unknowns at these scales, and `z` (P,) is
-    its mean. `matrix` (P, P) is the matrix of the normal equations of `rows` equations.
+    its mean. `matrix` (P, P) is the matrix of the normal equations, which are formed from `rows` observation equations.
     """
     free = np.array(free_scales(precision))
     spread = np.zeros((int(free.sum()), len(free)))

@@ -54,7 +54,7 @@ class ErrorBudget:
     The residual field (true machine minus compensation model) has u parameters: those of the joint model of `field`,
     which combines the identified model and the model of the true machines. `moments` contains, for each influence, the
     second moments, shape (u, u), that the influence causes in these parameters. `bias`, shape (u,), contains the errors
-    of the parameters that the deflection, which is the same for all true machines, causes.
+    that the deflection causes in the parameters. The deflection is the same for all true machines.
     """
 
     field: FieldForm

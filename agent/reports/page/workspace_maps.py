@@ -18,12 +18,11 @@ PLANE_SHAPE = (49, 25)
 
 @dataclass(frozen=True)
 class PlaneMap:
-    """Map of lengths in µm over an XY plane at the height `z_mm`.
+    """Map of the length of an error vector in µm over an XY plane at the height `z_mm`.
 
-    `length_um` (nx, ny) contains the length at each point of the grid with the nx coordinates `x_mm` and the ny
-    coordinates `y_mm`. `measured` (m, 2) contains X and Y in mm of the m balls that are nearer to this plane than to
-    the other planes.
-    """
+    `length_um` (nx, ny) contains the length of the vector at each point of the grid with the nx coordinates `x_mm`
+    and the ny coordinates `y_mm`. `measured` (m, 2) contains X and Y in mm of the m balls that are nearer to this
+    plane than to the other planes."""
 
     z_mm: float
     x_mm: Array

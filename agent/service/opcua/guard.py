@@ -67,8 +67,8 @@ class ClientAuthentication(UserManager):
 
 
 class GuardedSession(InternalSession):
-    """Session of a client. A method that moves the machine or writes requires the access token of the service. Clients
-    cannot write to nodes."""
+    """Session of a client. To call a method that moves the machine or writes to it, a client needs the access token of
+    the service. Clients cannot write the values of nodes."""
 
     iserver: GuardedServer
 

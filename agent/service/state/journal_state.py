@@ -1,5 +1,5 @@
 """State of the service between two runs, read from the journal. It comprises the state of the machine and, until a
-reset has acknowledged it, the end of the last run."""
+reset has acknowledged it, the way in which the last run ended."""
 
 from __future__ import annotations
 

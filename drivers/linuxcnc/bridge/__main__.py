@@ -44,7 +44,7 @@ ERRORS = (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR)
 
 
 class RefusedError(Exception):
-    """Error of a request that LinuxCNC or the bridge process refuses in its present state."""
+    """Raised if LinuxCNC or the bridge process refuses a request because of the present state of LinuxCNC."""
 
 
 class GoneError(Exception):

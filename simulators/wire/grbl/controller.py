@@ -96,9 +96,8 @@ class GrblController:
         self._run()
 
     def on_advance(self, _now_s: float) -> None:
-        """Handle an opened door, and continue the main program (which executes lines), after the simulated time has
-        advanced.
-        """
+        """React to a door that was opened, and continue the main program, which executes lines. This is called each
+        time the simulated time has advanced."""
         if self._axes.door_open and self.state is not GrblState.DOOR:
             self.open_door()
         self._run()

@@ -85,10 +85,9 @@ def read_arc(
 def arc_points(arcs: Sequence[Arc], which: np.ndarray, share: Array, starts: Array, ends: Array) -> Array:
     """Return n points on m arcs, as axis positions (n, 3) in mm.
 
-    A point is given by the index of its arc in `which` (n,), and by the fraction of this arc from its start to the
-    point in `share` (n,). `starts` and `ends` (m, 3) are the start and the end of each arc in mm. Only their component
-    along the normal of the arc is used.
-    """
+    For each point, `which` (n,) contains the index of its arc, and `share` (n,) its position along this arc as a
+    fraction from 0 (start) to 1 (end). `starts` and `ends` (m, 3) are the start and the end of each arc in mm. Only
+    their component along the normal of the arc is used."""
     axes = np.array([arc.axes for arc in arcs])[which]
     a0, b0, radius, end_radius, angle, sweep = np.array(
         [(*arc.centre, arc.radius, arc.end_radius, arc.angle, arc.sweep) for arc in arcs]
