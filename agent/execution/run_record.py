@@ -35,8 +35,19 @@ class OperatorQuestion:
     error: str
 
 
+class _StoredSettings:
+    """Decoding of the JSON text `settings_text`, which contains the settings with which a run was started."""
+
+    settings_text: str
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        document: dict[str, Any] = json.loads(self.settings_text)
+        return document
+
+
 @dataclass(frozen=True)
-class RunRecord:
+class RunRecord(_StoredSettings):
     """Complete record of a run.
 
     `ordinal` is the number of the run in its journal, counted in the order in which the runs started. `settings_text`
@@ -68,11 +79,6 @@ class RunRecord:
     touches: int
     minutes: float
 
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        document: dict[str, Any] = json.loads(self.settings_text)
-        return document
-
     def decision(self, kind: str) -> Mapping[str, Any] | None:
         """Return the content of the run's last decision of the kind `kind`; None if there is none."""
         return next((row.record for row in reversed(self.decisions) if row.kind == kind), None)
@@ -89,16 +95,11 @@ class RunRecord:
 
 
 @dataclass(frozen=True)
-class RunHead:
+class RunHead(_StoredSettings):
     """Journal row of a run and the JSON text of its settings, without the steps and results of the run."""
 
     row: RunRow
     settings_text: str
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        document: dict[str, Any] = json.loads(self.settings_text)
-        return document
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import csv
 import io
 import json
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any
 
-from agent.history.schema import RUNS, StoredRun
+from agent.history.schema import RUNS, StoredRun, utc_time
 
 COLUMNS = tuple(column.key for column in RUNS.columns if column.key != "digest")
 
@@ -56,6 +56,5 @@ def as_json(runs: Sequence[StoredRun]) -> str:
 
 def _plain(value: object) -> object:
     if isinstance(value, datetime):
-        moment = value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
-        return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        return utc_time(value).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     return value

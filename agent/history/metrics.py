@@ -6,13 +6,12 @@ from __future__ import annotations
 
 from collections import Counter as Tally
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 
 from prometheus_client import CollectorRegistry, Gauge, generate_latest
 
 from agent.execution.states import FINAL
 from agent.history.overview import VOLUMETRIC, alarms_of
-from agent.history.schema import StoredRun
+from agent.history.schema import StoredRun, utc_time
 from agent.history.trends import AlarmKind, Trend
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
@@ -46,7 +45,9 @@ def _of_runs(registry: CollectorRegistry, machine: str, runs: Sequence[StoredRun
     for name, chosen in moments:
         if chosen and chosen[-1].ended is not None:
             text = f"end of the {name.replace('_', ' ')}, seconds since 1970"
-            _gauge(registry, f"{name}_timestamp_seconds", text).labels(machine).set(_seconds(chosen[-1].ended))
+            _gauge(registry, f"{name}_timestamp_seconds", text).labels(machine).set(
+                utc_time(chosen[-1].ended).timestamp()
+            )
     if not ended:
         return
     last = ended[-1]
@@ -87,7 +88,3 @@ def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend
 
 def _gauge(registry: CollectorRegistry, name: str, text: str, *labels: str) -> Gauge:
     return Gauge(f"volcal_{name}", text, ("machine", *labels), registry=registry)
-
-
-def _seconds(moment: datetime) -> float:
-    return (moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment).timestamp()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, field, fields
-from datetime import datetime
+from datetime import UTC, datetime
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -142,6 +142,11 @@ class StoredRun:
     parameters: list[StoredParameter] = field(default_factory=list)
     temperatures: list[StoredTemperature] = field(default_factory=list)
     decisions: list[StoredDecision] = field(default_factory=list)
+
+
+def utc_time(time: datetime) -> datetime:
+    """Return a stored time in UTC. A time without zone, as SQLite returns it, is already in UTC."""
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 
 
 def _columns(row: type, keys: tuple[str, ...]) -> Iterator[Column[Any]]:

@@ -9,11 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 
-from agent.history.schema import StoredParameter, StoredRun
+from agent.history.schema import StoredParameter, StoredRun, utc_time
 from agent.results.run_outcome import Decision
 from agent.settings.history import HistorySettings
 from twin.arrays import Array
@@ -79,15 +78,10 @@ def nights_of(runs: Sequence[StoredRun]) -> Array:
         if run.since in nights and run.nights is not None:
             last = max(nights[str(run.since)] + run.nights, last)
         elif count:
-            gap = _utc(run.started) - _utc(runs[count - 1].started)
+            gap = utc_time(run.started) - utc_time(runs[count - 1].started)
             last += max(gap.total_seconds(), 0.0) / S_PER_DAY
         nights[run.run_id] = last
     return np.array([nights[run.run_id] for run in runs])
-
-
-def _utc(moment: datetime) -> datetime:
-    """Return the time with the zone UTC, which SQLite does not store. All stored times are in UTC."""
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
 
 
 @dataclass(frozen=True)

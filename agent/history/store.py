@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from importlib import import_module
 from typing import Any
 
@@ -43,6 +43,7 @@ from agent.history.schema import (
     StoredParameter,
     StoredRun,
     StoredTemperature,
+    utc_time,
 )
 from drivers.errors import ConfigurationError, LinkLost
 
@@ -97,7 +98,7 @@ class HistoryStore:
         """
         query = select(RUNS.c.run_id, RUNS.c.ended, RUNS.c.state, RUNS.c.reason)
         rows = self._read(query.where(RUNS.c.machine == machine))
-        return {run_id: RunEnd(utc_time(ended), state, reason) for run_id, ended, state, reason in rows}
+        return {run_id: RunEnd(ended and utc_time(ended), state, reason) for run_id, ended, state, reason in rows}
 
     def put(self, rows: RunRows) -> None:
         """Insert `rows`, the rows of one run, into the database, or replace the stored rows of this run, in one
@@ -260,10 +261,3 @@ def _upsert(connection: Connection, values: Mapping[str, Any]) -> Any:
 
 def _parse_time(stamp: str | None) -> datetime | None:
     return None if stamp is None else datetime.fromisoformat(stamp)
-
-
-def utc_time(time: datetime | None) -> datetime | None:
-    """Return the time in UTC. A time without zone, as SQLite returns it, is already in UTC."""
-    if time is None:
-        return None
-    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from agent.execution.run_record import RunHead, read_record, run_heads, run_ids
 from agent.history.run_row import machine_name, run_rows
-from agent.history.store import HistoryStore, RunEnd, utc_time
+from agent.history.schema import utc_time
+from agent.history.store import HistoryStore, RunEnd
 
 
 def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
