@@ -38,6 +38,7 @@ def observations_of(
         covariance=np.array([ball.found.covariance_mm2 for ball in balls]),
         temperature_c=np.array([ball.temperature_c for ball in balls]),
         elevation_rad=np.array([math.radians(ball.elevation_deg) for ball in balls]),
+        azimuth_rad=np.array([math.radians(ball.azimuth_deg) for ball in balls]),
         tool_offsets=tool_offset_mm.reshape(1, 3),
         thermal_regressors=np.zeros((len(balls), 0)) if thermal_regressors is None else thermal_regressors,
     )

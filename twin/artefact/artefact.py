@@ -70,6 +70,12 @@ class Artefact:
         """
         return float(np.abs(self.balls[:, 0]).max())
 
+    @property
+    def droop_mm(self) -> Array:
+        """Distance (N,) in mm by which each ball hangs below the middle if the bar is horizontal."""
+        along = np.abs(self.balls[:, 0]) / max(self.half_length_mm, 1e-9)
+        return np.asarray(self.sag_mm * _droop(along))
+
     def at(self, temperature_c: float, elevation_rad: float) -> Array:
         """Return the ball centres (N, 3) in mm in the artefact frame at a given temperature and elevation of the mount.
         Thermal expansion and gravity sag are included.
@@ -77,8 +83,7 @@ class Artefact:
         # thermal expansion p (1 + α ΔT); gravity acts across the bar with cos(elevation)
         stretched = self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c))
         if self.sag_mm:
-            along = np.abs(self.balls[:, 0]) / max(self.half_length_mm, 1e-9)
-            stretched[:, 2] -= self.sag_mm * math.cos(elevation_rad) * _droop(along)
+            stretched[:, 2] -= math.cos(elevation_rad) * self.droop_mm
         return stretched
 
 

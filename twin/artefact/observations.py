@@ -40,6 +40,7 @@ class Observations:
     elevation_rad: Array
     tool_offsets: Array
     thermal_regressors: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    azimuth_rad: Array | None = None
 
     def __post_init__(self) -> None:
         for name in ("position", "ball", "tool"):
@@ -48,12 +49,15 @@ class Observations:
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
         course = np.array(self.thermal_regressors, dtype=np.float64)
         object.__setattr__(self, "thermal_regressors", course if course.size else np.zeros((len(self.ball), 0)))
+        if self.azimuth_rad is not None:
+            object.__setattr__(self, "azimuth_rad", np.array(self.azimuth_rad, dtype=np.float64))
         self._check_shapes()
         self._check_values()
         self._check_covariance()
         self._check_duplicates()
         for one in fields(self):
-            getattr(self, one.name).setflags(write=False)
+            if getattr(self, one.name) is not None:
+                getattr(self, one.name).setflags(write=False)
 
     @property
     def size(self) -> int:
@@ -65,11 +69,10 @@ class Observations:
         return np.asarray(self.tool_offsets[np.unique(self.tool)])
 
     def select(self, mask: np.ndarray[Any, Any]) -> Observations:
-        """Return the observations in the rows that `mask` selects. `mask` is a boolean array (n,) or an array of row
-        indices.
-        """
-        rows = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "tool_offsets"}
-        return Observations(**rows, tool_offsets=self.tool_offsets)
+        """Return the rows selected by `mask`, a boolean array (n,) or an array of row indices."""
+        shared = {"tool_offsets": self.tool_offsets}
+        rows = {name: values[mask] for name, values in vars(self).items() if name not in shared and values is not None}
+        return Observations(**rows, **shared)
 
     def _check_shapes(self) -> None:
         n = len(self.ball)
@@ -81,6 +84,8 @@ class Observations:
             "temperature_c": (n,),
             "elevation_rad": (n,),
         }
+        if self.azimuth_rad is not None:
+            expected["azimuth_rad"] = (n,)
         for name, shape in expected.items():
             found = getattr(self, name).shape
             if found != shape:
@@ -96,7 +101,10 @@ class Observations:
             raise DataError("no ball centre given", hint="measure at least two positions")
 
     def _check_values(self) -> None:
-        for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad", "thermal_regressors"):
+        names = ["axis_positions", "covariance", "temperature_c", "elevation_rad", "thermal_regressors"]
+        if self.azimuth_rad is not None:
+            names.append("azimuth_rad")
+        for name in names:
             finite = np.isfinite(getattr(self, name)).reshape(self.size, -1).all(axis=1)
             _refuse_rows(~finite, f"{name} is not a finite number", name)
         if not np.isfinite(self.tool_offsets).all():

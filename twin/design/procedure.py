@@ -121,5 +121,6 @@ class Procedure:
             covariance=np.broadcast_to(self.covariance_mm2, (total, 3, 3)),
             temperature_c=np.full(total, self.artefact.reference_temperature_c),
             elevation_rad=np.repeat(elevations, counts),
+            azimuth_rad=np.repeat([math.radians(position.azimuth_deg) for position in positions], counts),
             tool_offsets=self.tool_offsets,
         )

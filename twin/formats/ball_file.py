@@ -82,6 +82,7 @@ def parse_balls(
         covariance=sigma_mm[:, None, None] ** 2 * np.eye(3),
         temperature_c=np.array([row.parse_float("temperature_c", default_temperature_c) for row in rows]),
         elevation_rad=np.radians(elevations),
+        azimuth_rad=np.radians([positions[number].azimuth_deg for number in numbers]),
         tool_offsets=np.array([tools[name] for name in names], dtype=np.float64),
     )
     return BallFile(observations, tuple(positions.values()))

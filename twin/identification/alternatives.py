@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.identification.evidence import SCALE_PRIORS, free_scales, scaled_blocks
+from twin.identification.evidence import SCALE_PRIORS, free_scales, log_scale_precision, scaled_blocks
 from twin.identification.normal import Posterior, PriorPrecision, Scales
 
 
@@ -86,8 +86,7 @@ def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Sca
         information[0, row] = information[row, 0] = noise[one].sum()
         for column, other in enumerate(blocks, start=1):
             information[row, column] = float(np.vdot(measured[other, one].T, measured[one, other]))
-    deviations = np.array([prior.log_deviation for prior in SCALE_PRIORS])
-    return np.asarray(np.linalg.inv(2.0 * information + np.diag(deviations**-2)))
+    return np.asarray(np.linalg.inv(2.0 * information + log_scale_precision()))
 
 
 def _shifted(scales: Scales, shift: Array) -> Scales:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.identification.poses import PoseProjector, Poses, weighted
+from twin.identification.poses import PoseProjector, Poses, pose_jacobian, weighted
 from twin.identification.problem import IdentificationProblem, Sides
 
 _LINEAR_MM = 1e-6  # smaller increments have a negligible second order (1e-15 mm); the first order is projected out
@@ -42,11 +42,18 @@ class CentreEquations:
 
     @classmethod
     def build(cls, problem: IdentificationProblem, unit_weights: bool) -> CentreEquations:
+        jacobian = pose_jacobian(problem.layout, problem.poses, problem.local, problem.arms)
+        return cls.without(jacobian, problem, unit_weights)
+
+    @classmethod
+    def without(cls, jacobian: Array, problem: IdentificationProblem, unit_weights: bool) -> CentreEquations:
+        """Build the equations from which the effects of increments are removed. The columns of `jacobian` (K, width, 3,
+        m) are the derivatives of the points with respect to these increments."""
         layout = problem.layout
         whitening = _whitening(problem.observations.covariance, unit_weights)
         weight = layout.pad(whitening)
-        projector = PoseProjector.of(layout, problem.poses, problem.local, problem.arms, weight)
-        carrier = weighted(weight.swapaxes(2, 3), projector.q.reshape(*weight.shape[:3], 6))
+        projector = PoseProjector.of(layout, jacobian, weight)
+        carrier = weighted(weight.swapaxes(2, 3), projector.q.reshape(*weight.shape[:3], -1))
         by_position = problem.design.reshape(layout.positions, -1, problem.blocks.size)
         parts = carrier.reshape(projector.q.shape).transpose(0, 2, 1) @ by_position
         parts = parts.reshape(-1, problem.blocks.size)
@@ -76,10 +83,15 @@ class CentreEquations:
             white = self._whitened(left - poses.to_workpiece(layout, local))
         # y = W (A z - exact residual): solving A z' = y gives the next iterate z' itself, not its step
         target = self._whitened(self.problem.change(z)) - white if z.any() else -white
-        parts = self.projector.parts(target[:, :, None]).reshape(-1)
-        scaled = weighted(self.weight.swapaxes(2, 3), target.reshape(*self.weight.shape[:3], 1)).reshape(-1)
-        right = scaled @ self.problem.design.reshape(-1, len(z)) - parts @ self.parts
-        return right, float(np.vdot(target, target) - parts @ parts), poses
+        right, square = self._products(target)
+        return right, square, poses
+
+    def first_right_side(self) -> tuple[Array, Array]:
+        """Return Aᵀy (P,) and the increments (K, m) of the least-squares fit at z = 0, without moving the poses."""
+        problem = self.problem
+        left, local = problem.sides(np.zeros(problem.blocks.size))
+        white = self._whitened(left - problem.poses.to_workpiece(problem.layout, local))
+        return self._products(-white)[0], self.projector.increments(white)
 
     def remaining(self, sides: Sides, poses: Poses) -> Array:
         """Return the whitened residuals (K, 3·width) of the K positions with up to `width` balls each, after the effect
@@ -109,6 +121,13 @@ class CentreEquations:
         noise = self.whitening @ self.problem.observations.covariance @ self.whitening.transpose(0, 2, 1)
         total = np.einsum("nii->", noise) - np.einsum("nij,nij->", q, noise @ q)
         return found.reshape(-1, size).T @ (noise @ found).reshape(-1, size), float(total)
+
+    def _products(self, target: Array) -> tuple[Array, float]:
+        """Return Aᵀy (P,) and |y|² of a whitened right side y (K, 3 width) with the projector applied."""
+        parts = self.projector.parts(target[:, :, None]).reshape(-1)
+        scaled = weighted(self.weight.swapaxes(2, 3), target.reshape(*self.weight.shape[:3], 1)).reshape(-1)
+        right = scaled @ self.problem.design.reshape(len(scaled), -1) - parts @ self.parts
+        return right, float(np.vdot(target, target) - parts @ parts)
 
     def _whitened(self, residuals: Array) -> Array:
         layout = self.problem.layout

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.optimize import minimize
@@ -44,7 +45,7 @@ class OrderEvidence:
 
 @dataclass(frozen=True)
 class ScalePrior:
-    """Log-normal prior, with median 1, of a scale (factor on a standard deviation that the identification estimates).
+    """Log-normal prior of a scale.
 
     `factor` is its geometric standard deviation; `low` and `high` are the bounds of the scale.
     """
@@ -63,10 +64,11 @@ class ScalePrior:
 
 
 NOISE = ScalePrior(3.0, 0.3, 10.0)
-PRIOR = ScalePrior(1.5, 0.3, 3.0)
-MISFIT = ScalePrior(3.0, 0.1, 10.0)
+PRIOR = ScalePrior(30.0, 0.01, 100.0)  # nearly flat: a machine may be ten times better or worse than its family
+MISFIT = ScalePrior(3.0, 0.003, 300.0)
 SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS))
-"""Priors of the scales, in the order of `Scales.values`."""
+"""Priors of the scales, in the order of `Scales.values`. The median is 1 for noise and parameter prior. For a kind of
+misfit it is the scale of the parameter prior: a machine that is ten times worse also bends ten times as much."""
 _NAMES = ("touch noise", "family prior", *MISFIT_KINDS)
 _BOUND_TOLERANCE = 1e-3  # distance of a log scale from its bound below which it counts as reached
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
@@ -137,15 +139,28 @@ def _scales(logs: Array, free: list[bool], others: Scales) -> Scales:
 
 def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) -> Callable[[Logs], tuple[float, Array]]:
     free = free_scales(precision)
-    deviations = np.array([prior.log_deviation for prior in SCALE_PRIORS])[free]
+    prior = log_scale_precision()
 
     def cost(logs: Logs) -> tuple[float, Array]:
         scales = _scales(logs, free, others)
         value, gradient = negative_log_likelihood(normal, precision, scales)
-        value += float(((logs / deviations) ** 2).sum())
-        return value / normal.rows, (gradient[free] + 2.0 * logs / deviations**2) / normal.rows
+        every = np.log(scales.values)
+        pull = prior @ every
+        return (value + float(every @ pull)) / normal.rows, (gradient + 2.0 * pull)[free] / normal.rows
 
     return cost
+
+
+@cache
+def log_scale_precision() -> Array:
+    """Return the precision (6, 6) of the joint normal prior of the log scales, whose mean is zero.
+
+    The log scale of each kind of misfit is distributed about that of the parameter prior.
+    """
+    rows = np.eye(len(SCALE_PRIORS))
+    rows[2:, 1] = -1.0
+    rows /= np.array([prior.log_deviation for prior in SCALE_PRIORS])[:, None]
+    return np.asarray(rows.T @ rows)
 
 
 def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:

@@ -14,12 +14,14 @@ from twin.errors import DataError, SingularSet
 from twin.identification.alternatives import Alternative
 from twin.identification.distances import DistanceEquations
 from twin.identification.drift import DriftEstimate
+from twin.identification.evidence import PRIOR
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
 from twin.identification.outliers import contradicting_rows
 from twin.identification.poses import Poses, rigid_poses
-from twin.identification.problem import IdentificationProblem, build_problem
+from twin.identification.problem import IdentificationProblem
+from twin.identification.roll import build_measured_problem
 from twin.identification.solution import Solution, average_over_scales, solve
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_population import Family
@@ -57,7 +59,7 @@ def identify(
     if family.model != model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     _check_set(observations)
-    whole = build_problem(family, observations, artefact, options)
+    whole = build_measured_problem(family, observations, artefact, options)
     return _estimate(whole, _select_rows(whole, options), options)
 
 
@@ -65,7 +67,7 @@ def accepted_rows(family: Family, observations: Observations, artefact: Artefact
     """Return a mask (n,) that is True for each ball centre that `identify` would accept, and False for each outlier
     that it would reject."""
     _check_set(observations)
-    whole = build_problem(family, observations, artefact, options)
+    whole = build_measured_problem(family, observations, artefact, options)
     accepted = np.empty(observations.size, dtype=bool)
     accepted[whole.layout.order] = _select_rows(whole, options).accepted
     return accepted
@@ -74,9 +76,8 @@ def accepted_rows(family: Family, observations: Observations, artefact: Artefact
 def identify_accepted(
     family: Family, observations: Observations, artefact: Artefact, options: Options, accepted: Mask
 ) -> Estimate:
-    """Estimate the parameters from exactly the ball centres that the mask `accepted` (n,) marks. All other ball centres
-    count as rejected."""
-    whole = build_problem(family, observations, artefact, options)
+    """Identify with exactly the rows that the mask `accepted` (n,) marks. All other rows count as rejected."""
+    whole = build_measured_problem(family, observations, artefact, options)
     chosen = accepted[whole.layout.order]
     problem = whole if chosen.all() else whole.with_rows(chosen)
     return _estimate(whole, _RowSelection(problem, chosen, None), options)
@@ -114,6 +115,7 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
     problem = whole
     while True:
         solution = solve(problem, screening, "centres")
+        _check_plausible(solution)
         worst = contradicting_rows(solution, options.false_alarm)
         if worst.size == 0:
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
@@ -123,6 +125,16 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
         _check_rejected_share(accepted)
         problem = whole.with_rows(accepted)
         _check_set(problem.observations)
+
+
+def _check_plausible(solution: Solution) -> None:
+    """Raise DataError if only errors a hundred times those of the family would explain the measurements."""
+    if solution.scales_estimated and solution.scales.prior > 0.99 * PRIOR.high:
+        raise DataError(
+            f"the ball centres contradict the artefact or the machine: only errors more than {PRIOR.high:g} times those "
+            "of the machine's family would explain them",
+            hint="check the artefact file, ball numbers, tool offset and units before measuring again",
+        )
 
 
 def _check_rejected_share(accepted: Mask) -> None:

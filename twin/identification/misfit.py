@@ -40,8 +40,9 @@ _ORDERS_BEYOND = 8
 _MIXED_DECAY = 0.75  # factor on the prior standard deviation per degree
 _WAVE_DECAY = 0.85  # factor on the prior standard deviation per order; rail waves decay more slowly than the series
 _LEVER_AMPLITUDE = 0.4  # amplitude of a wave with a lever relative to one without
-_MAX_MODES = (24, 12, 12, 12)  # by kind; the remainder is small enough to be treated as uncorrelated
+_MAX_MODES = (30, 12, 12, 12)  # by kind; the remainder is small enough to be treated as uncorrelated
 _CHUNK = 1000  # points whose basis is held in memory at a time
+_EQUAL = 1e-6  # relative difference of eigenvalues that counts as none
 _DEPENDENT = 1e-10  # of the largest eigenvalue: combinations of parameters that do not change the field
 
 Degrees = tuple[int, int, int]
@@ -180,6 +181,9 @@ def _condense(represented: _Represented, chosen: slice, deviations: Array, share
     own = deviations[chosen]
     rising, vectors = np.linalg.eigh(represented.left(chosen, own))
     values, vectors = rising[::-1], vectors[:, ::-1]
+    # equal modes are kept or left out together: their choice among themselves would be one of rounding
+    while most < len(values) and values[most] > (1.0 - _EQUAL) * values[most - 1]:
+        most -= 1
     # Karhunen-Loève: leading eigenvectors of the prior covariance, scaled to the kind's share of the variance
     size = np.sqrt(share / values.sum())
     mixing = np.zeros((3, len(deviations), most))

@@ -25,7 +25,7 @@ from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import accepted_rows, identify_accepted
 from twin.identification.normal import Scales
 from twin.identification.options import Options
-from twin.identification.problem import build_problem
+from twin.identification.roll import build_measured_problem
 from twin.identification.solution import log_evidence_and_scales
 from twin.machine.machine_population import Family
 
@@ -57,7 +57,7 @@ def identify_by_evidence(
     accepted = accepted_rows(family_of(max(candidates)), observations, artefact, judged)
     seen = observations.select(accepted)
     evidence = {
-        order: log_evidence_and_scales(build_problem(family_of(order), seen, artefact, judged), judged)
+        order: log_evidence_and_scales(build_measured_problem(family_of(order), seen, artefact, judged), judged)
         for order in sorted(candidates)
     }
     table = _compare(evidence)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
+from twin.identification.straight_lines import StraightLines
 
 _COLLINEAR = 1e-9  # second over first singular value of the moments: off-axis below 3e-5 of the length
 _WELL_CONDITIONED = 1e-5  # ratio of eigenvalues of the 6x6 normal equations above which Cholesky loses at most 5 digits
@@ -104,8 +105,7 @@ class Poses:
         The first three elements of an increment shift the centroid of the balls of the position. The other three
         elements are a rotation about this centroid in rad, multiplied by the arm of the position in mm.
         """
-        turn = _rotations(increments[:, 3:] / arms.length[:, None])
-        rotation = turn @ self.rotation
+        rotation = rotation_matrices(arms.turns(increments[:, 3:], self)) @ self.rotation
         centroid = self.translation + (self.rotation @ arms.middle[:, :, None])[:, :, 0]
         moved = centroid + increments[:, :3]
         return Poses(rotation, moved - (rotation @ arms.middle[:, :, None])[:, :, 0])
@@ -113,27 +113,68 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseArms:
-    """Centroid (K, 3) of the balls of each of K positions in the artefact's frame, and the largest distance (K,) of a
-    ball from this centroid (the arm of the position). Both are in mm."""
+    """Arms that convert the rotations of the pose increments to lengths in mm.
+
+    `middle` (K, 3) is the middle of the balls of each position in the artefact's frame, and `length` (K,) the largest
+    distance of a ball from this middle. `lines` describes positions of straight artefacts; it is None if there are none.
+    """
 
     middle: Array
     length: Array
+    lines: StraightLines | None = None
 
     @classmethod
-    def of(cls, layout: RowLayout, local: Array) -> PoseArms:
+    def of(cls, layout: RowLayout, local: Array, lines: StraightLines | None = None) -> PoseArms:
         padded = layout.pad(local)
         middle = padded.sum(axis=1) / layout.counts[:, None]
         offset = (padded - middle[:, None, :]) * layout.present[:, :, None]
         length = np.sqrt(np.einsum("kij,kij->ki", offset, offset).max(axis=1))
-        return cls(middle, np.where(length > 0.0, length, 1.0))
+        return cls(middle, np.where(length > 0.0, length, 1.0), lines)
+
+    def rotation_columns(self, layout: RowLayout, poses: Poses, local: Array) -> Array:
+        """Return the derivatives (K, width, 3, 3) of the points in the workpiece frame with respect to the three
+        rotation increments of each position."""
+        lever = (layout.pad(local) - self.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
+        lever /= self.length[:, None, None]
+        # ω × lever for a unit rotation ω about each axis of the workpiece frame
+        columns = np.zeros((*lever.shape, 3))
+        for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            columns[:, :, three, one] = lever[:, :, two]
+            columns[:, :, two, one] = -lever[:, :, three]
+        if self.lines is None:
+            return columns
+        turned = columns @ self.lines.axes(poses.rotation)[:, None]
+        # unit size for the roll: its lever is the distance from the line, which is a few micrometres
+        roll = turned[..., 0]
+        size = np.sqrt(np.einsum("kij,kij->k", roll, roll))
+        turned[..., 0] /= np.where(self.lines.straight & (size > 0.0), size, 1.0)[:, None, None]
+        return turned
+
+    def turns(self, increments: Array, poses: Poses) -> Array:
+        """Return the rotation vectors (K, 3) in rad for rotation increments (K, 3) in mm.
+
+        The roll of a straight artefact is left as it is: its linearisation is valid only for small angles.
+        """
+        turns: Array = increments / self.length[:, None]
+        if self.lines is None:
+            return turns
+        turns[self.lines.straight, 0] = 0.0
+        return np.asarray((self.lines.axes(poses.rotation) @ turns[:, :, None])[:, :, 0])
 
 
-def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
-    """Fit a rigid pose of the artefact to each position by Kabsch's method. The pose maps the artefact points (n, 3)
-    onto the measured points (n, 3) with the smallest sum of squared distances.
+def rigid_poses(
+    layout: RowLayout,
+    local: Array,
+    found: Array,
+    lines: StraightLines | None = None,
+    nominal: Array | None = None,
+) -> Poses:
+    """Fit the rigid pose of each position by Kabsch's method, which maps artefact points (n, 3) onto measured points
+    (n, 3).
 
-    If the balls of a position lie on one line, the roll about this line cannot be determined. The roll given by the
-    mount is used instead. With this roll the artefact's Y axis is horizontal.
+    If the balls of a position lie on one line, the roll about this line cannot be determined. The roll of the rotations
+    `nominal` (K, 3, 3), which the mount gives the artefact, is used instead. Without them, the artefact's Y axis is
+    assumed to be horizontal.
     """
     counts = layout.counts[:, None]
     here, there = layout.pad(local), layout.pad(found)
@@ -145,8 +186,15 @@ def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
     left, weights, right = np.linalg.svd(offset.transpose(0, 2, 1) @ found_offset)
     handedness = np.sign(np.linalg.det(left @ right))
     rotation = _recompose(left, right, handedness)
-    for k in np.flatnonzero(weights[:, 1] <= _COLLINEAR * weights[:, 0]):
-        rotation[k] = _upright_frame(right[k, 0]) @ _upright_frame(left[k, :, 0]).T
+    collinear = weights[:, 1] <= _COLLINEAR * weights[:, 0]
+    if lines is not None:
+        collinear |= lines.straight
+    for k in np.flatnonzero(collinear):
+        # the line along `left` in the artefact is the line along `right` in the workpiece frame
+        if nominal is None:
+            rotation[k] = _upright_frame(right[k, 0]) @ _upright_frame(left[k, :, 0]).T
+        else:
+            rotation[k] = _shortest_rotation(nominal[k] @ left[k, :, 0], right[k, 0]) @ nominal[k]
     return Poses(rotation, found_middle - (rotation @ middle[:, :, None])[:, :, 0])
 
 
@@ -155,9 +203,8 @@ class PoseProjector:
     """Projector that removes the effect of pose increments (small changes of the artefact's poses) from the whitened
     equations of K positions with up to `width` balls each.
 
-    `q` (K, 3·width, 6) contains an orthonormal basis Q of this effect for each position. `back` (K, 6, 6) converts the
-    projections Qᵀr of residuals r into increments. `seen` is the number of increments, over all positions, that the
-    measurements determine.
+    `q` (K, 3 width, m) is an orthonormal basis Q of the effect of m increments, which are six unless stated otherwise.
+    `back` (K, m, m) converts the projections Qᵀr of residuals r into increments. `seen` is the number of increments that are determined.
     """
 
     q: Array
@@ -165,25 +212,18 @@ class PoseProjector:
     seen: int
 
     @classmethod
-    def of(cls, layout: RowLayout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
-        """Build the projector for the poses of the artefact in K positions.
+    def of(cls, layout: RowLayout, jacobian: Array, weight: Array) -> PoseProjector:
+        """Build the projector for increments whose effects are the columns of `jacobian` (K, width, 3, m).
 
         `weight` (K, width, 3, 3) contains the whitening matrix W of each ball slot. WᵀW is the inverse covariance of
         the ball centre; W is zero in empty slots.
         """
-        lever = (layout.pad(local) - arms.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
-        lever /= arms.length[:, None, None]
-        # derivative of a point: the unit matrix for the shift, ω × lever for the rotation ω
-        jacobian = np.zeros((*lever.shape, 6))
-        for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            jacobian[:, :, one, one] = 1.0
-            jacobian[:, :, three, 3 + one] = lever[:, :, two]
-            jacobian[:, :, two, 3 + one] = -lever[:, :, three]
-        white = weighted(weight, jacobian).reshape(layout.positions, -1, 6)
+        size = jacobian.shape[-1]
+        white = weighted(weight, jacobian).reshape(layout.positions, -1, size)
         gram = white.transpose(0, 2, 1) @ white
         back = _inverse_root(gram)
         if back is not None:
-            return cls(white @ back, back, 6 * layout.positions)
+            return cls(white @ back, back, size * layout.positions)
         values, vectors = np.linalg.eigh(gram)
         seen = values > _UNDETERMINED * values[:, -1:]
         inverse_root = np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
@@ -205,6 +245,15 @@ class PoseProjector:
         poses). Here A (K, 3·width, m) contains the whitened equations with this effect, Q is its orthonormal basis, and
         I is the unit matrix."""
         return white - self.q @ self.parts(white)
+
+
+def pose_jacobian(layout: RowLayout, poses: Poses, local: Array, arms: PoseArms) -> Array:
+    """Return the derivatives (K, width, 3, 6) of the points with respect to the pose increments: the unit matrix for the
+    shift, followed by the columns of the rotation."""
+    jacobian = np.zeros((layout.positions, layout.width, 3, 6))
+    jacobian[..., :3] = np.eye(3)
+    jacobian[..., 3:] = arms.rotation_columns(layout, poses, local)
+    return jacobian
 
 
 def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
@@ -235,6 +284,16 @@ def _recompose(left: Array, right: Array, handedness: Array) -> Array:
     return signed @ left.transpose(0, 2, 1)
 
 
+def _shortest_rotation(start: Array, end: Array) -> Array:
+    """Return the rotation (3, 3) by the smallest angle that turns the unit vector `start` into `end`."""
+    across = np.cross(start, end)
+    sine, cosine = float(np.linalg.norm(across)), float(start @ end)
+    if sine < 1e-9:  # parallel, or half a turn about any lateral axis
+        across = np.cross(start, np.eye(3)[np.abs(start).argmin()])
+    axis = across / np.linalg.norm(across)
+    return np.asarray(rotation_matrices(np.arctan2(sine, cosine) * axis[None])[0])
+
+
 def _upright_frame(axis: Array) -> Array:
     """Return a rotation (3, 3) with `axis` as the first column and a horizontal second column. The second column is the
     Y axis if `axis` is vertical."""
@@ -243,7 +302,7 @@ def _upright_frame(axis: Array) -> Array:
     return np.column_stack((axis, lateral, np.cross(axis, lateral)))
 
 
-def _rotations(turns: Array) -> Array:
+def rotation_matrices(turns: Array) -> Array:
     """Return the rotation matrices (K, 3, 3) of rotation vectors (K, 3) in rad (Rodrigues)."""
     angle = np.sqrt(np.einsum("ki,ki->k", turns, turns))
     cross = np.zeros((len(turns), 3, 3))

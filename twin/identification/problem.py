@@ -21,13 +21,16 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
+from twin.artefact.position_set import mount_pose
 from twin.errors import DataError
 from twin.identification.normal import JointPrior
 from twin.identification.options import Options
 from twin.identification.poses import PoseArms, Poses, RowLayout, rigid_poses
 from twin.identification.prior import unknowns_of
 from twin.identification.prior_from_estimate import joint_prior_for
+from twin.identification.straight_lines import StraightLines
 from twin.identification.unknowns import ArtefactErrors, UnknownBlocks, Unknowns
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.machine_population import Family
@@ -63,10 +66,10 @@ class IdentificationProblem:
     """Quantities that stay fixed while the poses of the artefact and the P unknowns z are refined. The n rows (measured
     ball centres) are sorted by artefact position.
 
-    `local` (n, 3) in mm contains the nominal artefact points at the temperature and elevation of each row. `design` (K,
-    width, 3, P) is the derivative, with respect to z, of the residual of the measurement equations: actual tool point
-    (left side) minus ball centre (right side). The derivative is taken at the poses in `poses`. The array is laid out
-    as K positions with room for `width` balls (slots) each; an empty slot repeats the first row of its position.
+    `local` (n, 3) in mm contains the nominal artefact points at the rows' temperature. `sag` (n, 3) in mm is their
+    displacement by gravity in the workpiece frame, or None for a stiff artefact. `design` (K,
+    width, 3, P) is the derivative of left minus right side with respect to z, at `poses`, laid out by position. An
+    empty slot repeats another row of its position.
     """
 
     unknowns: Unknowns
@@ -76,16 +79,23 @@ class IdentificationProblem:
     observations: Observations
     layout: RowLayout
     local: Array
+    sag: Array | None
     arms: PoseArms
     poses: Poses
     design: Array
+
+    @property
+    def touched(self) -> Array:
+        """Nominal tool points (n, 3) in mm, less the sag of the artefact."""
+        points = tool_points(self.observations)
+        return points if self.sag is None else points - self.sag
 
     def sides(self, z: Array) -> Sides:
         """Return the left and the right side of the exact measurement equations at the unknowns z, each (n, 3) in mm
         for n measured balls. The left side contains the actual tool points in the workpiece frame. The right side
         contains the ball centres in the artefact's frame, because the poses of the artefact are applied later."""
         seen, blocks = self.observations, self.blocks
-        left = tool_points(seen) + self.deviation(z)
+        left = self.touched + self.deviation(z)
         if blocks.size > blocks.misfit.start:
             left += self.change(_only(z, blocks.misfit, blocks.drift))
         change = self.nuisance.displacement(seen.ball, z[blocks.certificate], z[blocks.strain])
@@ -124,6 +134,15 @@ class IdentificationProblem:
             deviation[rows] = exact_deviation(self.unknowns.model, seen.axis_positions[rows], offset, parameters)
         return deviation
 
+    def with_poses(self, poses: Poses) -> IdentificationProblem:
+        """Return the problem with its design at other poses. Only the columns of the artefact's errors change."""
+        layout, blocks = self.layout, self.blocks
+        design = self.design.copy()
+        rotation = np.repeat(poses.rotation, layout.width, axis=0)
+        flat = design.reshape(-1, 3, blocks.size)
+        _fill_artefact(flat, blocks, self.nuisance, layout.source, self.observations.ball[layout.source], rotation)
+        return replace(self, poses=poses, design=design)
+
     def with_rows(self, accepted: np.ndarray[Any, Any]) -> IdentificationProblem:
         """Return the problem restricted to the rows (measured balls) that the mask `accepted` (n,) marks."""
         layout = RowLayout.of(self.observations.position[accepted])
@@ -138,7 +157,8 @@ class IdentificationProblem:
             observations=seen,
             layout=layout,
             local=local,
-            arms=PoseArms.of(layout, local),
+            sag=None if self.sag is None else self.sag[accepted],
+            arms=PoseArms.of(layout, local, self.arms.lines and self.arms.lines.select(alive)),
             nuisance=nuisance,
             poses=poses,
             design=_lay_out(layout, self.layout.unpad(self.design)[accepted]),
@@ -157,7 +177,12 @@ def build_problem(
     layout = RowLayout.of(observations.position)
     seen = observations if _is_sorted(layout.order) else observations.select(layout.order)
     local = _artefact_points(artefact, seen)
-    poses = rigid_poses(layout, local, tool_points(seen))
+    lines = StraightLines.of(artefact, np.split(seen.ball, np.cumsum(layout.counts)[:-1]))
+    nominal, points = _mount_rotations(seen, layout), tool_points(seen)
+    poses = rigid_poses(layout, local, points, lines, nominal)
+    sag = _sag(artefact, seen, layout, poses) if artefact.sag_mm else None
+    if sag is not None:
+        poses = rigid_poses(layout, local, points - sag, lines, nominal)
     unknowns = unknowns_of(family, artefact, seen, options)
     warmer_k = seen.temperature_c - artefact.reference_temperature_c
     nuisance = Nuisance(unknowns.artefact, unknowns.artefact.strain_rows(warmer_k))
@@ -170,7 +195,8 @@ def build_problem(
         observations=seen,
         layout=layout,
         local=local,
-        arms=PoseArms.of(layout, local),
+        sag=sag,
+        arms=PoseArms.of(layout, local, lines),
         poses=poses,
         design=design.reshape(layout.positions, layout.width, 3, -1),
     )
@@ -206,12 +232,28 @@ def _is_sorted(order: np.ndarray[Any, Any]) -> bool:
 
 
 def _artefact_points(artefact: Artefact, seen: Observations) -> Array:
-    """Return the artefact points (n, 3) in mm in the artefact's frame, at the temperature and elevation of each row."""
+    """Return points (n, 3) in mm in the artefact frame at the temperature of each row."""
     strain = artefact.cte_per_k * (seen.temperature_c - artefact.reference_temperature_c)
-    points = artefact.balls[seen.ball] * strain[:, None]
-    elevations, group = np.unique(seen.elevation_rad, return_inverse=True)
-    bent = np.stack([artefact.at(artefact.reference_temperature_c, float(angle)) for angle in elevations])
-    return np.asarray(points + bent[group, seen.ball])
+    return np.asarray(artefact.balls[seen.ball] * strain[:, None] + artefact.balls[seen.ball])
+
+
+def _mount_rotations(seen: Observations, layout: RowLayout) -> Array | None:
+    """Return the rotation (K, 3, 3) that the mount gives the artefact in each position, or None without azimuths."""
+    if seen.azimuth_rad is None:
+        return None
+    first = np.cumsum(layout.counts) - layout.counts
+    angles = zip(seen.azimuth_rad[first].tolist(), seen.elevation_rad[first].tolist(), strict=True)
+    return np.stack([mount_pose(np.zeros(3), MountGeometry(), *pair).rotation for pair in angles])
+
+
+def _sag(artefact: Artefact, seen: Observations, layout: RowLayout, poses: Poses) -> Array:
+    """Return the displacement (n, 3) in mm by gravity: across the bar, in the vertical plane that contains it.
+
+    It does not turn with the artefact if the bar is clamped with a roll.
+    """
+    along = poses.rotation[:, :, 0]
+    downwards = -np.array([0.0, 0.0, 1.0]) + along * along[:, 2:]
+    return np.asarray(artefact.droop_mm[seen.ball][:, None] * downwards[layout.index])
 
 
 def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:

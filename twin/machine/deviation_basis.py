@@ -72,7 +72,7 @@ def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple
         axis = AXES.index(letter)
         # The rotations of an axis on the tool side act before its travel, those on the workpiece side after it.
         carried = arm.copy()
-        arm[:, axis] += points[:, axis]
+        arm[:, axis] += points[:, axis] - model.ranges_mm[axis][0]
         arms[letter] = carried if letter in model.chain.tool_side else arm.copy()
     return arms["X"], arms["Y"], arms["Z"]
 
@@ -101,7 +101,8 @@ def _functions(model: ErrorModel, points: Array) -> Array:
         for axis in range(3)
     ]
     y, z = points[:, _Y], points[:, _Z]
-    columns.append(np.array((-z, z, -y)))
+    y_travel, z_travel = y - model.ranges_mm[_Y][0], z - model.ranges_mm[_Z][0]
+    columns.append(np.array((-z_travel, z_travel, -y_travel)))
     if model.cross_effect:
         v, w = cross_arguments(model, y, z)
         shapes = {"b0": v, "b1": w * v, "b2": w * w * v, "c0": v, "c1": w * v}

@@ -65,6 +65,7 @@ class _Workspace:
         self.point = np.empty((3, count))
         self.changes = np.empty((6, count))
         self.product = np.empty(count)
+        self.travelled = np.empty(count)
 
 
 def exact_deviation(
@@ -130,9 +131,9 @@ def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _UnpackedP
         _fill_sines(rows)
         if letter in model.chain.tool_side:
             _rotate(rows)
-            _travel(axis, numbers, rows)
+            _travel(axis, model, numbers, rows)
         else:
-            _travel(axis, numbers, rows)
+            _travel(axis, model, numbers, rows)
             _rotate(rows)
         rows.deviation += rows.motions[:3]
 
@@ -172,8 +173,9 @@ def _fill_sines(rows: _Workspace) -> None:
     square *= -0.5
 
 
-def _travel(axis: int, numbers: _UnpackedParameters, rows: _Workspace) -> None:
-    positions, arm = rows.positions[axis], rows.arm[axis]
+def _travel(axis: int, model: ErrorModel, numbers: _UnpackedParameters, rows: _Workspace) -> None:
+    arm = rows.arm[axis]
+    positions = np.subtract(rows.positions[axis], model.ranges_mm[axis][0], out=rows.travelled)
     # nominal travel goes into the arm, q (u - e_q) into the deviation
     arm += positions
     for component, share in enumerate(numbers.travel[axis]):

@@ -82,4 +82,5 @@ def test_scales_come_back_and_stay_within_bounds() -> None:
     assert found.noise == pytest.approx(2.5, rel=0.05)
     _, _, silent = equations(4, truth=Scales(1e-6, 1e-6, 1e-6))
     floor = most_likely_scales(silent, PriorPrecision(BLOCKS), Scales())
-    assert (floor.noise, floor.mixed) == pytest.approx((0.3, 0.3), abs=0.25)
+    assert floor.noise == pytest.approx(0.3, abs=0.05)
+    assert 0.003 <= floor.mixed < 0.1

@@ -13,7 +13,6 @@ from scipy.stats import multivariate_normal
 from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.identification import Options, identify, identify_by_evidence
-from twin.identification.evidence import SCALE_PRIORS
 from twin.identification.misfit import misfit_modes
 from twin.identification.problem import build_problem
 from twin.identification.solution import log_evidence_and_scales
@@ -61,8 +60,9 @@ def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, ...]
     free = null_space(np.concatenate(kept, axis=1).T).T
     covariance = free @ (design @ design.T + (1e-3 * scales[0]) ** 2 * np.eye(len(design))) @ free.T
     density = multivariate_normal.logpdf(free @ residual.reshape(-1), np.zeros(len(free)), covariance)
-    deviations = np.array([prior.log_deviation for prior in SCALE_PRIORS])
-    return float(density) - 0.5 * float(((np.log(scales) / deviations) ** 2).sum())
+    noise, prior, *kinds = np.log(scales)
+    distances = np.array([noise / np.log(3.0), prior / np.log(30.0), *((kind - prior) / np.log(3.0) for kind in kinds)])
+    return float(density) - 0.5 * float((distances**2).sum())
 
 
 def test_evidence_of_orders_differs_as_the_dense_densities_do() -> None:

@@ -82,9 +82,10 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
         series.append(model.coefficients(axis, values) @ polynomials)
     x, y, z = series
     a, b, c = model.squareness(values)
-    y[0] -= c * table.y
-    z[0] += b * table.z
-    z[1] -= a * table.z
+    low = np.array(model.ranges_mm)[:, 0]
+    y[0] -= c * (table.y - low[1])
+    z[0] += b * (table.z - low[2])
+    z[1] -= a * (table.z - low[2])
     v, w = cross_arguments(model, table.y[:, None], table.z[None, :])
     terms = model.cross_terms(values)
     straightness = (terms["b0"] + terms["b1"] * w + terms["b2"] * w**2) * v + z[1]

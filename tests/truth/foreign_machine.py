@@ -1,0 +1,125 @@
+"""Machines that share nothing with the program: own transforms, own error functions, own deflection.
+
+The chain is tool-Y-Z-X-bed-workpiece with a ram along Y. Each error motion is a sum of sines with free wavelengths and
+phases instead of a Legendre series. The deflection is that of a ram and a column which bend under gravity, with
+exponents and couplings that are drawn. The position of the tool point is the exact product of rotations and
+translations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
+TOOL = np.array([0.0, 250.0, 0.0])
+CHAIN = "tool-Y-Z-X-bed-workpiece"
+LOW, HIGH = np.array(RANGES).T
+_WAVES = 9
+_LINEAR_MM, _ANGULAR_RAD, _SQUARE_RAD = 6.0e-3, 5.0e-6, 7.0e-6
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Error motion of one axis: amplitudes, wave numbers and phases (6, k) for three displacements and three angles,
+    and a slope (6,) over the travel."""
+
+    amplitude: np.ndarray
+    wave: np.ndarray
+    phase: np.ndarray
+    slope: np.ndarray
+
+    def at(self, share: np.ndarray) -> np.ndarray:
+        """Return displacements in mm and angles in rad (n, 6) at shares (n,) of the travel."""
+        angle = np.pi * self.wave[None] * share[:, None, None] + self.phase[None]
+        return (self.amplitude[None] * np.sin(angle)).sum(axis=2) + self.slope * (share[:, None] - 0.5)
+
+
+@dataclass(frozen=True)
+class ForeignMachine:
+    """Machine whose true error field is `deviation`, in mm, at axis positions (n, 3)."""
+
+    motions: tuple[_Motion, _Motion, _Motion]
+    squareness: np.ndarray
+    bending: np.ndarray
+    ranges: tuple[tuple[float, float], ...] = RANGES
+    worse: float = 1.0
+
+    def deviation(self, axis_positions: np.ndarray) -> np.ndarray:
+        """Return the position of the tool point minus the nominal one, (n, 3) in mm."""
+        low, high = np.array(self.ranges).T
+        share = (axis_positions - low) / (high - low)
+        square = self.worse * self.squareness
+        directions = {  # X is the primary direction and Y the secondary one
+            0: np.array([1.0, 0.0, 0.0]),
+            1: np.array([-square[2], 1.0, 0.0]),
+            2: np.array([square[1], -square[0], 1.0]),
+        }
+        point = np.broadcast_to(TOOL, axis_positions.shape)
+        for axis in (1, 2, 0):  # from the tool to the bed
+            found = self.worse * self.motions[axis].at(share[:, axis])
+            travel = axis_positions[:, axis, None] - low[axis]
+            point = _turned(found[:, 3:], point) + travel * directions[axis] + found[:, :3]
+        nominal = axis_positions - low + TOOL
+        return point - nominal + self.worse * self._bent(share)
+
+    def _bent(self, share: np.ndarray) -> np.ndarray:
+        """Return the deflection (n, 3) in mm of ram and column."""
+        x, y, z = np.clip(share, 0.0, 1.0).T
+        droop, power, column, twist, swing, rail = self.bending
+        dz = -droop * y**power * (1.0 + 0.4 * z) + rail * np.sin(7.0 * np.pi * x) * y
+        dy = column * z**1.7 * y + swing * np.cos(2.2 * (x - z)) * y
+        dx = twist * np.sin(np.pi * (x + 0.6 * y)) * z
+        return 1e-3 * np.stack((dx, dy, dz), axis=1)
+
+    def axis_positions_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the axis positions (n, 3) at which the real tool point stands at workpiece points (n, 3)."""
+        found = points - TOOL
+        for _ in range(8):
+            found = points - TOOL - self.deviation(found)
+        return found
+
+
+def foreign_machine(rng: np.random.Generator, worse: float = 1.0) -> ForeignMachine:
+    """Draw a machine. Its error field is multiplied by `worse`."""
+    motions = tuple(_motion(rng) for _ in range(3))
+    x, y, z = motions
+    bending = np.array([rng.uniform(3.0, 9.0), rng.uniform(1.4, 3.0), *rng.normal(0.0, [2.0, 1.5, 1.0, 0.7])])
+    return ForeignMachine((x, y, z), rng.normal(0.0, _SQUARE_RAD, 3), bending, worse=worse)
+
+
+def _motion(rng: np.random.Generator) -> _Motion:
+    unit = np.array([_LINEAR_MM] * 3 + [_ANGULAR_RAD] * 3)[:, None]
+    count = np.arange(1, _WAVES + 1)
+    wave = count + rng.uniform(-0.5, 0.5, (6, _WAVES))
+    amplitude = unit * rng.uniform(-0.6, 0.6, (6, _WAVES)) / count**1.5
+    return _Motion(amplitude, wave, rng.uniform(0.0, 2.0 * np.pi, (6, _WAVES)), 0.8 * unit[:, 0] * rng.normal(size=6))
+
+
+def _turned(angles: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Turn points (n, 3) about the origin by angles (n, 3) in rad, exactly: first about X, then Y, then Z."""
+    x, y, z = point.T
+    a, b, c = angles.T
+    y, z = y * np.cos(a) - z * np.sin(a), y * np.sin(a) + z * np.cos(a)
+    x, z = x * np.cos(b) + z * np.sin(b), -x * np.sin(b) + z * np.cos(b)
+    x, y = x * np.cos(c) - y * np.sin(c), x * np.sin(c) + y * np.cos(c)
+    return np.stack((x, y, z), axis=1)
+
+
+def grid(counts: tuple[int, int, int] = (20, 10, 10)) -> np.ndarray:
+    """Return axis positions (n, 3) over the whole travel, both ends included."""
+    lines = [np.linspace(low, high, count) for (low, high), count in zip(RANGES, counts, strict=True)]
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def aligned_rms_um(points: np.ndarray, field: np.ndarray) -> float:
+    """Return the rms in µm of the length of vectors (n, 3) in mm, after the best small rigid motion is removed."""
+    arms = (points - points.mean(axis=0)) / 1000.0
+    motions = np.zeros((len(points), 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    for k, axis in enumerate(np.eye(3)):
+        motions[:, :, 3 + k] = np.cross(axis, arms)
+    flat = motions.reshape(-1, 6)
+    rest = field.reshape(-1) - flat @ np.linalg.lstsq(flat, field.reshape(-1), rcond=None)[0]
+    return 1e3 * float(np.sqrt((rest**2).sum() / len(points)))

@@ -1,0 +1,114 @@
+"""Roll of a straight artefact about its line, estimated without linearisation in the roll.
+
+The distances of the balls from the line form a pattern u of a few micrometres in each position. A roll by the angle φ
+changes the pattern to u cos φ + (n × u) sin φ, where n is the direction of the line. Its two coefficients are therefore
+linear unknowns, valid for every angle and without a start value, and they are projected out of the equations together
+with the shift and the two tilts of the position. The estimated coefficients give the roll. The derivatives with respect
+to the errors of the certificate depend on the roll, so the poses are rolled and the estimate is repeated.
+
+The errors of the machine are estimated in the same equations. This separates a pattern of the artefact, which is the
+same in all positions, from the straightness errors of the machine, which are as large.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.identification.centres import CentreEquations
+from twin.identification.normal import Posterior, PriorPrecision, Scales
+from twin.identification.options import Options
+from twin.identification.poses import Poses, rotation_matrices
+from twin.identification.problem import IdentificationProblem, build_problem
+from twin.machine.machine_population import Family
+
+_CONVERGED_RAD = 1e-7  # the result must not depend on the start
+_MAX_ITERATIONS = 15  # each step is less than a tenth of the previous one if the pattern exceeds the certificate's errors
+
+
+def build_measured_problem(
+    family: Family, observations: Observations, artefact: Artefact, options: Options
+) -> IdentificationProblem:
+    """Build the problem of a measured set, in which the roll of straight artefacts is estimated.
+
+    Raise DataError for a ball that the artefact does not have, or for an invalid prior.
+    """
+    carried = options.carried_over
+    scales = Scales() if carried is None else replace(carried.scales, noise=1.0)
+    return with_estimated_roll(build_problem(family, observations, artefact, options), scales)
+
+
+def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> IdentificationProblem:
+    """Return the problem at poses with the estimated roll of all straight artefacts.
+
+    The roll at the given poses counts as that of the mount: a weak prior, which decides only if the measurements do not
+    see the roll.
+    """
+    lines = problem.arms.lines
+    if lines is None:
+        return problem
+    rolled = np.zeros(problem.layout.positions)
+    for _ in range(_MAX_ITERATIONS):
+        vector = _roll_vector(problem, scales)
+        # mode of the likelihood of both coefficients times a von Mises prior at the mount's roll; a well-seen pattern
+        # (5 standard deviations or more) leaves the prior no weight, so that the start does not matter
+        concentration = np.exp(-0.5 * np.linalg.norm(vector, axis=1))
+        vector += concentration[:, None] * np.stack((np.cos(rolled), -np.sin(rolled)), axis=1)
+        step = np.where(lines.straight, np.arctan2(vector[:, 1], vector[:, 0]), 0.0)
+        axis = (problem.poses.rotation @ lines.frame[:, :, :1])[:, :, 0]
+        problem = problem.with_poses(_rolled(problem, step[:, None] * axis))
+        rolled += step
+        if float(np.abs(step).max()) < _CONVERGED_RAD:
+            break
+    return problem
+
+
+def _rolled(problem: IdentificationProblem, turns: Array) -> Poses:
+    """Return the poses turned about the middle of the balls of each position by rotation vectors (K, 3) in rad."""
+    poses, middle = problem.poses, problem.arms.middle[:, :, None]
+    rotation = rotation_matrices(turns) @ poses.rotation
+    return Poses(rotation, poses.translation + ((poses.rotation - rotation) @ middle)[:, :, 0])
+
+
+def _roll_vector(problem: IdentificationProblem, scales: Scales) -> Array:
+    """Return the coefficients (K, 2) of the pattern u and of n × u in each position, divided by their variance."""
+    layout, poses = problem.layout, problem.poses
+    pattern, size = _patterns(problem)
+    jacobian = np.zeros((layout.positions, layout.width, 3, 7))
+    jacobian[..., :3] = np.eye(3)
+    jacobian[..., 3:5] = problem.arms.rotation_columns(layout, poses, problem.local)[..., 1:]
+    jacobian[..., 5:] = pattern
+    equations = CentreEquations.without(jacobian, problem, unit_weights=False)
+    right, increments = equations.first_right_side()
+    precision = PriorPrecision(problem.blocks, problem.known)
+    posterior = Posterior.of(equations.matrix, precision, scales)
+    z = posterior.solve(right / scales.noise**2 + precision.information_vector)
+    # increments with the machine's errors at z, and their covariance from the noise and from z
+    back = equations.projector.back
+    through = back @ equations.parts.reshape(layout.positions, 7, -1)
+    coefficients = (increments + through @ z)[:, 5:]
+    spread = posterior.whiten(through[:, 5:].reshape(-1, len(z)))
+    variance = scales.noise**2 * np.einsum("kij,kij->k", back[:, 5:], back[:, 5:])
+    variance = 0.5 * (variance + np.einsum("kj,kj->k", *2 * [spread.reshape(layout.positions, -1)]))
+    coefficients[:, 0] += size
+    # coefficients of u / |u| have the variance v, so those of u itself divided by theirs are |u| / v times as large
+    return coefficients * np.divide(size, variance, out=np.zeros_like(size), where=size > 0.0)[:, None]
+
+
+def _patterns(problem: IdentificationProblem) -> tuple[Array, Array]:
+    """Return u / |u| and n × u / |u| (K, width, 3, 2) of each position, and the sizes |u| (K,) in mm."""
+    layout, arms, lines = problem.layout, problem.arms, problem.arms.lines
+    assert lines is not None
+    offset = (layout.pad(problem.local) - arms.middle[:, None, :]) * layout.present[:, :, None]
+    inside = offset @ lines.frame  # along the line, and the two distances from it
+    lateral = problem.poses.rotation @ lines.frame[:, :, 1:]
+    one = np.einsum("kwj,kij->kwi", inside[:, :, 1:], lateral)
+    # n × turns the first lateral direction into the second one, and that into minus the first one
+    other = np.einsum("kwj,kij->kwi", np.stack((-inside[:, :, 2], inside[:, :, 1]), axis=2), lateral)
+    size = np.sqrt(np.einsum("kwi,kwi->k", one, one))
+    pattern = np.stack((one, other), axis=3) / np.where(size > 0.0, size, 1.0)[:, None, None, None]
+    return pattern, np.where(lines.straight, size, 0.0)
