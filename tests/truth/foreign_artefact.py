@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
 from foreign_machine import HIGH, LOW, TOOL, ForeignMachine
+
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 
@@ -92,7 +92,8 @@ def measure(
     The roll of the bar in its clamp is drawn at each station, unless `clamping_roll_rad` gives it. The mount misses
     every angle by some tenths of a degree and every place by some millimetres.
     """
-    rows, rolls = [], []
+    rows: list[tuple[float, ...]] = []
+    rolls: list[float] = []
     for station in stations:
         clamped = rng.uniform(-np.pi, np.pi) if clamping_roll_rad is None else clamping_roll_rad
         for azimuth_deg, elevation_deg in orientations:
@@ -105,9 +106,10 @@ def measure(
             points = place + grown @ _orientation(azimuth, elevation, roll).T
             found = machine.axis_positions_at(points)
             inside = ((found > LOW + _MARGIN_MM) & (found < HIGH - _MARGIN_MM)).all(axis=1)
-            for ball in np.flatnonzero(inside):
+            for ball in np.flatnonzero(inside).tolist():
                 touched = found[ball] + rng.normal(0.0, NOISE_MM, 3)
-                rows.append((number, ball, math.radians(elevation_deg), temperature + thermometer_error_k, *touched, math.radians(azimuth_deg)))
+                read = temperature + thermometer_error_k
+                rows.append((number, ball, *np.radians([azimuth_deg, elevation_deg]), read, *touched))
             rolls.append(roll)
     table = np.array(rows)
     n = len(table)
@@ -115,11 +117,11 @@ def measure(
         position=table[:, 0].astype(int),
         ball=table[:, 1].astype(int),
         tool=np.zeros(n, dtype=int),
-        axis_positions=table[:, 4:7],
+        axis_positions=table[:, 5:],
         covariance=np.tile(np.eye(3) * NOISE_MM**2, (n, 1, 1)),
-        temperature_c=table[:, 3],
-        elevation_rad=table[:, 2],
-        azimuth_rad=table[:, 7],
+        temperature_c=table[:, 4],
+        elevation_rad=table[:, 3],
+        azimuth_rad=table[:, 2],
         tool_offsets=TOOL[None],
     )
     return Measured(seen, np.array(rolls))
@@ -133,5 +135,3 @@ def _orientation(azimuth: float, elevation: float, roll: float) -> np.ndarray:
     about_y = np.array([[ce, 0.0, -se], [0.0, 1.0, 0.0], [se, 0.0, ce]])
     about_z = np.array([[ca, -sa, 0.0], [sa, ca, 0.0], [0.0, 0.0, 1.0]])
     return about_z @ about_y @ about_x
-
-

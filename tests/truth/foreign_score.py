@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-
 from foreign_artefact import ForeignBar
 from foreign_machine import CHAIN, RANGES, TOOL, ForeignMachine, aligned_rms_um, grid
+
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify_by_evidence, predicted_vce
 from twin.machine.error_model import ErrorModel

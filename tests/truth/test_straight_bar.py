@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from foreign_artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
 from foreign_machine import foreign_machine
 from foreign_score import Score, score

@@ -27,6 +27,8 @@ class Observations:
     - `elevation_rad` (n,) is the elevation of the mount.
     - `thermal_regressors` (n, w) contains w thermal regressors in K. Each is a temperature change of the machine from
       the start of the run to the measurement of the row. If the machine is assumed not to drift, w is 0.
+    - `azimuth_rad` (n,) is the azimuth of the mount, or None if it is not known. It serves only as the roll of a
+      straight artefact whose roll the measurements do not show.
 
     Raises DataError if a value cannot be used. The error names the row, counted from 0.
     """
@@ -70,9 +72,11 @@ class Observations:
 
     def select(self, mask: np.ndarray[Any, Any]) -> Observations:
         """Return the rows selected by `mask`, a boolean array (n,) or an array of row indices."""
-        shared = {"tool_offsets": self.tool_offsets}
-        rows = {name: values[mask] for name, values in vars(self).items() if name not in shared and values is not None}
-        return Observations(**rows, **shared)
+        rows = {
+            f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name not in ("tool_offsets", "azimuth_rad")
+        }
+        azimuth_rad = None if self.azimuth_rad is None else self.azimuth_rad[mask]
+        return Observations(**rows, tool_offsets=self.tool_offsets, azimuth_rad=azimuth_rad)
 
     def _check_shapes(self) -> None:
         n = len(self.ball)

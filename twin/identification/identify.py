@@ -14,8 +14,8 @@ from twin.errors import DataError, SingularSet
 from twin.identification.alternatives import Alternative
 from twin.identification.distances import DistanceEquations
 from twin.identification.drift import DriftEstimate
-from twin.identification.evidence import PRIOR
 from twin.identification.estimate import Estimate, Misfit
+from twin.identification.evidence import PRIOR
 from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
 from twin.identification.outliers import contradicting_rows
@@ -131,8 +131,8 @@ def _check_plausible(solution: Solution) -> None:
     """Raise DataError if only errors a hundred times those of the family would explain the measurements."""
     if solution.scales_estimated and solution.scales.prior > 0.99 * PRIOR.high:
         raise DataError(
-            f"the ball centres contradict the artefact or the machine: only errors more than {PRIOR.high:g} times those "
-            "of the machine's family would explain them",
+            f"the ball centres contradict the artefact or the machine: only errors {PRIOR.high:g} times as large as "
+            "those of the machine's family would explain them",
             hint="check the artefact file, ball numbers, tool offset and units before measuring again",
         )
 

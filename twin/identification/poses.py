@@ -115,8 +115,9 @@ class Poses:
 class PoseArms:
     """Arms that convert the rotations of the pose increments to lengths in mm.
 
-    `middle` (K, 3) is the middle of the balls of each position in the artefact's frame, and `length` (K,) the largest
-    distance of a ball from this middle. `lines` describes positions of straight artefacts; it is None if there are none.
+    `middle` (K, 3) is the centroid of the balls of each position in the artefact's frame, and `length` (K,) the largest
+    distance of a ball from this centroid, both in mm. `lines` describes the positions of straight artefacts; it is None
+    if there are none.
     """
 
     middle: Array
@@ -203,8 +204,9 @@ class PoseProjector:
     """Projector that removes the effect of pose increments (small changes of the artefact's poses) from the whitened
     equations of K positions with up to `width` balls each.
 
-    `q` (K, 3 width, m) is an orthonormal basis Q of the effect of m increments, which are six unless stated otherwise.
-    `back` (K, m, m) converts the projections Qᵀr of residuals r into increments. `seen` is the number of increments that are determined.
+    `q` (K, 3·width, m) contains an orthonormal basis Q of the effect of m increments for each position; m is 6 unless
+    stated otherwise. `back` (K, m, m) converts the projections Qᵀr of residuals r into increments. `seen` is the number
+    of increments, over all positions, that the measurements determine.
     """
 
     q: Array
@@ -248,8 +250,8 @@ class PoseProjector:
 
 
 def pose_jacobian(layout: RowLayout, poses: Poses, local: Array, arms: PoseArms) -> Array:
-    """Return the derivatives (K, width, 3, 6) of the points with respect to the pose increments: the unit matrix for the
-    shift, followed by the columns of the rotation."""
+    """Return the derivatives (K, width, 3, 6) of the workpiece points of K positions with respect to the six pose
+    increments: the unit matrix for the shift, followed by the columns of the rotation."""
     jacobian = np.zeros((layout.positions, layout.width, 3, 6))
     jacobian[..., :3] = np.eye(3)
     jacobian[..., 3:] = arms.rotation_columns(layout, poses, local)

@@ -24,10 +24,11 @@ from twin.identification.normal import Posterior, PriorPrecision, Scales
 from twin.identification.options import Options
 from twin.identification.poses import Poses, rotation_matrices
 from twin.identification.problem import IdentificationProblem, build_problem
+from twin.identification.straight_lines import StraightLines
 from twin.machine.machine_population import Family
 
 _CONVERGED_RAD = 1e-7  # the result must not depend on the start
-_MAX_ITERATIONS = 15  # each step is less than a tenth of the previous one if the pattern exceeds the certificate's errors
+_MAX_ITERATIONS = 15  # a pattern larger than the errors of the certificate needs five or six
 
 
 def build_measured_problem(
@@ -53,7 +54,7 @@ def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> Ident
         return problem
     rolled = np.zeros(problem.layout.positions)
     for _ in range(_MAX_ITERATIONS):
-        vector = _roll_vector(problem, scales)
+        vector = _roll_vector(problem, lines, scales)
         # mode of the likelihood of both coefficients times a von Mises prior at the mount's roll; a well-seen pattern
         # (5 standard deviations or more) leaves the prior no weight, so that the start does not matter
         concentration = np.exp(-0.5 * np.linalg.norm(vector, axis=1))
@@ -74,10 +75,10 @@ def _rolled(problem: IdentificationProblem, turns: Array) -> Poses:
     return Poses(rotation, poses.translation + ((poses.rotation - rotation) @ middle)[:, :, 0])
 
 
-def _roll_vector(problem: IdentificationProblem, scales: Scales) -> Array:
+def _roll_vector(problem: IdentificationProblem, lines: StraightLines, scales: Scales) -> Array:
     """Return the coefficients (K, 2) of the pattern u and of n × u in each position, divided by their variance."""
     layout, poses = problem.layout, problem.poses
-    pattern, size = _patterns(problem)
+    pattern, size = _patterns(problem, lines)
     jacobian = np.zeros((layout.positions, layout.width, 3, 7))
     jacobian[..., :3] = np.eye(3)
     jacobian[..., 3:5] = problem.arms.rotation_columns(layout, poses, problem.local)[..., 1:]
@@ -96,13 +97,13 @@ def _roll_vector(problem: IdentificationProblem, scales: Scales) -> Array:
     variance = 0.5 * (variance + np.einsum("kj,kj->k", *2 * [spread.reshape(layout.positions, -1)]))
     coefficients[:, 0] += size
     # coefficients of u / |u| have the variance v, so those of u itself divided by theirs are |u| / v times as large
-    return coefficients * np.divide(size, variance, out=np.zeros_like(size), where=size > 0.0)[:, None]
+    weight = np.divide(size, variance, out=np.zeros_like(size), where=size > 0.0)
+    return np.asarray(coefficients * weight[:, None])
 
 
-def _patterns(problem: IdentificationProblem) -> tuple[Array, Array]:
+def _patterns(problem: IdentificationProblem, lines: StraightLines) -> tuple[Array, Array]:
     """Return u / |u| and n × u / |u| (K, width, 3, 2) of each position, and the sizes |u| (K,) in mm."""
-    layout, arms, lines = problem.layout, problem.arms, problem.arms.lines
-    assert lines is not None
+    layout, arms = problem.layout, problem.arms
     offset = (layout.pad(problem.local) - arms.middle[:, None, :]) * layout.present[:, :, None]
     inside = offset @ lines.frame  # along the line, and the two distances from it
     lateral = problem.poses.rotation @ lines.frame[:, :, 1:]

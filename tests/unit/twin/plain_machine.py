@@ -47,7 +47,7 @@ def axis_matrix(axis, position, ranges, parameters, workpiece_side):
     }[axis]
     unit = [1.0 if letter == axis else 0.0 for letter in AXES]
     along = square[:3, :3] @ unit
-    travel = shift(*(position["XYZ".index(axis)] * along))
+    travel = shift(*((position["XYZ".index(axis)] - low) * along))
     moved = shift(error["X"], error["Y"], error["Z"])
     turned = turn("Z", error["C"]) @ turn("Y", error["B"]) @ turn("X", error["A"])
     return moved @ turned @ travel if workpiece_side else travel @ moved @ turned
@@ -63,5 +63,6 @@ def deviations(chain_text, ranges, points, tool, parameters):
         for place in range(len(links) - 1, -1, -1):
             if place != bed:
                 matrix = matrix @ axis_matrix(links[place], point, ranges, parameters, place > bed)
-        result.append((matrix @ [*tool, 1.0])[:3] - np.array(point) - np.array(tool))
+        travelled = np.array(point) - [low for low, _ in ranges]
+        result.append((matrix @ [*tool, 1.0])[:3] - travelled - np.array(tool))
     return np.array(result)

@@ -34,10 +34,10 @@ def test_the_model_cannot_imitate_a_mode() -> None:
     used = np.linalg.svd(columns / np.linalg.norm(columns, axis=0).clip(1e-9), full_matrices=False)
     left = used[0][:, used[1] > 1e-9 * used[1][0]]
     modes = MODES.at(grid)
-    for k in range(0, MODES.size, 7):
+    for k in range(MODES.size):
         mode = align_rigidly(grid + TOOL, modes[:, :, k])
         rest = mode.reshape(-1) - left @ (left.T @ mode.reshape(-1))
-        assert rms(rest.reshape(-1, 3)) > 0.85 * rms(mode)
+        assert rms(rest.reshape(-1, 3)) > 0.75 * rms(mode)
 
 
 def test_a_wave_above_the_order_of_the_model_is_in_the_modes() -> None:

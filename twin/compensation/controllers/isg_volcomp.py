@@ -19,6 +19,7 @@ table. The rotation is also written as slopes of the straightness errors, and th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,7 @@ from twin.machine.legendre import legendre_values, normalise_positions
 MOST_RECORDS = 100_000
 _MM_DECIMALS, _RAD_DECIMALS = 7, 10
 _CROSSED = ("EYZ", "EAZ")
+_CROSSED_WITH_LEVER = ("EYZ", "EZZ", "EAZ")
 
 LOSSES = ("terms of second order, nanometres", "the misfit of the estimate, as in the table itself")
 
@@ -47,11 +49,12 @@ class Motions:
 
     `series[axis]` (6, n) contains the error motions of one axis at its n nodes: EX, EY and EZ in mm, and EA, EB and EC
     in rad. The straightness error EYZ and the roll EAZ depend on Y and Z (cross-effect), so they are zero in `series`.
-    Their values are in `crossed` (2, ny, nz), on a grid of ny nodes along Y and nz nodes along Z.
+    Their values, by name, are in `crossed`: arrays (ny, nz) on a grid of ny nodes along Y and nz nodes along Z. The
+    positioning error EZZ is there, too, if the zero of Y is not the lower end of its range.
     """
 
     series: tuple[Array, Array, Array]
-    crossed: Array
+    crossed: Mapping[str, Array]
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
@@ -86,12 +89,35 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
     y[0] -= c * (table.y - low[1])
     z[0] += b * (table.z - low[2])
     z[1] -= a * (table.z - low[2])
+    # the model measures lever arms from the lower ends of the ranges, the kernel from the zeros of the axes
+    levers = _lower_ends_of_arms(model)
+    for one, lever in zip(series, levers, strict=True):
+        one[:3] -= np.cross(one[3:].T, lever).T
     v, w = cross_arguments(model, table.y[:, None], table.z[None, :])
     terms = model.cross_terms(values)
-    straightness = (terms["b0"] + terms["b1"] * w + terms["b2"] * w**2) * v + z[1]
-    roll = (terms["c0"] + terms["c1"] * w) * v + z[3]
-    z[[1, 3]] = 0.0
-    return Motions((x, y, z), np.stack((straightness, roll)))
+    twist = (terms["c0"] + terms["c1"] * w) * v
+    crossed = {
+        "EYZ": (terms["b0"] + terms["b1"] * w + terms["b2"] * w**2) * v + twist * levers[2, 2] + z[1],
+        "EZZ": z[2] - twist * levers[2, 1],
+        "EAZ": twist + z[3],
+    }
+    names = _CROSSED_WITH_LEVER if levers[2, 1] and twist.any() else _CROSSED
+    z[[DIRECTIONS.index(name[1]) for name in names]] = 0.0
+    return Motions((x, y, z), {name: crossed[name] for name in names})
+
+
+def _lower_ends_of_arms(model: ErrorModel) -> Array:
+    """Return, for X, Y and Z, the vector (3, 3) in mm from the zeros to the lower ends of those axes whose travel is
+    part of the lever arm of this axis."""
+    low, arm, found = np.array(model.ranges_mm)[:, 0], np.zeros(3), np.zeros((3, 3))
+    for letter in model.chain.axes:
+        axis = AXES.index(letter)
+        if letter in model.chain.tool_side:
+            found[axis] = arm
+        arm[axis] += low[axis]
+        if letter in model.chain.workpiece_side:
+            found[axis] = arm
+    return found
 
 
 def _without_rigid_motion(motions: Motions, source: ExportSource) -> Motions:
@@ -113,15 +139,18 @@ def _without_rigid_motion(motions: Motions, source: ExportSource) -> Motions:
     y[2] -= turn_x * from_y
     z[0] -= turn_y * from_z
     z[2] -= shift_z
-    crossed = motions.crossed.copy()
-    crossed[0] += turn_x * from_z
+    crossed = dict(motions.crossed)
+    crossed["EYZ"] = crossed["EYZ"] + turn_x * from_z
+    if "EZZ" in crossed:
+        crossed["EZZ"] = crossed["EZZ"] - shift_z
+        z[2] = 0.0
     return Motions((x, y, z), crossed)
 
 
 def _rounded(motions: Motions) -> Motions:
     decimals = [_MM_DECIMALS] * 3 + [_RAD_DECIMALS] * 3
     x, y, z = (np.array([np.round(row, d) for row, d in zip(one, decimals, strict=True)]) for one in motions.series)
-    crossed = np.stack((np.round(motions.crossed[0], _MM_DECIMALS), np.round(motions.crossed[1], _RAD_DECIMALS)))
+    crossed = {name: np.round(values, decimals[_row(name)]) for name, values in motions.crossed.items()}
     return Motions((x, y, z), crossed)
 
 
@@ -136,8 +165,8 @@ def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, ax
         axis = AXES.index(letter)
         moved = [np.interp(axis_positions[:, axis], table.nodes[axis], row) for row in motions.series[axis]]
         if letter == "Z":
-            moved[1] += _over_y_and_z(motions.crossed[0], table, axis_positions)
-            moved[3] += _over_y_and_z(motions.crossed[1], table, axis_positions)
+            for name, values in motions.crossed.items():
+                moved[_row(name)] += _over_y_and_z(values, table, axis_positions)
         carried = arm.copy()
         arm[:, axis] += axis_positions[:, axis]
         lever = carried if letter in model.chain.tool_side else arm
@@ -164,31 +193,32 @@ def _csv(motions: Motions, table: CompensationTable, sign: int) -> str:
     tool = " ".join(f"{value:.10g}" for value in table.tool_offset.tolist())
     blocks = [["// position errors, and the tool that the values hold for", "A0Z B0Z C0Y P0X P0Y P0Z", f"0 0 0 {tool}"]]
     for axis, letter in enumerate(AXES):
-        blocks.append(_block(axis, letter, motions.series[axis], table.nodes[axis], sign))
-    crossed = ["// straightness and roll of Z, which depend on Y too", f"Y Z {' '.join(_CROSSED)}"]
+        blocks.append(_block(letter, motions, motions.series[axis], table.nodes[axis], sign))
+    crossed = ["// straightness and roll of Z, which depend on Y too", f"Y Z {' '.join(motions.crossed)}"]
     for j, y in enumerate(table.y.tolist()):
         for k, z in enumerate(table.z.tolist()):
-            straightness, roll = sign * motions.crossed[:, j, k]
-            crossed.append(f"{y:.10g} {z:.10g} {_mm(straightness)} {_rad(roll)}")
+            cells = [_number(name, sign * float(values[j, k])) for name, values in motions.crossed.items()]
+            crossed.append(" ".join([f"{y:.10g}", f"{z:.10g}", *cells]))
     return "\n#\n".join("\n".join(block) for block in [*blocks, crossed]) + "\n"
 
 
-def _block(axis: int, letter: str, series: Array, nodes: Array, sign: int) -> list[str]:
-    names = [f"E{direction}{letter}" for direction in DIRECTIONS]
-    used = [row for row, name in enumerate(names) if name not in _CROSSED]
-    lines = [f"// errors of {letter}", " ".join([letter, *(names[row] for row in used)])]
+def _block(letter: str, motions: Motions, series: Array, nodes: Array, sign: int) -> list[str]:
+    used = [name for direction in DIRECTIONS if (name := f"E{direction}{letter}") not in motions.crossed]
+    lines = [f"// errors of {letter}", " ".join([letter, *used])]
     for index, position in enumerate(nodes.tolist()):
-        cells = [(_mm if row < 3 else _rad)(sign * float(series[row, index])) for row in used]
+        cells = [_number(name, sign * float(series[_row(name), index])) for name in used]
         lines.append(" ".join([f"{position:.10g}", *cells]))
     return lines
 
 
-def _mm(value: float) -> str:
-    return f"{value + 0.0:.{_MM_DECIMALS}f}"
+def _row(name: str) -> int:
+    """Return the row of an error motion, such as EYZ, in the series of its axis."""
+    return DIRECTIONS.index(name[1])
 
 
-def _rad(value: float) -> str:
-    return f"{value + 0.0:.{_RAD_DECIMALS}f}"
+def _number(name: str, value: float) -> str:
+    """Return the text of a value in mm or rad of an error motion."""
+    return f"{value + 0.0:.{_MM_DECIMALS if _row(name) < 3 else _RAD_DECIMALS}f}"
 
 
 def _list_file(model: ErrorModel) -> str:
