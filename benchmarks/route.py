@@ -12,7 +12,8 @@ from time import process_time
 
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import walk_plan, without_optimisation
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import whole_procedure
 from agent.settings.load import load_settings, with_overrides
 from twin.units import S_PER_MIN

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import VolcalGroup, reported
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
 

@@ -15,7 +15,7 @@ from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.cli.printing import columns_table, results_console
 from agent.execution.device_assembly import assemble, closing_clock, make_clock
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
 from drivers.errors import DeviceError, VolcalError

@@ -21,7 +21,8 @@ from agent.errors import PlanRefused
 from agent.files import check_folder
 from agent.planning.cycle_time import PARTS, minutes_by_part, walk_plan, without_optimisation
 from agent.planning.design.set_valuation import valuation_of
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
 from agent.probing.run_plan import position_key
 from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy

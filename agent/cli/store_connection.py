@@ -8,7 +8,8 @@ from pathlib import Path
 
 from agent.execution.device_assembly import assemble, closing_clock, make_clock
 from agent.execution.rig import Rig
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings, naming
 
 

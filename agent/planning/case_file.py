@@ -8,7 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from agent.model_files import load_artefact, load_machine
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.kinds.nightly import Night

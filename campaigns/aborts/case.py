@@ -16,7 +16,8 @@ import numpy as np
 
 from agent.execution.journal_reader import JournalReader
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from drivers.roles import TableImage

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from agent.planning.case_file import CASE_STUDY
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import run_preflight
 from agent.settings.load import load_settings
 from campaigns.plans.drawing import toml

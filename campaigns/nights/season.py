@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.results.estimation import estimate_with_table
 from agent.results.table_image import image_of
 from agent.settings.load import load_settings

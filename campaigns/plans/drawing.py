@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.settings.schema import Settings
 from simulators.scenario import Scenario, ScenarioDocument, build_scenario
 from twin.artefact.position_set import POSITION_SETS, Position

@@ -20,7 +20,8 @@ from agent.execution.journal_reader import open_journal
 from agent.execution.rig import Rig
 from agent.execution.steps import Step
 from agent.planning.case_file import SHIPPED_CONFIGURATION
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import never_interrupted, run_preflight
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.resume.resume import resume

@@ -39,7 +39,8 @@ import numpy as np
 from agent.execution.device_assembly import Devices
 from agent.execution.journal_reader import open_journal
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.results.estimation import estimate_with_table
 from agent.results.table_image import image_of
 from agent.results.thermal_drift import identification_options

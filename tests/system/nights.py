@@ -15,7 +15,7 @@ from agent.execution.device_assembly import Devices, assemble
 from agent.execution.rig import Rig
 from agent.execution.run_state import Announcement
 from agent.execution.supervisor import Supervisor
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.planned_run import Kind
 from agent.runs.run_context import RunHooks

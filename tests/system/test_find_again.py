@@ -13,7 +13,8 @@ from agent.errors import MeasurementFault
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock

@@ -32,7 +32,7 @@ from agent.history.database_url import DatabaseAddress
 from agent.history.feed import update_history
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.settings.schema import Settings
 from drivers.errors import LinkLost
 

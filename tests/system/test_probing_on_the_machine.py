@@ -20,7 +20,8 @@ from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
 from agent.planning.cycle_time import walk_plan
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import run_preflight
 from agent.probing.preparation import PreparationResult
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions

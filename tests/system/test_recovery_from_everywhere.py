@@ -15,7 +15,8 @@ from agent.execution import steps as s
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import whole_procedure
 from agent.probing.recovery import withdraw
 from agent.probing.run_plan import MeasuredPositions

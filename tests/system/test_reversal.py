@@ -17,7 +17,8 @@ from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import run_preflight
 from agent.probing.reversal import Reversal
 from agent.settings.schema import Settings

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from agent.files import translated
 from agent.planning.design.bar_variants import Bar
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
 

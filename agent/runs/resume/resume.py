@@ -16,7 +16,7 @@ from agent.execution.journal_schema import FILE_NAME
 from agent.execution.rig import Rig
 from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.runs.origin import Origin, read_origin
 from agent.runs.reconcile import reconcile
 from agent.runs.resume.replay_clock import ResumedClock

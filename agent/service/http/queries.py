@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.service.http.app_state import AppState, AppStateDependency
 from agent.service.http.models import RunDetails, RunPage, RunSummary, StatusView, TableList, TableView, status_view
 from agent.service.http.problems import DOCUMENTED

@@ -12,7 +12,8 @@ import structlog
 from agent.errors import Busy, PlanRefused
 from agent.execution.states import RunState
 from agent.model_files import load_machine
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.runs.kinds.restoration import TABLE_ROLES, Restoration, stored_table
 from agent.runs.planned_run import Kind
 from agent.runs.requested_run import job_of, kind_of

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.reports.render_in_subprocess import render_in_subprocess
 from agent.runs.kinds.restoration import TableRole, stored_table
 from agent.service.http.app_state import AppStateDependency

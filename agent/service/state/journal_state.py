@@ -13,7 +13,7 @@ from agent.errors import JournalFailed
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
 from agent.execution.states import FINAL, RunState
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.reference_state import ACTIVATING_DECISIONS, reference_for
 from agent.runs.unfinished_run import unfinished_run

@@ -13,7 +13,8 @@ from typing import Any
 
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
 from agent.planning.cycle_time import TimedStep
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import PreflightResult
 from agent.planning.preview.blob import document
 from agent.planning.preview.builder import preview_of

@@ -13,7 +13,8 @@ from journaled import journaled, run_id
 from service_house import settings_document
 
 from agent.planning.design.set_valuation import valuation_of
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.service.page.result_cache import ResultCache
 from agent.service.page.set_value import set_value_document
 from agent.service.page.tables import table_csv, table_difference

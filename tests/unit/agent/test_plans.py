@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.execution.encoding import encode_step
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.probing.paths.approach_points import TipLocation
 from agent.probing.paths.shortest_path import ShortestPathPlanner, _TipState
 from agent.probing.publish import choose_bank, stage_table

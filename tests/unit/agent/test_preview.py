@@ -14,7 +14,8 @@ import pytest
 from agent.errors import PlanRefused
 from agent.execution.steps import MoveTo, OrientTo
 from agent.planning.case_file import CASE_STUDY
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import run_preflight, whole_procedure
 from agent.planning.preview.artefact_placement import bodies_at
 from agent.planning.preview.blob import document, embedded

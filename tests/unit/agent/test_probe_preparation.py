@@ -12,7 +12,8 @@ import pytest
 from touched_ball import TouchedBall, ended
 
 from agent.execution import steps as s
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.probing.preparation import PreparationResult, prepare_probe
 from agent.probing.probe_check import ProbeCheck, check_repeatability
 from agent.probing.qualification import qualify_stylus

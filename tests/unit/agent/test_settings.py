@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from agent.cli.main import main
 from agent.model_files import load_artefact, load_machine
-from agent.planning.job import prepare_job
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings, parse_settings
 from drivers.registry import check_options

@@ -12,7 +12,8 @@ import pytest
 from touched_ball import TouchedBall
 
 from agent.execution import steps as s
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.probing.station_change import CarriedItem, StationChange, change_station, park_mounts
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings

@@ -14,7 +14,8 @@ from agent.errors import Aborted
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, Step, TouchTowards
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.cycle_time import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walk_plan
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import run_preflight, whole_procedure
 from agent.planning.time_model import TimeModel
 from agent.probing.run_plan import MeasuringOrder, measure_positions

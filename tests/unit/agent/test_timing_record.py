@@ -17,7 +17,8 @@ from agent.execution.journal_rows import StepRow
 from agent.execution.run_record import read_steps
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.ideal_machine import IdealMachine
-from agent.planning.job import Job, prepare_job
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
 from agent.planning.latency_fit import (
     CARRY,
     MOVE,

@@ -1,0 +1,145 @@
+"""Preparation of a job (calibration that can be planned and carried out) from the settings and from the files that the
+settings name. No device is contacted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from agent.files import translated
+from agent.model_files import load_machine, load_positions
+from agent.planning.job import Job
+from agent.planning.procedure_rules import layout_of, preparation_of, probing_of, retreat_of
+from agent.planning.stations import check_stations, load_artefacts, station_change
+from agent.planning.temperature_rules import drift_limits_of, settling_of
+from agent.probing.position import PositionRules
+from agent.settings.load import POSITION_FILES
+from agent.settings.schema import Settings
+from drivers.errors import ConfigurationError
+from twin.artefact.position_set import Position, parse_position_set
+from twin.design.procedure import MIN_BALLS
+
+
+def prepare_job(settings: Settings, base: Path) -> Job:
+    """Load the files that the settings name, check that they are consistent, and return the job.
+
+    `base` is the folder to which the path of a position file is relative. Raises ConfigurationError if a file cannot be
+    used or if the files and settings are not consistent.
+    """
+    check_stations(settings)
+    machine = load_machine(settings.machine)
+    artefacts = load_artefacts(settings.artefact, settings.stations)
+    if settings.tool not in machine.tools:
+        raise ConfigurationError(
+            f"the machine has no tool {settings.tool!r}",
+            key="tool",
+            hint=f"tools of {settings.machine.name}: {', '.join(sorted(machine.tools))}",
+        )
+    stations = tuple(settings.procedure.stations or range(1, len(settings.stations.places_mm) + 1))
+    positions = _positions(
+        settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool
+    )
+    verified = tuple(settings.verification.stations or stations)
+    held_out = tuple(
+        Position(station, azimuth, elevation)
+        for station in verified
+        for azimuth, elevation in settings.verification.positions_deg
+    )
+    _refuse_overlap(positions, held_out)
+    used = tuple(dict.fromkeys((*stations, *(p.station for p in positions), *verified)))
+    probing = probing_of(settings.procedure, settings.probe.tip_radius_mm, artefacts.kind)
+    job = Job(
+        settings=settings,
+        machine=machine,
+        artefact=artefacts.all,
+        positions=positions,
+        held_out=held_out,
+        stations=used,
+        verified_stations=verified,
+        layout=layout_of(settings, machine, artefacts, probing),
+        preparation=preparation_of(settings, machine, artefacts, probing),
+        rules=PositionRules(
+            probing,
+            retreat_of(settings.stations, settings.procedure, settings.timing, machine),
+            drift_limits_of(settings.procedure, settings.temperature),
+            settling_of(settings.temperature),
+            station_change(settings.roles, settings.stations),
+        ),
+        gate_limits=settings.gates,
+    )
+    _refuse_nothing_reachable(job)
+    if settings.procedure.position_set.endswith(POSITION_FILES):
+        _refuse_unreachable_entry(job)
+    return job
+
+
+def _positions(name: str, stations: Sequence[int], station_count: int, base: Path, tool: str) -> tuple[Position, ...]:
+    """Return the positions of the named sets at `stations`, or all positions of a position file."""
+    if name.endswith(POSITION_FILES):
+        listed = load_positions(base / name)
+        unknown = sorted({p.station for p in listed} - set(range(1, station_count + 1)))
+        if unknown:
+            raise ConfigurationError(
+                f"the position file names station {unknown[0]}, which has no place",
+                file=name,
+                key="stations.places_mm",
+            )
+        return tuple(_with_tool_of_run(p, number, name, tool) for number, p in enumerate(listed, start=1))
+    with translated(ConfigurationError, key="procedure.position_set"):
+        everywhere = parse_position_set(name, station_count)
+    return tuple(p for p in everywhere if p.station in stations)
+
+
+def _with_tool_of_run(position: Position, number: int, file: str, tool: str) -> Position:
+    if position.tool not in (None, tool):
+        raise ConfigurationError(
+            f"position {number} is to be measured with tool '{position.tool}', the run has '{tool}'",
+            file=file,
+            key="tool",
+            hint="a run has one tool: make one file for each, and fuse the runs' estimates",
+        )
+    return replace(position, tool=None)
+
+
+def _refuse_overlap(positions: Sequence[Position], held_out: Sequence[Position]) -> None:
+    common = set(positions) & set(held_out)
+    if common:
+        first = min(common, key=lambda p: p.station)
+        raise ConfigurationError(
+            f"position az {first.azimuth_deg:g}° el {first.elevation_deg:g}° is measured for the estimate, "
+            "so it cannot prove it",
+            key="verification.positions_deg",
+            hint="choose orientations that the position set does not contain",
+        )
+
+
+def _refuse_nothing_reachable(job: Job) -> None:
+    if all(_reached(job, position) < MIN_BALLS for position in job.positions):
+        raise ConfigurationError(
+            "no position has three balls within the travel",
+            key="stations.places_mm",
+            hint="check the stations' places, the mount's shaft and the tool offset",
+        )
+
+
+def _refuse_unreachable_entry(job: Job) -> None:
+    """Raise ConfigurationError if an entry of a position file is out of reach.
+
+    Unreachable positions of a named set are left out and counted, but every entry of a position file must be
+    measurable.
+    """
+    for number, position in enumerate(job.positions, start=1):
+        reached = _reached(job, position)
+        if reached < MIN_BALLS:
+            raise ConfigurationError(
+                f"position {number} (station {position.station}, azimuth {position.azimuth_deg:g}°, elevation "
+                f"{position.elevation_deg:g}°) has {reached} balls within reach, three are needed",
+                file=job.settings.procedure.position_set,
+                hint="leave it out, or choose another orientation or station",
+            )
+
+
+def _reached(job: Job, position: Position) -> int:
+    return int(job.layout.reachable(position, job.layout.nominal(position)).sum())
