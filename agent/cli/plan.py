@@ -112,6 +112,8 @@ def _document(
         "formulation": job.settings.identification.formulation,
         "positions": [position_key(p) for p in job.positions],
         "held_out": [position_key(p) for p in job.held_out],
+        "held_out_choice": "least-known" if job.settings.verification.positions_deg is None else "listed",
+        "held_out_predicted_um": {position_key(p): value for p, value in expectation.held_out_um.items()},
         "order": [position_key(p) for p in job.measuring_order.positions],
         "left_out": list(preflight.measured.left_out),
         "unreachable_balls": preflight.measured.unreachable_balls,
@@ -143,6 +145,7 @@ def _table(
         ("artefact", job.artefact.name),
         ("position set", f"{job.settings.procedure.position_set} at stations {_listed(job.stations)}"),
         ("positions", f"{len(job.positions)}, and {len(job.held_out)} held out for verification"),
+        ("held out, expected rms", _held_out(job, expectation)),
         ("left out", ", ".join(measured.left_out) or "none"),
         ("balls out of reach", str(measured.unreachable_balls)),
         ("touches", str(measured.touches + preflight.verified.touches)),
@@ -153,6 +156,15 @@ def _table(
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
     ]
     return facts_table(rows, title="preflight passed: no collision, no limit")
+
+
+def _held_out(job: Job, expectation: PredictedAccuracy) -> str:
+    """Return a text with one line for each held-out position: its key and the expected rms residual of its balls. The
+    first line states how the positions were chosen."""
+    listed = job.settings.verification.positions_deg is not None
+    how = "as listed in the settings" if listed else "where the table is least known"
+    lines = [f"{position_key(p)}: {value:.2f} µm" for p, value in expectation.held_out_um.items()]
+    return "\n".join([f"{how}:", *lines])
 
 
 def _minutes_table(minutes: Mapping[int, Mapping[str, float]]) -> Table:

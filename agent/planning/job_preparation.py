@@ -10,6 +10,7 @@ from pathlib import Path
 
 from agent.files import translated
 from agent.model_files import load_machine, load_positions
+from agent.planning.held_out_positions import held_out_positions, verification_stations
 from agent.planning.job import Job
 from agent.planning.procedure_rules import layout_of, preparation_of, probing_of, retreat_of
 from agent.planning.stations import check_stations, load_artefacts, station_change
@@ -41,13 +42,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     positions = _positions(
         settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool
     )
-    verified = tuple(settings.verification.stations or stations)
-    held_out = tuple(
-        Position(station, azimuth, elevation)
-        for station in verified
-        for azimuth, elevation in settings.verification.positions_deg
-    )
-    _refuse_overlap(positions, held_out)
+    verified = verification_stations(settings)
     used = tuple(dict.fromkeys((*stations, *(p.station for p in positions), *verified)))
     probing = probing_of(settings.procedure, settings.probe.tip_radius_mm, artefacts.kind)
     job = Job(
@@ -55,7 +50,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         machine=machine,
         artefact=artefacts.all,
         positions=positions,
-        held_out=held_out,
+        held_out=(),
         stations=used,
         verified_stations=verified,
         layout=layout_of(settings, machine, artefacts, probing),
@@ -72,7 +67,20 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     _refuse_nothing_reachable(job)
     if settings.procedure.position_set.endswith(POSITION_FILES):
         _refuse_unreachable_entry(job)
-    return job
+    return _with_held_out(job)
+
+
+def _with_held_out(job: Job) -> Job:
+    """Return `job` with its held-out positions. Positions chosen automatically need not be at all stations that the
+    settings allow, so only their stations are visited for the verification."""
+    held_out = held_out_positions(job, job.positions)
+    if job.settings.verification.positions_deg is not None:
+        _refuse_overlap(job.positions, held_out)
+        return replace(job, held_out=held_out)
+    verified = tuple(dict.fromkeys(position.station for position in held_out))
+    needed = {*(position.station for position in job.positions), *verified}
+    stations = tuple(station for station in job.stations if station in needed)
+    return replace(job, held_out=held_out, verified_stations=verified, stations=stations)
 
 
 def _positions(name: str, stations: Sequence[int], station_count: int, base: Path, tool: str) -> tuple[Position, ...]:

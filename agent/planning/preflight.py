@@ -18,7 +18,7 @@ from agent.planning.preflight_rig import assemble_preflight_rig
 from agent.planning.safety_rules import checked_plan
 from agent.planning.time_model import TimeModel, time_model
 from agent.probing.repeated_positions import measure_with_repeats
-from agent.probing.run_plan import MeasuredPositions, measure_positions
+from agent.probing.run_plan import MeasuredPositions, measure_positions, position_key
 from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError
 
@@ -83,7 +83,8 @@ def run_preflight(
     except (Aborted, Interrupted) as end:  # belongs to no step of the machine
         raise type(end)(end.message, hint=end.hint) from end
     except (DeviceError, MeasurementFault) as error:
-        raise PlanRefused(f"preflight: {error.message}", hint=_what_to_do(job), **error.where) from error
+        hint = _what_to_do(job, error.where.get("step", ""))
+        raise PlanRefused(f"preflight: {error.message}", hint=hint, **error.where) from error
     finally:
         rig.close()
     _require_proof(verified)
@@ -91,7 +92,9 @@ def run_preflight(
     return PreflightResult(measured, verified, times.timeline, times.steps, clock.now(), wall_s, len(times.timeline))
 
 
-def _what_to_do(job: Job) -> str:
+def _what_to_do(job: Job, step: str) -> str:
+    if job.settings.verification.positions_deg is None and any(f"/{position_key(p)}/" in step for p in job.held_out):
+        return "nothing was moved; list other held-out positions in `verification.positions_deg`"
     if job.settings.procedure.paths == "plain":
         return (
             'nothing was moved; plain paths are not proved free; `procedure.paths = "shortest"` searches for free ones'

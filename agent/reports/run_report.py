@@ -180,7 +180,8 @@ def _verification(record: RunRecord) -> VerificationFacts | None:
     )
     verdict = f"{proof['reason']}; normalised χ² {proof['chi2_normalised']:.2f}"
     before, after = (Quantity(proof[name]) for name in ("before_um", "after_um"))
-    return VerificationFacts(proof["accepted"], verdict, before, after, proof["predicted_um"], positions)
+    least_known = record.settings["verification"]["positions_deg"] is None
+    return VerificationFacts(proof["accepted"], verdict, before, after, proof["predicted_um"], positions, least_known)
 
 
 def _verified_position(row: Mapping[str, Any], predicted_um: float) -> VerifiedPosition:

@@ -7,35 +7,64 @@ values.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from agent.files import translated
 from agent.planning.job import Job
+from agent.probing.position import MeasuredBall
 from agent.probing.run_plan import MeasuredPositions
 from agent.results.observations import no_correction, observations_of
 from drivers.errors import ConfigurationError
-from twin.identification import Estimate, Options, identify, predicted_vce
+from twin.artefact.held_out_check import held_out_residuals, held_out_test
+from twin.artefact.position_set import Position
+from twin.design.procedure import MIN_BALLS
+from twin.identification import Estimate, Options, identify, predicted_vce, residual_covariance
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
+from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)
 class PredictedAccuracy:
+    """Accuracy that is predicted for a run.
+
+    `vce` is the volumetric compensated error (VCE). `held_out_um` maps each held-out position to the rms residual in µm
+    that its balls are expected to show with the new table active.
+    """
+
     rank: int
     parameters: int
     vce: VolumetricRms
+    held_out_um: Mapping[Position, float]
 
 
 def predict_accuracy(job: Job, measured: MeasuredPositions) -> PredictedAccuracy:
-    """Return the rank of the estimate and the volumetric compensated error (VCE) that are predicted for the positions
-    `measured` in a preflight (simulated run).
+    """Return the rank of the estimate, the volumetric compensated error (VCE) and the residuals of the held-out
+    positions that are predicted for the positions `measured` in a preflight (simulated run).
 
-    The held-out positions, which serve only for the proof of the table, are not used. Raises ConfigurationError if the
-    other positions cannot identify the machine.
+    The held-out positions, which serve only for the proof of the table, are not used for the estimate. Raises
+    ConfigurationError if the other positions cannot identify the machine.
     """
     estimate = preflight_estimate(job, measured)
     grid = evaluation_grid(job.machine.model.ranges_mm)
     vce = predicted_vce(estimate, grid, job.tool_offset_mm)
-    return PredictedAccuracy(estimate.rank, estimate.model.size, vce)
+    return PredictedAccuracy(estimate.rank, estimate.model.size, vce, _held_out_um(job, measured, estimate))
+
+
+def _held_out_um(job: Job, measured: MeasuredPositions, estimate: Estimate) -> dict[Position, float]:
+    """Return the predicted rms residual in µm of each measured held-out position. It contains the remaining error of
+    the machine, the noise of the touches and the uncertainty of the certificate."""
+    by_position: dict[Position, list[MeasuredBall]] = {position: [] for position in job.held_out}
+    for ball in job.balls_of(measured, held_out=True):
+        by_position[Position(ball.station, ball.azimuth_deg, ball.elevation_deg)].append(ball)
+    predicted = {}
+    for position, balls in by_position.items():
+        if len(balls) >= MIN_BALLS:
+            seen = observations_of(balls, job.tool_offset_mm, no_correction)
+            result = held_out_residuals(seen, seen.axis_positions + job.tool_offset_mm, job.artefact)
+            covariance = residual_covariance(estimate, seen.axis_positions, job.tool_offset_mm)
+            predicted[position] = UM_PER_MM * held_out_test(seen, result, job.artefact, covariance).predicted_mm
+    return predicted
 
 
 def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:

@@ -216,15 +216,22 @@ class GateSettings(StrictModel):
 
 
 class VerificationSettings(StrictModel):
-    """Held-out positions, which are not used for the estimate. They are measured at `stations` before and after a new
-    compensation table is activated."""
+    """Held-out positions, which are not used for the estimate. They are measured before and after a new compensation
+    table is activated.
+
+    If `positions_deg` is set, these orientations are held out at each of the `stations`. Otherwise, `positions` single
+    positions are chosen automatically: positions at the `stations`, with orientations on a grid of `grid_deg`, whose
+    balls are expected to keep the largest error with the table active.
+    """
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "largest_chi2": "max_chi2",
         "largest_share": "max_remaining_fraction",
     }
 
-    positions_deg: list[Angles] = Field(default=[(30.0, 30.0), (-30.0, -30.0)], min_length=1)
+    positions_deg: Annotated[list[Angles], Field(min_length=1)] | None = None
+    positions: PositiveInt = 4
+    grid_deg: PositiveFloat = Field(default=30.0, le=90.0)
     stations: list[PositiveInt] | None = None
     max_chi2: PositiveFloat = 2.0
     max_remaining_fraction: float = Field(default=0.8, gt=0.0, le=1.0)
@@ -254,9 +261,9 @@ class NightlySettings(StrictModel):
     """Settings of the nights after a full calibration. They set the measurements of `volcal verify` and `volcal
     nightly`, and the limits beyond which the machine counts as changed.
 
-    The first `held_out_positions` of `verification.positions_deg` are measured at the start, and again if a new
-    compensation table is written. `check_positions` is the number of designed (optimally selected) positions that
-    complete the verification.
+    `held_out_positions` is the number of held-out positions at the artefact's station (see `verification`) that are
+    measured at the start, and again if a new compensation table is written. `check_positions` is the number of designed
+    (optimally selected) positions that complete the verification.
 
     `drift_um` is the rms length of the field by which the machine may change per night; the change is distributed like
     the errors of the machine's family (its prior population). `scale_drift_um_per_m` is an additional drift per night

@@ -8,7 +8,14 @@ from twin.identification.normal import Scales
 from twin.identification.observability import NullDirection
 from twin.identification.options import Options
 from twin.identification.order import identify_by_evidence
-from twin.identification.predicted import FieldKnowledge, field_uncertainty, predicted_vce, residual_covariance
+from twin.identification.predicted import (
+    FieldKnowledge,
+    expected_rms,
+    field_uncertainty,
+    predicted_vce,
+    regional_forms,
+    residual_covariance,
+)
 from twin.identification.prior_from_estimate import CarriedOverPrior, process_noise
 
 __all__ = [
@@ -23,10 +30,12 @@ __all__ = [
     "Options",
     "OrderEvidence",
     "Scales",
+    "expected_rms",
     "field_uncertainty",
     "identify",
     "identify_by_evidence",
     "predicted_vce",
     "process_noise",
+    "regional_forms",
     "residual_covariance",
 ]

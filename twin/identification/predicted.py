@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twin.arrays import Array, as_points, as_vector
 from twin.identification.estimate import Misfit
@@ -89,6 +89,40 @@ def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple
     # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
     rigid = sums.shared.T @ sums.share
     return sums.field / len(points), (sums.field - 0.5 * (rigid + rigid.T)) / len(points)
+
+
+def regional_forms(
+    estimate: FieldKnowledge, points: ArrayLike, inside: NDArray[np.bool_], tool_offset: ArrayLike
+) -> tuple[Array | None, Array | None]:
+    """Return two quadratic forms (p + q, p + q) in mm² that give the mean square of the error field of `estimate` in
+    two parts of the workspace: over those axis positions (n, 3) for which the mask `inside` (n,) is True, and over the
+    others. A form is None if its part has no axis position.
+
+    As in `field_forms`, the forms apply to the p parameters followed by the q coefficients of the misfit. The rigid
+    motion that fits the field best over all n axis positions is removed first. Therefore the mean square over all
+    positions is the mean of the two forms, weighted by the numbers of positions.
+    """
+    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    whole = field_forms(estimate, grid, offset)[1]
+    motions, share = _motions_about(grid, offset), _sums(estimate, grid, offset).share
+    count, fewer = len(grid), bool(2 * inside.sum() <= len(grid))
+    part = grid[inside if fewer else ~inside]
+    gram = np.zeros_like(whole)
+    for start in range(0, len(part), _CHUNK):
+        chunk = part[start : start + _CHUNK]
+        field = (field_columns(estimate, chunk, offset) - motions(chunk) @ share).reshape(-1, len(whole))
+        gram += field.T @ field
+    # the sum over the other part follows from the sum over all, which the quadrature gives from few nodes
+    first = None if len(part) == 0 else gram / len(part)
+    second = None if len(part) == count else (count * whole - gram) / (count - len(part))
+    return (first, second) if fewer else (second, first)
+
+
+def expected_rms(estimate: FieldKnowledge, form: Array) -> float:
+    """Return the root in mm of the expected mean square of the true minus the modelled deviation. `form` is a quadratic
+    form (p + q, p + q) of the error field, as `field_forms` and `regional_forms` return it."""
+    square = float(np.vdot(form, _second_moments(estimate))) + 3.0 * unresolved_variance(estimate)
+    return float(np.sqrt(max(square, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)

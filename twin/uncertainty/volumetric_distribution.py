@@ -16,6 +16,9 @@ from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 from twin.uncertainty.quadratic_mixture import QuadraticMixture
 from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
+Limits = tuple[float, float]
+"""Lower and upper limit of a volumetric error in mm."""
+
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistribution:
@@ -80,6 +83,26 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
         for which in (0, 1)
     )
     return VolumetricDistributions(ve, vce)
+
+
+def regional_limits(estimate: Estimate, form: Array, coverage: float = 0.95) -> tuple[Limits, Limits]:
+    """Return the limits of the volumetric error in one part of the workspace, without and with compensation.
+
+    Each pair contains the lower and the upper limit in mm of the equal-tailed interval with the given coverage. `form`
+    is the quadratic form of the part, as `twin.identification.regional_forms` returns it. The distributions are those
+    of `volumetric_distributions`, restricted to this part.
+    """
+    written = np.zeros(_size(estimate))
+    written[: estimate.model.size] = estimate.parameters
+    pairs = [_both(form, one, written) for one in mixture_components(estimate)]
+    tail = 0.5 * (1.0 - coverage)
+    ve, vce = (QuadraticMixture(tuple(pair[which] for pair in pairs)) for which in (0, 1))
+    return _rms_limits(ve, tail), _rms_limits(vce, tail)
+
+
+def _rms_limits(squares: QuadraticMixture, tail: float) -> Limits:
+    lower, upper = (math.sqrt(max(squares.quantile(at), 0.0)) for at in (tail, 1.0 - tail))
+    return lower, upper
 
 
 def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[QuadraticDistribution, ...]:

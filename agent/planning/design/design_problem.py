@@ -138,7 +138,8 @@ class DesignProblem:
     def _offered(self) -> Iterator[Position]:
         job = self.job
         stations = job.settings.procedure.stations or sorted(job.layout.locations_mm)
-        held_out = set(job.held_out)
+        listed = job.settings.verification.positions_deg is not None  # otherwise they are chosen to suit the design
+        held_out = set(job.held_out) if listed else set()
         for name in self.jobs:
             tool = None if name == job.settings.tool else name
             for station in stations:

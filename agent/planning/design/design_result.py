@@ -14,6 +14,7 @@ from agent.errors import PlanRefused
 from agent.files import translated
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.pareto_front import FrontPoint, front_of
+from agent.planning.held_out_positions import held_out_positions
 from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
@@ -28,6 +29,7 @@ Say = Callable[[str], None]
 
 _MAX_ATTEMPTS = 12
 _SLACK_MIN = 0.01
+_ORIENTATIONS = 2
 _MARGIN = 1.3  # factor on the excess over a slot, so that one more search usually suffices
 
 
@@ -126,14 +128,16 @@ def _within(problem: DesignProblem, search: ExchangeSearch, goal: Goal) -> tuple
 
 
 def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Sequence[int]) -> tuple[Position, ...]:
-    """Return the most informative orientations at every verified station, as many as the settings hold out."""
+    """Return the most informative orientations at every verified station: as many as the settings list, or two if they
+    list none."""
     job = problem.job
     groups: dict[tuple[float, float], list[int]] = {}
     for index, position in enumerate(candidates.positions):
         if position.station in job.verified_stations and position.tool is None and problem.passes(position):
             groups.setdefault((position.azimuth_deg, position.elevation_deg), []).append(index)
     whole = [group for group in groups.values() if len(group) == len(job.verified_stations)]
-    count = len(job.settings.verification.positions_deg)
+    listed = job.settings.verification.positions_deg
+    count = _ORIENTATIONS if listed is None else len(listed)
     with translated(InputError, key="--verify-set"):
         telling = most_informative_groups(candidates, chosen, whole, count)
     return tuple(candidates.positions[index] for group in telling for index in group)
@@ -143,7 +147,7 @@ def _refused(problem: DesignProblem, positions: Sequence[Position], held_out: Se
     """Return the position in `positions` at which the preflight refuses the plan, or None if the preflight passes.
     Raises PlanRefused if the preflight refuses a step that belongs to none of them."""
     for job, own in problem.by_tool(positions):
-        proof = tuple(held_out) or job.held_out
+        proof = tuple(held_out) or held_out_positions(job, own)
         try:
             run_preflight(replace(job, positions=own, held_out=proof))
         except PlanRefused as error:

@@ -31,7 +31,7 @@ CLEARANCE_MM = 1.0
 
 _PREFIX = "vetted"
 _BALL = re.compile(r"/ball-(\d+)")
-_Key = tuple[float, float, float, float, float, bytes]
+_Key = tuple[float, float, float, float, float, bytes, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,8 @@ class FeasibilityCheck:
     """Check whether the positions of a job can be measured without a collision, and how long each takes.
 
     Results are cached. For the same orientation, a result at one station is used at another station too, if the
-    stations have the same Y and Z, the same distance to their park locations, and the same balls within reach.
+    stations have the same artefact, the same Y and Z, the same distance to their park locations, and the same balls
+    within reach.
     """
 
     job: Job
@@ -70,7 +71,8 @@ class FeasibilityCheck:
         x, y, z = point(layout.location(position.station))
         park = self.job.rules.retreat.park_mm[position.station] - x
         reached = layout.reachable(position, layout.nominal(position))
-        return position.azimuth_deg, position.elevation_deg, park, y, z, reached.tobytes()
+        artefact = layout.first_ball(position.station)  # each artefact starts at a ball number of its own
+        return position.azimuth_deg, position.elevation_deg, park, y, z, reached.tobytes(), artefact
 
     def _first_hit(self, position: Position) -> str:
         """Return the two bodies of the first collision of a straight move, as text. A touch ends at its own ball, and
@@ -101,7 +103,7 @@ class FeasibilityCheck:
     def _scene(self, position: Position) -> Scene:
         settings = self.job.settings
         _, scene = measuring_scene(
-            self.job.artefact,
+            self.job.layout.artefact_at(position.station),
             settings.probe,
             settings.mount,
             location_mm=self.job.layout.location(position.station),

@@ -77,7 +77,8 @@ class VerificationFacts:
     estimate).
 
     `before` and `after` are the rms residuals per ball before and after activation of the table; `before` is None if it
-    was not measured. `predicted_um` is the prediction of `after`.
+    was not measured. `predicted_um` is the prediction of `after`. `least_known` is True if the positions were chosen
+    where the table was expected to be least accurate, and False if the settings list them.
     """
 
     accepted: bool
@@ -86,6 +87,7 @@ class VerificationFacts:
     after: Quantity
     predicted_um: float
     positions: tuple[VerifiedPosition, ...] = ()
+    least_known: bool = False
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ def verification(proof: VerificationFacts | None, t: Texts) -> dict[str, Any] | 
         (t["held_out_before"], micrometres(proof.before)),
         (t["held_out_after"], micrometres(proof.after)),
         (t["held_out_predicted"], f"{number(proof.predicted_um, 3)} µm"),
+        (t["held_out_choice"], t["held_out_least_known" if proof.least_known else "held_out_listed"]),
     )
     figure = Markup(draw_verification(proof.positions)) if proof.positions else ""  # noqa: S704  drawn by ourselves
     table = Table((t["held_out_head"], t["value"]), rows, (t["value"],))

@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.files import translated
 from agent.planning.design.feasibility import FeasibilityCheck
+from agent.planning.held_out_positions import least_known
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
@@ -40,13 +41,17 @@ class PositionChooser:
         return sum(self.feasibility.minutes(position) for position in positions)
 
     def held_out(self, count: int) -> tuple[Position, ...]:
-        """Return held-out positions (measured, but not used for the estimate) at this station. They are the first
-        `count` orientations of the setting `verification.positions_deg` that can be measured here, or fewer if there
-        are not enough."""
-        candidates = [
-            Position(self.station, azimuth, elevation)
-            for azimuth, elevation in self.job.settings.verification.positions_deg
-        ]
+        """Return held-out positions (measured, but not used for the estimate) at this station.
+
+        If the setting `verification.positions_deg` lists orientations, they are the first `count` of these that can be
+        measured here. Otherwise, they are the `count` positions whose balls are expected to show the largest error
+        after a calibration with the position set of the settings. They are thus the same every night. The result is
+        shorter than `count` if there are not enough.
+        """
+        listed = self.job.settings.verification.positions_deg
+        if listed is None:
+            return least_known(self.job, self.job.positions, (self.station,), count)
+        candidates = [Position(self.station, azimuth, elevation) for azimuth, elevation in listed]
         return tuple(position for position in candidates if self._usable(position))[:count]
 
     def by_gain(

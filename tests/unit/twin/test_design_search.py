@@ -1,5 +1,6 @@
 """Search against exhaustive choice and plain evaluation, on artificial candidates."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -11,7 +12,7 @@ from twin.artefact.position_set import Position
 from twin.design.candidates import CandidatePositions, orientation_grid
 from twin.design.criterion import Criterion
 from twin.design.goals import PositionCountGoal, TargetErrorGoal, TimeSlotGoal
-from twin.design.held_out import most_informative_groups
+from twin.design.held_out import least_known_positions, most_informative_groups
 from twin.design.information import InformationState
 from twin.design.measuring_cost import MeasuringCosts
 from twin.design.search import ExchangeSearch, Selection
@@ -172,6 +173,45 @@ def test_held_out_groups_are_those_that_would_have_told_most():
     assert most_informative_groups(candidates, chosen, groups, 2) == [first, second]
     with pytest.raises(DataError, match="4 orientations are to be held out, but only 3 can be measured"):
         most_informative_groups(candidates, chosen, groups, 4)
+
+
+def plain_errors(candidates: CandidatePositions, chosen) -> list[float]:
+    """Return for each candidate the expected square of a ball's residual if `chosen` were measured; the last unknown is
+    one of the artefact."""
+    precision = candidates.precision.copy()
+    for index in chosen:
+        precision += candidates.factors[index].T @ candidates.factors[index]
+    covariance = np.linalg.inv(precision)[:-1, :-1]
+    rows = candidates.factors[:, :, :-1]
+    return [
+        float(np.trace(row @ covariance @ row.T)) / balls for row, balls in zip(rows, candidates.balls, strict=True)
+    ]
+
+
+def test_least_known_positions_are_those_whose_balls_are_expected_to_be_worst():
+    made = made_up(9)
+    form = made.form.raw.copy()
+    form[-1], form[:, -1] = 0.0, 0.0
+    balls = np.arange(3, 3 + made.count)
+    candidates = replace(made, balls=balls, form=Criterion(form, form))
+    chosen, expected = [2, 5], []
+    for _ in range(3):
+        errors = plain_errors(candidates, [*chosen, *expected])
+        left = [index for index in range(candidates.count) if index not in (*chosen, *expected, 7)]
+        expected.append(max(left, key=errors.__getitem__))
+    assert least_known_positions(candidates, chosen, 3, lambda index: index != 7) == expected
+
+
+def test_least_known_positions_are_fewer_if_fewer_can_be_measured():
+    candidates = made_up(10)
+    assert least_known_positions(candidates, [0], 4, lambda index: index in (0, 3)) == [3]
+    assert least_known_positions(candidates, [0], 4, lambda _: False) == []
+
+
+def test_of_equal_positions_the_first_is_held_out():
+    made = made_up(11)
+    candidates = replace(made, factors=made.factors[[4] * made.count] * (1.0 + 1e-9 * np.arange(9)[:, None, None]))
+    assert least_known_positions(candidates, [], 1, lambda _: True) == [0]
 
 
 @pytest.mark.parametrize("step", [0.0, -15.0, 7.0, 100.0, 60.0, float("nan")])

@@ -1,0 +1,102 @@
+"""Held-out positions of the case study: chosen where the position set does not reach, or as the settings list them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.design.feasibility import FeasibilityCheck
+from agent.planning.held_out_positions import held_out_positions, least_known
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job
+from agent.planning.preflight import run_preflight
+from agent.results.predicted_accuracy import predict_accuracy
+from agent.runs.kinds.position_choice import PositionChooser
+from agent.settings.schema import Settings
+from drivers.errors import ConfigurationError
+from twin.artefact.position_set import Position
+from twin.compensation.table import MeasuredRegion
+from twin.design.procedure import MIN_BALLS
+
+IN_THE_MIDDLE = [(30.0, 30.0), (-30.0, -30.0)]
+
+
+@cache
+def case() -> Job:
+    return load_case(CASE_STUDY)
+
+
+def settings_with(**verification: object) -> Settings:
+    chosen = case().settings
+    return chosen.model_copy(update={"verification": chosen.verification.model_copy(update=verification)})
+
+
+def prepared(**verification: object) -> Job:
+    return prepare_job(settings_with(**verification), CASE_STUDY.parent)
+
+
+def share_outside(job: Job, position: Position) -> float:
+    """Return the share of the balls of `position` beyond the convex hull of the measured balls."""
+    hull = MeasuredRegion.around(job.procedure.plan(job.positions).observations.axis_positions, margin_mm=0.0)
+    return float((~hull.contains(job.procedure.balls_of(position)[1])).mean())
+
+
+def test_the_proof_looks_beyond_what_the_set_reaches() -> None:
+    job = case()
+    assert len(set(job.held_out)) == 4
+    assert not set(job.held_out) & set(job.positions)
+    for position in job.held_out:
+        assert position.station in (1, 4)
+        assert len(job.procedure.balls_of(position)[0]) >= MIN_BALLS
+        assert share_outside(job, position) > 0.15
+    heights = job.procedure.plan(job.positions).observations.axis_positions[:, 2]
+    reached = np.concatenate([job.procedure.balls_of(position)[1][:, 2] for position in job.held_out])
+    assert reached.min() < heights.min() - 100.0
+    assert reached.max() > heights.max() + 100.0
+
+
+def test_chosen_positions_are_expected_to_be_worse_than_those_in_the_middle() -> None:
+    chosen, listed = (
+        predict_accuracy(job, run_preflight(job).measured).held_out_um
+        for job in (case(), prepared(positions_deg=IN_THE_MIDDLE))
+    )
+    assert list(chosen) == list(case().held_out)
+    assert min(chosen.values()) > max(listed.values())
+
+
+def test_the_choice_is_the_same_every_time_and_fits_the_set() -> None:
+    job = case()
+    assert prepared().held_out == job.held_out
+    assert job.verified_stations == tuple(dict.fromkeys(position.station for position in job.held_out))
+    best = least_known(job, job.positions, (1, 4), 1)[0]
+    others = held_out_positions(job, (*job.positions, best))
+    assert best in job.held_out
+    assert best not in others
+
+
+def test_a_chosen_position_can_be_measured() -> None:
+    job = case()
+    feasibility = FeasibilityCheck(job)
+    assert [feasibility.hit(position) for position in job.held_out] == ["", "", "", ""]
+
+
+def test_listed_orientations_are_held_out_at_every_station() -> None:
+    job = prepared(positions_deg=IN_THE_MIDDLE)
+    assert job.held_out == tuple(Position(station, *angles) for station in (1, 4) for angles in IN_THE_MIDDLE)
+    assert job.verified_stations == (1, 4)
+
+
+def test_a_night_holds_out_the_least_known_position_at_its_station() -> None:
+    job = case()
+    assert PositionChooser(job, 2).held_out(1) == least_known(job, job.positions, (2,), 1)
+    listed = prepared(positions_deg=IN_THE_MIDDLE)
+    assert PositionChooser(listed, 2).held_out(1) == (Position(2, 30.0, 30.0),)
+
+
+def test_a_grid_that_does_not_divide_a_right_angle_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="does not divide 90") as caught:
+        prepared(grid_deg=25.0)
+    assert "verification.grid_deg" in str(caught.value)
