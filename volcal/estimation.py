@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
 from twin.artefact.artefact import Artefact
+from twin.artefact.artefact_temperature import assumed_uncertainty_k
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import StoredEstimate
@@ -71,7 +72,8 @@ def identify(
     `balls` are the measured ball centres. `order` is the Legendre order of the 18 error motions. It is a number, "file"
     for the orders of the machine file, or "evidence" for the order that the measurements support best. `options` sets
     the formulation (fit of ball centres or of distances between balls), the use of the prior population, the weights of
-    the measurements and the treatment of outliers. Raises SingularSet if the measured positions cannot determine any
+    the measurements and the treatment of outliers. If it states no uncertainty of the artefact's thermometer, 1 K is
+    assumed, or 3 K if `balls` contain no temperature. Raises SingularSet if the measured positions cannot determine any
     parameter, and DataError if a measured ball is not on the artefact.
 
     >>> estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
@@ -80,11 +82,19 @@ def identify(
     >>> len(estimate.null_directions)
     20
     """
+    options = _with_thermometer(options or Options(), balls)
     if isinstance(order, int):
         machine = machine.with_order(order)
     elif order == "evidence":
         return identify_by_evidence(lambda n: machine.with_order(n).family, balls.observations, artefact, options)
     return identify_model(machine.model, balls.observations, artefact, machine.family, options)
+
+
+def _with_thermometer(options: Options, balls: BallFile) -> Options:
+    if options.temperature_standard_uncertainty_k is not None or options.carried_over is not None:
+        return options
+    assumed_k = assumed_uncertainty_k(balls.temperature_was_read)
+    return replace(options, temperature_standard_uncertainty_k=assumed_k)
 
 
 def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike | None = None) -> Prediction:

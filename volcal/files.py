@@ -120,7 +120,8 @@ def write_balls(balls: BallFile, machine: MachineDescription, path: PathName) ->
 
     The covariance of each ball centre is reduced to one standard uncertainty.
     """
-    return _write(path, format_balls(balls.observations, balls.positions, list(machine.tools)))
+    tools = list(machine.tools)
+    return _write(path, format_balls(balls.observations, balls.positions, tools, balls.temperature_was_read))
 
 
 def write_positions(positions: tuple[Position, ...], path: PathName) -> Path:

@@ -125,6 +125,8 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
     if outcome.estimated_ve_um is not None:
         rows.append(("VE before, estimated", f"{outcome.estimated_ve_um:.2f} µm (aligned)"))
         rows.append(("VCE predicted", f"{_number(outcome.predicted_vce_um)} µm (aligned)"))
+        if outcome.thermometer is not None:
+            rows.append(("temperature", outcome.thermometer.short_text))
         rows.append(("rank", f"{outcome.rank} of {outcome.parameters} parameters"))
     if outcome.proof is not None:
         proof = outcome.proof

@@ -78,8 +78,20 @@ def _order(_context: click.Context, _option: click.Parameter, text: str) -> Orde
     type=click.FloatRange(min=0.0),
     help="With --carried-over: rms over the workspace by which the machine may have changed since [default: 0].",
 )
+@click.option(
+    "--temperature-uncertainty",
+    type=click.FloatRange(min=0.0, max=20.0),
+    metavar="K",
+    help="Standard uncertainty of the artefact's temperature, common to all rows [default: that of the settings with "
+    "--config; else 1 K, or 3 K if the file contains no temperature].",
+)
 @click.option("--tool", metavar="NAME", help="Tool for which the table is made [default: the one used most].")
-@click.option("--config", type=PATH, help="Settings file whose [gates] are the limits [default: their defaults].")
+@click.option(
+    "--config",
+    type=PATH,
+    help="Settings file whose [gates] are the limits [default: their defaults] and whose [temperature] states the "
+    "thermometer.",
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
 @reported
 def identify(
@@ -94,6 +106,7 @@ def identify(
     order: Order,
     carried_over: Path | None,
     process_noise_um: float | None,
+    temperature_uncertainty: float | None,
     tool: str | None,
     config: Path | None,
     as_json: bool,
@@ -107,9 +120,20 @@ def identify(
     options = Options(formulation=formulation, use_prior=prior == "on", weights=weights)
     if process_noise_um is not None and carried_over is None:
         raise click.UsageError("--process-noise-um says how an estimate has aged: give it with --carried-over")
-    gates = GateSettings() if config is None else read_settings(config).gates
+    settings = None if config is None else read_settings(config)
     request = IdentificationRequest(
-        balls, machine, artefact, out, options, tool, order, carried_over, process_noise_um or 0.0, gates
+        balls=balls,
+        machine=machine,
+        artefact=artefact,
+        out=out,
+        options=options,
+        tool=tool,
+        order=order,
+        carried_over=carried_over,
+        process_noise_um=process_noise_um or 0.0,
+        gates=GateSettings() if settings is None else settings.gates,
+        temperature_uncertainty_k=temperature_uncertainty,
+        thermometer_uncertainty_k=None if settings is None else settings.temperature.standard_uncertainty_k,
     )
     result = identify_files(request, utc_timestamp())
     if as_json:
@@ -136,6 +160,9 @@ def _show(result: IdentificationResult, seconds: float) -> None:
         f"rank {estimate.rank} of {estimate.model.size}; {seconds:.1f} s"
     )
     console.print(f"Legendre order {order_text(estimate)}")
+    console.print(result.thermometer.text, markup=False)
+    if result.thermometer.warning is not None:
+        console.print(f"note: {result.thermometer.warning}", style="yellow", markup=False)
     for gate in result.gates:
         if not gate.passed:
             console.print(f"note: {gate.name} {gate.value:.3g} is beyond {gate.limit:.3g}: {gate.text}", style="yellow")

@@ -15,13 +15,14 @@ from agent.files import translated
 from agent.model_files import load_positions
 from agent.planning.case_file import load_case
 from agent.planning.job import Job
+from agent.planning.planning_options import planning_options
 from agent.probing.run_plan import position_key
 from agent.settings.load import POSITION_FILES
 from drivers.errors import ConfigurationError, InputError
 from twin.arrays import Array
 from twin.artefact.position_set import Position, parse_position_set
 from twin.design.identifiability import Identifiability, assess_identifiability
-from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
+from twin.design.measurement_setup import SetUp, layout_for
 from twin.design.procedure import PlannedMeasurement, Procedure
 from twin.design.setup_advice import describe_gain, describe_trial
 from twin.design.setup_trials import TrialGain, evaluated_tools, trial_gains
@@ -143,7 +144,7 @@ def _set_up(job: Job, question: RankRequest, name: str) -> SetUp:
         bare,
         procedure=Procedure(layouts, job.procedure.covariance_mm2),
         positions=_with_tools(positions, asked),
-        options=replace(AS_STATED, formulation=chosen),
+        options=replace(planning_options(job.settings.temperature), formulation=chosen),
     )
 
 

@@ -34,6 +34,7 @@ from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, 
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
 from agent.results.journal_entries import observations_from
+from agent.results.thermometer import ThermometerFacts
 from drivers.errors import InputError
 from twin.artefact.position_set import Position
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
@@ -104,6 +105,7 @@ def _found(record: RunRecord) -> IdentificationData | None:
         positions=measured_positions(record),
         volumetric=VolumetricSummary(**volumetric),
         table=TableFacts(**identified["table"]),
+        thermometer=ThermometerFacts.of_record(identified.get("thermometer")),
     )
 
 
@@ -225,6 +227,8 @@ def _warnings(record: RunRecord, found: IdentificationData | None, texts: Texts)
         return tuple(notes)
     if found.table is not None and found.table.extrapolated:
         notes.append(texts["extrapolated"].format(share=f"{100.0 * found.table.extrapolated / found.table.cells:.0f}"))
+    if found.thermometer is not None and found.thermometer.warning is not None:
+        notes.append(found.thermometer.warning)
     if record.decision("proof") is None:
         notes.append(texts["prediction_only"])
     at_bounds = _stored(record).document.scales_at_bounds

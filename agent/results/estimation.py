@@ -20,8 +20,10 @@ from agent.results.facts import VolumetricSummary
 from agent.results.observations import Correction, displayed_residuals, observations_of
 from agent.results.run_outcome import Proof
 from agent.results.thermal_drift import identification_options, observations_with_drift
+from agent.results.thermometer import ThermometerFacts, ThermometerStatement
 from agent.results.volumetric_summary import volumetric_summary
 from agent.settings.schema import Order, TableSettings
+from agent.settings.temperature import TemperatureSettings
 from drivers.clock import utc_timestamp
 from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import held_out_test
@@ -29,6 +31,8 @@ from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
 from twin.machine.machine_description import MachineDescription
+from twin.machine.volumetric import evaluation_grid
+from twin.uncertainty.thermometer_effect import ThermometerEffect, thermometer_effect
 from twin.units import UM_PER_MM
 
 
@@ -37,13 +41,15 @@ class EstimationResult:
     """Estimate of the machine's errors from `observations`, and the compensation table made from the estimate.
 
     `volumetric` contains the estimated volumetric error (VE) of the machine without compensation and the predicted
-    volumetric compensated error (VCE), the volumetric error that remains with the table active.
+    volumetric compensated error (VCE), the volumetric error that remains with the table active. `thermometer` is
+    the part of this prediction that is due to the artefact's thermometer.
     """
 
     observations: Observations
     estimate: Estimate
     volumetric: VolumetricSummary
     table: CompensationTable
+    thermometer: ThermometerEffect
 
 
 def estimate_with_table(
@@ -64,11 +70,13 @@ def estimate_with_table(
     requested = table.anchor_mm or (0.0, 0.0, 0.0)
     clipped = [np.clip(value, low, high) for value, (low, high) in zip(requested, model.ranges_mm, strict=True)]
     anchor = Anchor(np.array(clipped))
+    volumetric = volumetric_summary(estimate, offset)
     return EstimationResult(
         observations,
         estimate,
-        volumetric_summary(estimate, offset),
+        volumetric,
         build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions),
+        thermometer_effect(estimate, volumetric.after, evaluation_grid(model.ranges_mm), offset),
     )
 
 
@@ -119,6 +127,13 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
     observations, order = observations_with_drift(job, balls, correction), settings.identification.order
     options = identification_options(settings.identification, settings.temperature, observations)
     return estimate_with_table(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
+
+
+def thermometer_facts(estimation: EstimationResult, temperature: TemperatureSettings) -> ThermometerFacts:
+    """Return the effect of the artefact's thermometer on the result of a run with the settings `temperature`."""
+    was_read = temperature.declared_artefact_c is None
+    statement = ThermometerStatement.of(temperature.standard_uncertainty_k, was_read)
+    return ThermometerFacts.of(estimation.thermometer, statement)
 
 
 def prove(

@@ -25,6 +25,7 @@ from agent.results.facts import ArtefactFacts, TableFacts
 from agent.results.observations import displayed_residuals
 from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
+from agent.results.thermometer import ThermometerFacts
 from drivers.errors import ConfigurationError
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
@@ -76,10 +77,13 @@ def observations_from(record: Mapping[str, Any]) -> Observations:
     return Observations(**{names.get(key, key): value for key, value in record.items()})
 
 
-def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult) -> None:
+def record_identified(
+    journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult, thermometer: ThermometerFacts
+) -> None:
     """Write to the journal the parts of an estimation that the estimate file does not contain.
 
-    `balls` contains the measured balls in the order of the observations.
+    `balls` contains the measured balls in the order of the observations. `thermometer` is the effect of the artefact's
+    thermometer on the result.
     """
     estimate = estimation.estimate
     positions = dict.fromkeys((ball.position, ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in balls)
@@ -92,6 +96,7 @@ def record_identified(journal: RunJournal, balls: Sequence[MeasuredBall], estima
             "unresolved_mm2": 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2,
             "order": order_text(estimate),
             "volumetric": asdict(estimation.volumetric),
+            "thermometer": asdict(thermometer),
             "table": asdict(TableFacts.of(estimation.table, checksum(format_table(estimation.table)))),
         },
     )

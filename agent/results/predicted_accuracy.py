@@ -78,7 +78,7 @@ def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
         formulation=chosen.formulation,
         use_prior=chosen.prior,
         weights=chosen.weights,
-        temperature_standard_uncertainty_k=job.settings.temperature.standard_uncertainty_k,
+        temperature_standard_uncertainty_k=job.settings.temperature.artefact_uncertainty_k,
         estimate_scales=False,
         outliers="none",
     )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
 
 from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
+from agent.results.thermometer import ThermometerFacts
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,7 @@ class Outcome:
     parameters: int | None = None
     estimated_ve_um: float | None = None
     predicted_vce_um: float | None = None
+    thermometer: ThermometerFacts | None = None
     chi2_normalised: float | None = None
     rejected: tuple[tuple[int, int, int], ...] = ()
     proof: Proof | None = None
@@ -146,6 +148,7 @@ class Outcome:
             "parameters": self.parameters,
             "estimated_ve_um": self.estimated_ve_um,
             "predicted_vce_um": self.predicted_vce_um,
+            "thermometer": None if self.thermometer is None else asdict(self.thermometer),
             "chi2_normalised": self.chi2_normalised,
             "rejected": [list(row) for row in self.rejected],
             "verified": None if self.proof is None else self.proof.accepted,

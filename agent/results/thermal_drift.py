@@ -83,7 +83,7 @@ def fusion_options(temperature: TemperatureSettings, observations: Observations,
 def _drift_options(temperature: TemperatureSettings, observations: Observations) -> Options:
     drifted = observations.thermal_regressors.shape[1] > 0
     return Options(
-        temperature_standard_uncertainty_k=temperature.standard_uncertainty_k,
+        temperature_standard_uncertainty_k=temperature.artefact_uncertainty_k,
         drift=drift_prior_of(temperature) if drifted else None,
         state_regressors=observations.thermal_regressors[-1] if drifted else None,
     )

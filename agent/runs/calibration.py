@@ -14,7 +14,7 @@ from agent.probing import publish
 from agent.probing.position import MeasuredBall
 from agent.probing.repeated_positions import measure_with_repeats
 from agent.probing.run_plan import MeasuredPositions, measure_positions
-from agent.results.estimation import EstimationResult, estimate_from_balls, prove, provenance
+from agent.results.estimation import EstimationResult, estimate_from_balls, prove, provenance, thermometer_facts
 from agent.results.gates import Gate, change_gate, estimate_gates, require_passed, table_gates, with_consent
 from agent.results.journal_entries import record_held_out, record_identified
 from agent.results.run_outcome import Proof
@@ -77,7 +77,8 @@ class CalibrationRun(GuardedRun):
 
     def _store_estimate(self, estimation: EstimationResult, balls: Sequence[MeasuredBall]) -> None:
         self.progress.estimation = estimation
-        record_identified(self._journal, balls, estimation)
+        thermometer = thermometer_facts(estimation, self._job.settings.temperature)
+        record_identified(self._journal, balls, estimation, thermometer)
         self._journal.estimate(format_estimate(estimation.estimate, provenance(self._job, self._journal.run_id)))
 
     def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from agent.reports.page import Header, IdentificationData, ReportData, name_of_p
 from agent.results.estimation import EstimationResult, estimate_with_table, order_text, scale_warnings
 from agent.results.facts import ArtefactFacts, TableFacts, triple
 from agent.results.gates import Gate, estimate_gates, table_gates
+from agent.results.thermometer import ThermometerFacts, ThermometerStatement
 from agent.settings.schema import GateSettings, Order, TableSettings
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
@@ -38,7 +39,9 @@ class IdentificationRequest:
     measured is used. `carried_over` is the file of an earlier estimate that serves as prior. `process_noise_um` is the
     possible change of the machine's error field since that estimate. It is an rms over the workspace in µm, after
     removal of the best-fitting rigid motion. `gates` contains the limits (gates) that the estimate and the table would
-    have to meet in a run on a machine.
+    have to meet in a run on a machine. `temperature_uncertainty_k` is the standard uncertainty of the artefact's
+    temperature in K, common to all rows; it is None if it is not stated. In this case `thermometer_uncertainty_k`, the
+    uncertainty of the thermometer according to the settings, is used for a ball file that contains temperatures.
     """
 
     balls: Path
@@ -51,18 +54,21 @@ class IdentificationRequest:
     carried_over: Path | None = None
     process_noise_um: float = 0.0
     gates: GateSettings = field(default_factory=GateSettings)
+    temperature_uncertainty_k: float | None = None
+    thermometer_uncertainty_k: float | None = None
 
 
 @dataclass(frozen=True)
 class IdentificationInput:
     """Contents of the input files of an identification: machine, artefact, measured balls and options. `tool` is the
-    tool for which the compensation table is made."""
+    tool for which the compensation table is made, and `thermometer` the uncertainty of the artefact's temperature."""
 
     machine: MachineDescription
     artefact: Artefact
     balls: BallFile
     tool: str
     options: Options
+    thermometer: ThermometerStatement
 
 
 @dataclass(frozen=True)
@@ -74,6 +80,10 @@ class IdentificationResult:
     estimation: EstimationResult
     gates: tuple[Gate, ...]
     report: Path
+
+    @property
+    def thermometer(self) -> ThermometerFacts:
+        return ThermometerFacts.of(self.estimation.thermometer, self.material.thermometer)
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
         """Return the result as a JSON object with the keys that the JSON object of a run's outcome has. A value that
@@ -95,6 +105,7 @@ class IdentificationResult:
             "estimated_ve_um": volumetric.before_aligned.value_um,
             "predicted_vce_um": volumetric.after_aligned.value_um,
             "predicted_vce_raw_um": volumetric.after_raw.value_um,
+            "thermometer": asdict(self.thermometer),
             "verified": None,
             "table_bank": None,
             "report": str(self.report),
@@ -140,12 +151,23 @@ def read_material(request: IdentificationRequest) -> IdentificationInput:
         message = "every half-width of the family is zero, so there is nothing to identify"
         raise ConfigurationError(message, hint=hint, file=str(request.machine), key="model.family")
     tool = _table_tool(request, machine, balls)
-    options = request.options
+    thermometer = _thermometer(request, balls)
+    options = replace(request.options, temperature_standard_uncertainty_k=thermometer.standard_uncertainty_k)
     if request.carried_over is not None:
         known = _carried_over(request.carried_over, machine, tool, request.process_noise_um)
         with translated(ConfigurationError):
+            known = known if balls.temperature_was_read else known.for_another_thermometer()
             options = replace(options, carried_over=known)
-    return IdentificationInput(machine, artefact, balls, tool, options)
+    return IdentificationInput(machine, artefact, balls, tool, options, thermometer)
+
+
+def _thermometer(request: IdentificationRequest, balls: BallFile) -> ThermometerStatement:
+    """Return the uncertainty of the artefact's temperature. The settings describe a thermometer, so they do not apply
+    to a file without temperatures."""
+    stated_k = request.temperature_uncertainty_k
+    if stated_k is None and balls.temperature_was_read:
+        stated_k = request.thermometer_uncertainty_k
+    return ThermometerStatement.of(stated_k, balls.temperature_was_read)
 
 
 def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOverPrior:
@@ -249,21 +271,25 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
             material.balls.positions,
             estimation.volumetric,
             TableFacts.of(estimation.table, crc32),
+            result.thermometer,
         ),
         gates=result.gates,
         gates_enforced=False,
-        warnings=_warnings(material, estimation, options),
+        warnings=_warnings(result, options),
     )
 
 
-def _warnings(material: IdentificationInput, estimation: EstimationResult, options: Options) -> tuple[str, ...]:
+def _warnings(result: IdentificationResult, options: Options) -> tuple[str, ...]:
     """Return the warnings that a person should read before loading the table into a machine."""
+    material, estimation = result.material, result.estimation
     notes = ["Nothing was measured with the table active: values after compensation are predictions."]
     share = float(np.mean(estimation.table.extrapolated))
     if share > 0.0:
         notes.append(f"{100.0 * share:.0f} % of the table's nodes lie outside the measured region.")
     if material.tool not in _used_tools(material):
         notes.append(f"The table is made for the tool {material.tool}, but nothing was measured with this tool.")
+    if result.thermometer.warning is not None:
+        notes.append(result.thermometer.warning)
     if not options.use_prior:
         notes.append("Without the family, unseen directions count as zero: the stated uncertainties leave them out.")
     return (*notes, *scale_warnings(estimation.estimate))

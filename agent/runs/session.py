@@ -22,6 +22,7 @@ from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
+from agent.results.estimation import thermometer_facts
 from agent.results.journal_entries import record_outcome
 from agent.results.run_outcome import Outcome
 from agent.runs.guarded_run import RunProgress, attempt
@@ -272,6 +273,7 @@ class RunSession:
             parameters=None if estimation is None else estimation.estimate.model.size,
             estimated_ve_um=None if estimation is None else estimation.volumetric.before_aligned.value_um,
             predicted_vce_um=None if estimation is None else estimation.volumetric.after_aligned.value_um,
+            thermometer=None if estimation is None else thermometer_facts(estimation, settings.temperature),
             chi2_normalised=None if estimation is None else estimation.estimate.chi2_normalised,
             rejected=() if estimation is None else estimation.estimate.rejected,
             proof=progress.proof,

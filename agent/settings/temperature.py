@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
+from twin.artefact.artefact_temperature import assumed_uncertainty_k
 from twin.formats.toml_reading import StrictModel
 from twin.units import REFERENCE_TEMPERATURE_C
 
@@ -18,7 +19,8 @@ class TemperatureSettings(StrictModel):
     """Temperature settings. Sensors have the names that the thermometer reports; the readings of several sensors on one
     body are averaged.
 
-    `standard_uncertainty_k` is the standard uncertainty of the artefact temperature, common to the whole run.
+    `standard_uncertainty_k` is the standard uncertainty of the artefact temperature, common to the whole run. If it is
+    not stated, 1 K is assumed, and the report names what this costs.
     `declared_artefact_c` is the artefact temperature that is used if the artefact has no sensor. The run waits while
     the artefact changes faster than `max_rate_k_per_h` or differs by more than `max_departure_k` from 20 °C. While it
     waits, it reads the sensors every `poll_interval_s`; it gives up after `max_wait_minutes`.
@@ -49,7 +51,7 @@ class TemperatureSettings(StrictModel):
     artefact_sensors: list[Sensor] = Field(default=["artefact"], min_length=1)
     machine_sensors: list[Sensor] = Field(default=["machine"])
     declared_artefact_c: float | None = Field(default=None, ge=-10.0, le=50.0)
-    standard_uncertainty_k: float = Field(default=0.0, ge=0.0, le=5.0)
+    standard_uncertainty_k: float | None = Field(default=None, ge=0.0, le=5.0)
     max_rate_k_per_h: float = Field(default=10.0, gt=0.0, le=100.0)
     max_departure_k: float = Field(default=10.0, gt=0.0, le=30.0)
     poll_interval_s: float = Field(default=60.0, ge=5.0, le=600.0)
@@ -64,12 +66,18 @@ class TemperatureSettings(StrictModel):
     repeat_after_change_k: float = Field(default=0.5, ge=0.0, le=20.0)
     repeat_positions: int = Field(default=3, ge=1, le=20)
 
+    @property
+    def artefact_uncertainty_k(self) -> float:
+        """Standard uncertainty in K of the artefact temperature; a large one if none is stated."""
+        stated = self.standard_uncertainty_k
+        return assumed_uncertainty_k(was_read=True) if stated is None else stated
+
     @model_validator(mode="after")
     def _declared_can_be_used(self) -> Self:
         declared = self.declared_artefact_c
         if declared is None:
             return self
-        if self.standard_uncertainty_k == 0.0:
+        if not self.standard_uncertainty_k:
             raise ValueError("declared_artefact_c requires standard_uncertainty_k greater than 0")
         if abs(declared - REFERENCE_TEMPERATURE_C) > self.max_departure_k:
             raise ValueError("declared_artefact_c is farther from 20 °C than max_departure_k: no run could start")

@@ -84,13 +84,14 @@ def measure(
     rng: np.random.Generator,
     *,
     clamping_roll_rad: float | None = None,
+    hall_c: float = 20.0,
     thermometer_error_k: float = 0.0,
     stations: Sequence[Sequence[float]] = STATIONS_MM,
 ) -> Measured:
     """Measure the bar at each station in each orientation (azimuth, elevation) in degrees.
 
     The roll of the bar in its clamp is drawn at each station, unless `clamping_roll_rad` gives it. The mount misses
-    every angle by some tenths of a degree and every place by some millimetres.
+    every angle by some tenths of a degree and every place by some millimetres. The bar is within 0.8 K of `hall_c`.
     """
     rows: list[tuple[float, ...]] = []
     rolls: list[float] = []
@@ -100,7 +101,7 @@ def measure(
             number = len(rolls)
             roll = clamped + rng.normal(0.0, 0.005)
             azimuth, elevation = np.radians([azimuth_deg, elevation_deg]) + rng.normal(0.0, 0.003, 2)
-            temperature = 20.0 + 0.8 * math.sin(0.2 * number)
+            temperature = hall_c + 0.8 * math.sin(0.2 * number)
             grown = bar.true * (1.0 + bar.cte_per_k * (temperature - 20.0))
             place = np.array(station) + rng.normal(0.0, 2.0, 3)
             points = place + grown @ _orientation(azimuth, elevation, roll).T

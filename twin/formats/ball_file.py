@@ -42,11 +42,13 @@ class BallFile:
     `observations` contains one ball centre for each row, in the order of the file. `positions` contains the station and
     the orientation of each of the K positions, sorted by the position number in the file. For each ball centre,
     `observations.position` is the index of its position in `positions`, from 0 to K-1; the number in the file is not
-    kept.
+    kept. `temperature_was_read` is False if the file contains no temperature; each ball centre then has the reference
+    temperature.
     """
 
     observations: Observations
     positions: tuple[Position, ...]
+    temperature_was_read: bool = True
 
 
 def parse_balls(
@@ -59,8 +61,9 @@ def parse_balls(
     """Return the contents of a ball file given as CSV text.
 
     `tools` maps the names of the machine's tools to their offsets (3,) in mm. If the cell of a standard uncertainty or
-    a temperature is empty in a row, `default_sigma_um` or `default_temperature_c` is used. Raise FormatError, which
-    names `source`, the row and the column, if the text is invalid.
+    a temperature is empty in a row, `default_sigma_um` or `default_temperature_c` is used. The temperature must be
+    given for all ball centres or for none. Raise FormatError, which names `source`, the row and the column, if the text
+    is invalid.
     """
     rows = list(read_rows(text, source, COLUMNS))
     if not rows:
@@ -70,6 +73,7 @@ def parse_balls(
     tool = [_tool(row, names) for row in rows]
     ball = [row.parse_int("ball", 0) for row in rows]
     _check_duplicates(rows, numbers, tool, ball)
+    temperature_was_read = _temperature_was_read(rows)
     positions = _positions(rows, numbers)
     index_of = {number: index for index, number in enumerate(positions)}
     sigma_mm = np.array([1e-3 * _sigma_um(row, default_sigma_um) for row in rows])
@@ -85,15 +89,20 @@ def parse_balls(
         azimuth_rad=np.radians([positions[number].azimuth_deg for number in numbers]),
         tool_offsets=np.array([tools[name] for name in names], dtype=np.float64),
     )
-    return BallFile(observations, tuple(positions.values()))
+    return BallFile(observations, tuple(positions.values()), temperature_was_read)
 
 
-def format_balls(observations: Observations, positions: Sequence[Position], tool_names: Sequence[str]) -> str:
+def format_balls(
+    observations: Observations,
+    positions: Sequence[Position],
+    tool_names: Sequence[str],
+    temperature_was_read: bool = True,
+) -> str:
     """Return the text of a ball file in CSV format.
 
     For each ball centre, `observations.position` is an index into `positions`, and `observations.tool` is an index into
     `tool_names`. The covariance of a ball centre is written as one standard deviation, the root of the mean variance of
-    its three coordinates.
+    its three coordinates. If `temperature_was_read` is False, no temperature is written.
     """
     lines = [",".join(COLUMNS)]
     sigma_um = 1e3 * np.sqrt(np.einsum("nii->n", observations.covariance) / 3.0)
@@ -102,7 +111,8 @@ def format_balls(observations: Observations, positions: Sequence[Position], tool
         angles = f"{placement.azimuth_deg:.10g},{placement.elevation_deg:.10g}"
         head = f"{observations.position[row]},{placement.station},{angles}"
         x, y, z = observations.axis_positions[row].tolist()
-        measured = f"{x:.7f},{y:.7f},{z:.7f},{sigma_um[row]:.6g},{observations.temperature_c[row]:.10g}"
+        temperature = f"{observations.temperature_c[row]:.10g}" if temperature_was_read else ""
+        measured = f"{x:.7f},{y:.7f},{z:.7f},{sigma_um[row]:.6g},{temperature}"
         lines.append(f"{head},{tool_names[int(observations.tool[row])]},{observations.ball[row]},{measured}")
     return "\n".join(lines) + "\n"
 
@@ -119,6 +129,19 @@ def _sigma_um(row: CsvRow, empty: float) -> float:
     if not sigma > 0.0:
         raise row.error(f"a standard uncertainty must be positive, not {sigma:g}", "sigma_um")
     return sigma
+
+
+def _temperature_was_read(rows: list[CsvRow]) -> bool:
+    """Return False if the temperature of every row is empty. Raise FormatError if it is empty in some rows only: a
+    temperature that was not read has another uncertainty than one that was."""
+    read = [row for row in rows if row.cells["temperature_c"]]
+    if 0 < len(read) < len(rows):
+        empty = next(row for row in rows if not row.cells["temperature_c"])
+        message = (
+            f"the temperature of position {empty.cells['position']} is empty, while row {read[0].number} gives one"
+        )
+        raise empty.error(message, "temperature_c", hint="Enter a temperature for every ball, or for none")
+    return bool(read)
 
 
 def _check_duplicates(rows: list[CsvRow], numbers: list[int], tool: list[int], ball: list[int]) -> None:

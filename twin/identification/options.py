@@ -46,7 +46,9 @@ class Options:
     the misfit off. A carried-over estimate keeps its own value.
 
     `temperature_standard_uncertainty_k` is the standard uncertainty of the artefact's thermometer. The error of the
-    thermometer is common to all rows.
+    thermometer is common to all rows. If it is None, it is that of the carried-over estimate; without such an estimate
+    the thermometer is exact. An uncertainty that differs from that of the carried-over estimate means another
+    thermometer, whose error is unknown again.
 
     `drift` is the prior of a drift of the machine in proportion to the thermal regressors (temperature changes) of the
     observations. It is None if drift is not estimated. `state_regressors` (w,) contains the thermal regressors in K of
@@ -63,7 +65,7 @@ class Options:
     outliers: OutlierPolicy = "reject"
     false_alarm: float = 0.01
     misfit_mm: float = 0.001
-    temperature_standard_uncertainty_k: float = 0.0
+    temperature_standard_uncertainty_k: float | None = None
     drift: DriftPrior | None = None
     state_regressors: Array | None = None
 
@@ -75,7 +77,8 @@ class Options:
             raise DataError(f"false_alarm must lie between 0 and 1, not {self.false_alarm}")
         if not self.misfit_mm >= 0.0:
             raise DataError(f"misfit_mm must not be negative, not {self.misfit_mm}")
-        if not self.temperature_standard_uncertainty_k >= 0.0:
+        thermometer_k = self.temperature_standard_uncertainty_k
+        if thermometer_k is not None and not thermometer_k >= 0.0:
             raise DataError("temperature_standard_uncertainty_k must not be negative")
         if self.carried_over is not None:
             self._check_carried()

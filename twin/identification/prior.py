@@ -34,8 +34,9 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
     if old.model != family.model:
         raise DataError("the carried-over estimate belongs to another model", hint="identify with its model")
     if old.artefact.matches(artefact):
-        thermometer = old.artefact.thermometer_standard_uncertainty_k
-        thermometer = thermometer or options.temperature_standard_uncertainty_k
+        thermometer = options.temperature_standard_uncertainty_k
+        if thermometer is None:
+            thermometer = old.artefact.thermometer_standard_uncertainty_k
         errors = replace(old.artefact, thermometer_standard_uncertainty_k=thermometer)
     if old.modes is None and options.misfit_mm > 0.0:
         return Unknowns(old.model, old.scale, errors, _modes(family, seen), options.misfit_mm, drift)
@@ -70,7 +71,7 @@ def _artefact_errors(artefact: Artefact, options: Options) -> ArtefactErrors:
         cte_per_k=artefact.cte_per_k,
         certificate=_certificate_factor(artefact.covariance),
         cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
-        thermometer_standard_uncertainty_k=options.temperature_standard_uncertainty_k,
+        thermometer_standard_uncertainty_k=options.temperature_standard_uncertainty_k or 0.0,
     )
 
 

@@ -60,6 +60,17 @@ class CarriedOverPrior:
             )
         object.__setattr__(self, "covariance", covariance)
 
+    def for_another_thermometer(self) -> CarriedOverPrior:
+        """Return the prior without the knowledge of the error of the artefact's thermometer, for measurements whose
+        temperatures were read by another thermometer or not at all."""
+        blocks, artefact = self.unknowns.blocks, self.unknowns.artefact
+        if "thermometer" not in artefact.strain_names:
+            return self
+        left_out = blocks.strain.start + artefact.strain_names.index("thermometer")
+        unknowns = replace(self.unknowns, artefact=replace(artefact, thermometer_standard_uncertainty_k=0.0))
+        covariance = np.delete(np.delete(self.covariance, left_out, axis=0), left_out, axis=1)
+        return CarriedOverPrior(unknowns, np.delete(self.mean, left_out), covariance, self.scales)
+
     def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOverPrior:
         """Return the prior `nights` nights later, with the random walk of each parameter added.
 
@@ -120,8 +131,14 @@ def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
     if old.artefact.certificate is new.artefact.certificate:
         yield before.certificate, now.certificate
         for index, name in enumerate(new.artefact.strain_names):
-            if name in old.artefact.strain_names:
+            if name in old.artefact.strain_names and (name != "thermometer" or _same_thermometer(old, new)):
                 at = before.strain.start + old.artefact.strain_names.index(name)
                 yield slice(at, at + 1), slice(now.strain.start + index, now.strain.start + index + 1)
     if old.modes is not None and old.modes is new.modes:
         yield before.misfit, now.misfit
+
+
+def _same_thermometer(old: Unknowns, new: Unknowns) -> bool:
+    """Return True if the thermometers of both nights have the same standard uncertainty, and thus the same error."""
+    one, other = (each.artefact.thermometer_standard_uncertainty_k for each in (old, new))
+    return one == other

@@ -13,6 +13,7 @@ import numpy as np
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.job import Job
+from agent.planning.planning_options import planning_options
 from twin.artefact.position_set import Position
 from twin.design.candidates import CandidatePositions, build_candidates, orientation_grid
 from twin.design.measuring_cost import MeasuringCosts
@@ -50,9 +51,9 @@ class DesignProblem:
         design.
 
         This identification of the machine's errors uses ball centres, and takes all uncertainties as stated in the
-        machine and artefact files.
+        machine and artefact files and in the settings.
         """
-        return Options(estimate_scales=False, outliers="none")
+        return planning_options(self.job.settings.temperature)
 
     @property
     def procedure(self) -> Procedure:

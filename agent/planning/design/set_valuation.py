@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from agent.files import translated
 from agent.planning.job import Job
+from agent.planning.planning_options import planning_options
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 from twin.design.valuation import Valuation, valuation
-from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
 
 
@@ -25,7 +25,7 @@ def valuation_of(job: Job, positions: Sequence[Position]) -> Valuation:
             job.machine.family,
             job.artefact,
             job.procedure.plan(positions).observations,
-            Options(estimate_scales=False, outliers="none"),
+            planning_options(job.settings.temperature),
             evaluation_grid(job.machine.model.ranges_mm),
             job.tool_offset_mm,
         )

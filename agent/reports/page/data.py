@@ -12,6 +12,7 @@ from typing import Protocol, Self
 
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
+from agent.results.thermometer import ThermometerFacts
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
@@ -185,7 +186,8 @@ class IdentificationData:
     """Result of an identification of the machine's errors, as a report shows it.
 
     `positions` is the list of positions to which the indices in `observations.position` refer. `residuals_mm` (n, 3)
-    holds the residuals of the n observations, in the order of the observations.
+    holds the residuals of the n observations, in the order of the observations. `thermometer` is the effect of the
+    artefact's thermometer on the result; it is None in a report on the journal of an earlier version.
     """
 
     observations: Observations
@@ -194,6 +196,7 @@ class IdentificationData:
     positions: tuple[Position, ...]
     volumetric: VolumetricSummary
     table: TableFacts | None = None
+    thermometer: ThermometerFacts | None = None
 
     @classmethod
     def of(
@@ -203,8 +206,9 @@ class IdentificationData:
         positions: Sequence[Position],
         volumetric: VolumetricSummary,
         table: TableFacts | None = None,
+        thermometer: ThermometerFacts | None = None,
     ) -> Self:
-        return cls(observations, estimate, estimate.residuals_mm, tuple(positions), volumetric, table)
+        return cls(observations, estimate, estimate.residuals_mm, tuple(positions), volumetric, table, thermometer)
 
 
 @dataclass(frozen=True)

@@ -97,8 +97,8 @@ def _machine(identification: IdentificationData) -> Rows:
 
 
 def validity(data: ReportData, identification: IdentificationData) -> list[str]:
-    """Return statements about the tool offset (vector from the ram to the stylus centre) and about the region of the
-    workspace for which the result is valid."""
+    """Return statements about the tool offset (vector from the ram to the stylus centre), about the thermometer of the
+    artefact, and about the region of the workspace for which the result is valid."""
     seen = identification.observations
     used = [seen.tool_offsets[tool] for tool in np.unique(seen.tool)]
     lengths = " and ".join(point(offset) for offset in used)
@@ -111,7 +111,9 @@ def validity(data: ReportData, identification: IdentificationData) -> list[str]:
         first = f"Measured with {len(used)} tool offsets, {lengths}; the table is made for {point(data.tool_offset)}."
     low, high = seen.axis_positions.min(axis=0), seen.axis_positions.max(axis=0)
     spans = ", ".join(f"{axis} {low[i]:.0f} to {high[i]:.0f}" for i, axis in enumerate("XYZ"))
+    thermometer = [] if identification.thermometer is None else [identification.thermometer.text]
     return [
         first,
+        *thermometer,
         f"Balls were measured at axis positions {spans} mm. Outside of them the model extrapolates.",
     ]

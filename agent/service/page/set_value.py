@@ -9,11 +9,11 @@ from typing import Any
 from agent.files import translated
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.job import Job
+from agent.planning.planning_options import planning_options
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 from twin.design.candidates import CandidatePositions, build_candidates
 from twin.design.valuation import Valuation
-from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
 
 Document = dict[str, Any]
@@ -48,7 +48,7 @@ def set_value_document(job: Job) -> Document:
             job.procedure,
             job.positions,
             job.machine.family,
-            Options(estimate_scales=False, outliers="none"),
+            planning_options(job.settings.temperature),
             evaluation_grid(job.machine.model.ranges_mm),
             job.tool_offset_mm,
         )

@@ -16,7 +16,7 @@ TOOLS = {"probe": (0.0, 250.0, 0.0), "long": (0.0, 400.0, 0.0)}
 HEADER = "position,station,azimuth_deg,elevation_deg,tool,ball,x_mm,y_mm,z_mm,sigma_um,temperature_c"
 GOOD = f"""{HEADER}
 7,1,45,0,probe,0,100.5,200.25,300.125,1.5,20.5
-7,1,45,0,probe,1,101,201,301,,
+7,1,45,0,probe,1,101,201,301,,20.25
 9,2,0,-45,long,0,102,202,302,2,21
 
 """
@@ -32,7 +32,8 @@ def test_a_file_is_read_as_it_is_written() -> None:
     assert seen.axis_positions[0].tolist() == [100.5, 200.25, 300.125]
     assert np.sqrt(np.diagonal(seen.covariance[0])) == pytest.approx(1.5e-3)
     assert np.sqrt(np.diagonal(seen.covariance[1])) == pytest.approx(1.0e-3)
-    assert seen.temperature_c.tolist() == [20.5, 20.0, 21.0]
+    assert seen.temperature_c.tolist() == [20.5, 20.25, 21.0]
+    assert read.temperature_was_read
     assert seen.elevation_rad == pytest.approx([0.0, 0.0, -np.pi / 4])
     assert seen.tool_offsets.tolist() == [[0.0, 250.0, 0.0], [0.0, 400.0, 0.0]]
 
@@ -53,6 +54,16 @@ def test_written_and_read_again_nothing_is_lost() -> None:
     assert again.observations.covariance == pytest.approx(seen.covariance, rel=1e-5)
     assert again.observations.ball.tolist() == seen.ball.tolist()
     assert again.observations.elevation_rad == pytest.approx(seen.elevation_rad)
+
+
+def test_temperatures_that_were_not_read_are_not_written_either() -> None:
+    text = GOOD.replace(",20.5\n", ",\n").replace(",20.25\n", ",\n").replace(",21\n", ",\n")
+    read = parse_balls(text, "balls.csv", TOOLS)
+    assert not read.temperature_was_read
+    assert read.observations.temperature_c.tolist() == [20.0, 20.0, 20.0]
+    written = format_balls(read.observations, read.positions, list(TOOLS), read.temperature_was_read)
+    assert [line.rpartition(",")[2] for line in written.splitlines()[1:]] == ["", "", ""]
+    assert not parse_balls(written, "balls.csv", TOOLS).temperature_was_read
 
 
 def changed(old: str, new: str) -> str:
@@ -76,6 +87,13 @@ def changed(old: str, new: str) -> str:
         (changed("probe,1", "probe,0"), "already given in row 2", "3", "ball"),
         (changed("1.5,20.5", "-1.5,20.5"), "must be positive", "2", "sigma_um"),
         (changed("1.5,20.5", "0,20.5"), "must be positive", "2", "sigma_um"),
+        (changed(",,20.25", ",,"), "temperature of position 7 is empty, while row 2 gives one", "3", "temperature_c"),
+        (
+            changed("302,2,21", "302,2,"),
+            "temperature of position 9 is empty, while row 2 gives one",
+            "4",
+            "temperature_c",
+        ),
         (changed("302,2,21", "302,2,warm"), "'warm' is not a number", "4", "temperature_c"),
         (changed("9,2,0", "9,0,0"), "0 is less than 1", "4", "station"),
         (changed("9,2,0,-45", "9,2,0,-95"), "outside", "4", "azimuth_deg"),
