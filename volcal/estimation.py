@@ -91,10 +91,16 @@ def identify(
 
 
 def _with_thermometer(options: Options, balls: BallFile) -> Options:
-    if options.temperature_standard_uncertainty_k is not None or options.carried_over is not None:
-        return options
-    assumed_k = assumed_uncertainty_k(balls.temperature_was_read)
-    return replace(options, temperature_standard_uncertainty_k=assumed_k)
+    """Return `options` with the uncertainty of the thermometer: as stated, that of the carried-over estimate, or a
+    large one. The error of a temperature that was not read is another one each night."""
+    carried, stated_k = options.carried_over, options.temperature_standard_uncertainty_k
+    if carried is not None and not balls.temperature_was_read:
+        carried = carried.for_another_thermometer()
+    if stated_k is None and carried is not None:
+        stated_k = carried.unknowns.artefact.thermometer_standard_uncertainty_k or None
+    if stated_k is None:
+        stated_k = assumed_uncertainty_k(balls.temperature_was_read)
+    return replace(options, carried_over=carried, temperature_standard_uncertainty_k=stated_k)
 
 
 def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike | None = None) -> Prediction:

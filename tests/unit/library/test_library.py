@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -141,3 +142,20 @@ def test_wrong_choices_say_what_is_known(tmp_path: Path, names: Mapping[str, Any
         volcal.design(names["setup"])
     with pytest.raises(volcal.DataError, match="beams"):
         volcal.simulate(names["setup"], deflection="rubber")
+
+
+def test_a_thermometer_is_never_exact_unless_it_is_stated(names: Mapping[str, Any]) -> None:
+    """The second night knows the thermometer of the first one, but not a temperature that was not read."""
+    setup, read = names["setup"], names["balls"]
+    unread = replace(read, temperature_was_read=False)
+
+    def used_k(balls: volcal.BallFile, **stated: Any) -> float:
+        options = volcal.Options(estimate_scales=False, outliers="none", **stated)
+        found = volcal.identify(balls, setup.machine, setup.artefact, order="file", options=options)
+        return found.unknowns.artefact.thermometer_standard_uncertainty_k
+
+    assert (used_k(read), used_k(unread)) == (1.0, 3.0)
+    assert used_k(read, temperature_standard_uncertainty_k=0.0) == 0.0
+    options = volcal.Options(estimate_scales=False, outliers="none", temperature_standard_uncertainty_k=0.2)
+    known = volcal.identify(read, setup.machine, setup.artefact, order="file", options=options).carried_over()
+    assert (used_k(read, carried_over=known), used_k(unread, carried_over=known)) == (0.2, 3.0)
