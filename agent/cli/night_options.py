@@ -68,6 +68,7 @@ def night_table(outcome: Outcome, night: NightReport) -> Table:
         ("held-out positions", f"{_um(night.held_out_um)}, expected {_um(night.held_out_predicted_um)}"),
         ("against the prediction", "?" if night.chi2_normalised is None else f"χ² {night.chi2_normalised:.2f}"),
         ("changed at once", "; ".join(one.text for one in night.jumped) or "nothing"),
+        *([("warning", night.warning)] if night.warning else []),
         ("reason", night.reason or "none"),
     ]
     return facts_table(rows, title=f"{outcome.run_id}: {night.decision.value}")

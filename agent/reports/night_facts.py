@@ -49,6 +49,7 @@ def _rows(night: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Consistency with the prediction", "–" if chi2 is None else f"normalised χ² {fixed(chi2, 2)}"),
         ("Abrupt changes", _error_changes(night["jumped"]) or "none"),
         ("Most likely cause", _error_changes(night["likeliest"]) or "–"),
+        *([("Warning", night["warning"])] if night.get("warning") else []),
         ("Reason", night["reason"] or "none"),
     ]
 

@@ -72,6 +72,10 @@ class NightReport:
     positions, and `held_out_predicted_um` is its prediction. `chi2_normalised` compares all ball centres with their
     prediction.
 
+    Three values compare a fused night with the nights before. `fit_probability` is the probability of a night that
+    contradicts their prediction as much as this one or more. `drift_factor` is the factor by which the machine drifts
+    more or less than stated, as learned from all nights. `warning` is empty if the night fits.
+
     `jumped` lists the machine errors for which there is sufficient evidence of a jump (sudden change). `likeliest`
     lists the errors whose jump would best explain the measurement, the likeliest first. It is filled even if the
     evidence is not sufficient.
@@ -89,6 +93,9 @@ class NightReport:
     held_out_um: float | None = None
     held_out_predicted_um: float | None = None
     chi2_normalised: float | None = None
+    fit_probability: float | None = None
+    drift_factor: float | None = None
+    warning: str = ""
     jumped: tuple[SuspectedError, ...] = ()
     likeliest: tuple[SuspectedError, ...] = ()
 

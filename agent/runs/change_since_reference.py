@@ -10,10 +10,12 @@ import numpy as np
 from agent.planning.job import Job
 from agent.runs.reference_state import ReferenceState
 from twin.arrays import Array
-from twin.identification import CarriedOverPrior, Estimate, process_noise
+from twin.artefact.observations import Observations
+from twin.identification import CarriedOverPrior, Estimate, Options, process_noise
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import QuadraticForm, evaluation_grid, volumetric_error
+from twin.monitoring.night_fit import NightFit, compare_with_nights_before
 from twin.units import MM_PER_UM
 
 SCALES = ("EXX[1]", "EYY[1]", "EZZ[1]")
@@ -46,27 +48,51 @@ def night_noise(job: Job, model: ErrorModel) -> Array:
 
 def prior_tonight(job: Job, reference: ReferenceState, nights: float) -> CarriedOverPrior:
     """Return the estimate of the last accepted night, `reference`, as a prior for the identification of this night. Its
-    uncertainty is increased by the drift that is expected in `nights` nights."""
+    uncertainty is increased by the drift that is expected in `nights` nights, of the size learned so far."""
     return reference.estimate.carried_over().after(night_noise(job, reference.estimate.model), nights)
 
 
+def fit_of_night(
+    job: Job, reference: ReferenceState, nights: float, observations: Observations, options: Options
+) -> NightFit:
+    """Return the comparison of the ball centres of a night with the last accepted night, `reference`, and the prior for
+    their identification, with the size of the drift learned from them. `options` are those of the identification.
+
+    Raises TwinError if the ball centres do not allow a comparison.
+    """
+    old = reference.estimate
+    return compare_with_nights_before(
+        job.machine.with_model(old.model).family,
+        observations,
+        job.artefact,
+        old.carried_over(),
+        night_noise(job, old.model),
+        nights=nights,
+        options=options,
+        false_alarm=job.gate_limits.night_false_alarm,
+    )
+
+
 def change_since(
-    job: Job, reference: ReferenceState, nights: float, estimate: Estimate, *, fused: bool = False
+    job: Job, reference: ReferenceState, nights: float, estimate: Estimate, fused_with: CarriedOverPrior | None = None
 ) -> Change:
     """Return the change of the machine from the last accepted night, `reference`, to `estimate`.
 
-    `fused` is True if the estimate of that night was the prior of `estimate`. In this case, the covariance of the
-    expected difference between the two is the covariance of the prior minus the covariance of `estimate`. If the two
-    estimates are independent, the covariance of the expected difference is the sum of both covariances.
+    `fused_with` is the prior of `estimate` if it was made from the estimate of that night. In this case, the covariance
+    of the expected difference between the two is the covariance of the prior minus the covariance of `estimate`. If the
+    two estimates are independent (`fused_with` is None), the covariance of the expected difference is the sum of both
+    covariances.
     """
     offset, old = job.tool_offset_mm, reference.estimate
     grid = evaluation_grid(old.model.ranges_mm)
     difference = _field(estimate.model, estimate.parameters, grid, offset)
     difference = difference - _field(old.model, old.parameters, grid, offset)
-    drift = np.diag(night_noise(job, old.model) ** 2 * nights)
-    before = _form(old.model, offset).expected(old.covariance + drift).aligned_mm ** 2
+    prior = fused_with or prior_tonight(job, reference, nights)
+    own = prior.unknowns.blocks.parameters
+    drifted = prior.unknowns.physical_covariance(prior.covariance[own, own])
+    before = _form(old.model, offset).expected(drifted).aligned_mm ** 2
     after = _form(estimate.model, offset).expected(estimate.covariance).aligned_mm ** 2
-    expected = max(before - after, 0.0) if fused else before + after
+    expected = before + after if fused_with is None else max(before - after, 0.0)
     return Change(volumetric_error(grid + offset, difference).aligned_um, float(np.sqrt(expected)) / MM_PER_UM)
 
 

@@ -15,6 +15,7 @@ from agent.reports.page import Header, IdentificationData, ReportData, name_of_p
 from agent.results.estimation import EstimationResult, estimate_with_table, order_text, scale_warnings
 from agent.results.facts import ArtefactFacts, TableFacts, triple
 from agent.results.gates import Gate, estimate_gates, table_gates
+from agent.results.night_gate import night_document, night_gate, night_text
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
 from agent.settings.schema import GateSettings, Order, TableSettings
 from drivers.errors import ConfigurationError, InputError
@@ -23,8 +24,10 @@ from twin.artefact.artefact import Artefact
 from twin.compensation.table_file import checksum, format_side_file, format_table
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import format_estimate, parse_estimate
-from twin.identification import CarriedOverPrior, Options, process_noise
+from twin.identification import Options, process_noise
+from twin.identification.identify import accepted_rows
 from twin.machine.machine_description import MachineDescription
+from twin.monitoring.night_fit import NightFit, compare_with_nights_before
 from twin.units import MM_PER_UM
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
@@ -61,7 +64,8 @@ class IdentificationRequest:
 @dataclass(frozen=True)
 class IdentificationInput:
     """Contents of the input files of an identification: machine, artefact, measured balls and options. `tool` is the
-    tool for which the compensation table is made, and `thermometer` the uncertainty of the artefact's temperature."""
+    tool for which the compensation table is made, and `thermometer` the uncertainty of the artefact's temperature.
+    `night` compares the balls with the carried-over estimate; it is None without one."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -69,6 +73,7 @@ class IdentificationInput:
     tool: str
     options: Options
     thermometer: ThermometerStatement
+    night: NightFit | None = None
 
 
 @dataclass(frozen=True)
@@ -112,6 +117,7 @@ class IdentificationResult:
             "chi2_normalised": estimate.chi2_normalised,
             "rejected": [list(row) for row in estimate.rejected],
             "gates": {gate.name: gate.passed for gate in self.gates},
+            "night": None if self.material.night is None else night_document(self.material.night),
         }
 
 
@@ -153,12 +159,8 @@ def read_material(request: IdentificationRequest) -> IdentificationInput:
     tool = _table_tool(request, machine, balls)
     thermometer = _thermometer(request, balls)
     options = replace(request.options, temperature_standard_uncertainty_k=thermometer.standard_uncertainty_k)
-    if request.carried_over is not None:
-        known = _carried_over(request.carried_over, machine, tool, request.process_noise_um)
-        with translated(ConfigurationError):
-            known = known if balls.temperature_was_read else known.for_another_thermometer()
-            options = replace(options, carried_over=known)
-    return IdentificationInput(machine, artefact, balls, tool, options, thermometer)
+    material = IdentificationInput(machine, artefact, balls, tool, options, thermometer)
+    return material if request.carried_over is None else _after_earlier_night(material, request, request.carried_over)
 
 
 def _thermometer(request: IdentificationRequest, balls: BallFile) -> ThermometerStatement:
@@ -170,13 +172,35 @@ def _thermometer(request: IdentificationRequest, balls: BallFile) -> Thermometer
     return ThermometerStatement.of(stated_k, balls.temperature_was_read)
 
 
-def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOverPrior:
-    """Return the earlier estimate in `path` as prior, widened by the possible change since that estimate."""
+def _after_earlier_night(
+    material: IdentificationInput, request: IdentificationRequest, path: Path
+) -> IdentificationInput:
+    """Return `material` with the earlier estimate in `path` as prior, widened by the change since that estimate, and
+    with the comparison of the balls with that estimate.
+
+    Balls that contradict the others of the same night are left out of the comparison.
+    """
+    machine, artefact, options, balls = material.machine, material.artefact, material.options, material.balls
+    seen = balls.observations
     text = read_text(path)
     with translated(InputError, file=str(path)):
         known = parse_estimate(text, str(path)).carried_over()
         family = machine.with_model(known.unknowns.model).family
-        return known.after(process_noise(family, MM_PER_UM * process_noise_um, machine.tool(tool)))
+        noise = process_noise(family, MM_PER_UM * request.process_noise_um, machine.tool(material.tool))
+    known = known if balls.temperature_was_read else known.for_another_thermometer()
+    with translated(ConfigurationError):
+        replace(options, carried_over=known)  # refuses options that do not go with an earlier estimate
+    with translated(file=str(request.balls)):
+        night = compare_with_nights_before(
+            family,
+            seen.select(accepted_rows(family, seen, artefact, options)),
+            artefact,
+            known,
+            noise,
+            options=options,
+            false_alarm=request.gates.night_false_alarm,
+        )
+    return replace(material, options=replace(options, carried_over=night.prior), night=night)
 
 
 def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[EstimationResult, tuple[Gate, ...]]:
@@ -193,6 +217,7 @@ def _gated(material: IdentificationInput, request: IdentificationRequest) -> tup
     gates = (
         *estimate_gates(estimation.estimate, estimation.volumetric.after, estimation.volumetric.before, request.gates),
         *table_gates(estimation.table, NO_STORE, request.gates),
+        *(() if material.night is None else (night_gate(material.night, request.gates),)),
     )
     return estimation, gates
 
@@ -229,23 +254,24 @@ def _provenance(result: IdentificationResult, request: IdentificationRequest) ->
         "machine": request.machine.name,
         "artefact": request.artefact.name,
         "certificate": result.material.artefact.certificate,
-        "prior": _prior_text(request),
+        "prior": _prior_text(request, result.material.night),
         "weights": request.options.weights,
         "order": "carried over" if request.carried_over is not None else str(request.order),
         "table_tool": result.material.tool,
     }
 
 
-def _prior_text(request: IdentificationRequest) -> str:
-    if request.carried_over is not None:
-        return f"{request.carried_over.name}, changed since by {request.process_noise_um:g} µm rms"
+def _prior_text(request: IdentificationRequest, night: NightFit | None) -> str:
+    if request.carried_over is not None and night is not None:
+        learned = f", times {night.factor:.2g} as learned" if request.process_noise_um > 0.0 else ""
+        return f"{request.carried_over.name}, changed since by {request.process_noise_um:g} µm rms{learned}"
     return "family of the machine" if request.options.use_prior else "none"
 
 
 def _report_data(result: IdentificationResult, request: IdentificationRequest, crc32: str) -> ReportData:
     material, estimation, options = result.material, result.estimation, request.options
     settings = {
-        "Prior": _prior_text(request),
+        "Prior": _prior_text(request, material.night),
         "Weights": "full covariances" if options.weights == "full" else "all alike",
         "Legendre order": order_text(estimation.estimate),
         "Ball centres from": request.balls.name,
@@ -290,9 +316,15 @@ def _warnings(result: IdentificationResult, options: Options) -> tuple[str, ...]
         notes.append(f"The table is made for the tool {material.tool}, but nothing was measured with this tool.")
     if result.thermometer.warning is not None:
         notes.append(result.thermometer.warning)
+    if material.night is not None and not material.night.fits:
+        notes.append(f"{_sentence(night_text(material.night))}.")
     if not options.use_prior:
         notes.append("Without the family, unseen directions count as zero: the stated uncertainties leave them out.")
     return (*notes, *scale_warnings(estimation.estimate))
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _used_tools(material: IdentificationInput) -> set[str]:

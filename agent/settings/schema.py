@@ -212,6 +212,7 @@ class GateSettings(StrictModel):
     max_correction_um: PositiveFloat = 300.0
     max_slope_um_per_mm: PositiveFloat = 0.5
     max_change: PositiveFloat = 3.0
+    night_false_alarm: float = Field(default=0.001, gt=0.0, lt=1.0)
     allow_extrapolation: bool = False
 
 

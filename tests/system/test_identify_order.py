@@ -76,7 +76,11 @@ def test_a_second_night_knows_what_the_first_one_found(nights: tuple[Path, Path]
     assert (after <= before * (1.0 + 1e-9)).all()
     assert after.sum() < 0.95 * before.sum()
     assert (later > after).mean() > 0.9
-    assert stored(aged).document.provenance["prior"] == "estimate.json, changed since by 3 µm rms"
+    learned = stored(aged).carried_over().drift_factor
+    text = f"estimate.json, changed since by 3 µm rms, times {learned.value:.2g} as learned"
+    assert stored(aged).document.provenance["prior"] == text
+    assert 0.05 < learned.value < 1.0  # the machine has not changed at all
+    assert stored(fused).document.provenance["prior"] == "estimate.json, changed since by 0 µm rms"
 
 
 def singular(document: dict) -> dict:

@@ -19,7 +19,7 @@ from twin.errors import FormatError, TwinError
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
-from twin.identification import CarriedOverPrior, Estimate, Scales
+from twin.identification import CarriedOverPrior, DriftFactor, Estimate, Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -121,7 +121,10 @@ class StoredEstimate:
     def carried_over(self) -> CarriedOverPrior:
         """Return this estimate as the prior of a later estimate, without process noise: the machine is assumed not to
         have changed in between. Raise DataError if the covariance is singular."""
-        return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, Scales(**self.document.scales.model_dump()))
+        scales = Scales(**self.document.scales.model_dump())
+        factor = DriftFactor(**self.document.carried_over.drift_factor.model_dump())
+        freedom = self.document.degrees_of_freedom
+        return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, scales, factor, freedom)
 
 
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
@@ -159,7 +162,9 @@ def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
             for entry in estimate.order_evidence
         ],
         "rejected": [{"position": k, "ball": ball, "tool": tool} for k, ball, tool in estimate.rejected],
-        "carried_over": carried_over_document(estimate.unknowns, estimate.z, estimate.z_covariance),
+        "carried_over": carried_over_document(
+            estimate.unknowns, estimate.z, estimate.z_covariance, estimate.drift_factor
+        ),
     }
     return _text(document) + "\n"
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from twin.arrays import Array
 from twin.errors import FormatError
 from twin.formats.toml_reading import StrictModel
 from twin.identification.misfit import MISFIT_KINDS, MisfitModes
+from twin.identification.prior_from_estimate import DriftFactor
 from twin.identification.unknowns import ArtefactErrors, Unknowns
 from twin.machine.error_model import ErrorModel
 
@@ -54,12 +56,21 @@ class MisfitSection(StrictModel):
     left_out: Row
 
 
+class DriftFactorSection(StrictModel):
+    """Factor on the process noise between nights, as stored in an estimate file. `value` is its median, and
+    `log_deviation` is the standard deviation of its natural logarithm."""
+
+    value: float = Field(gt=0.0)
+    log_deviation: float = Field(ge=0.0)
+
+
 class CarriedOverSection(StrictModel):
     """Posterior mean and covariance of all unknowns of an identification, as stored in an estimate file for use as a
     prior.
 
     `mean` and `covariance` are in units of the prior standard deviations. Only the lower triangle of the covariance is
-    stored, row by row. `scale` contains the unit of each parameter in mm or rad.
+    stored, row by row. `scale` contains the unit of each parameter in mm or rad. `drift_factor` is absent if no
+    night has told anything about the drift yet, as in files of earlier versions.
     """
 
     scale: Row
@@ -67,9 +78,12 @@ class CarriedOverSection(StrictModel):
     misfit: MisfitSection | None
     mean: Row
     covariance: Rows
+    drift_factor: DriftFactorSection = DriftFactorSection(**vars(DriftFactor()))
 
 
-def carried_over_document(unknowns: Unknowns, mean: Array, covariance: Array) -> dict[str, Any]:
+def carried_over_document(
+    unknowns: Unknowns, mean: Array, covariance: Array, drift_factor: DriftFactor
+) -> dict[str, Any]:
     """Return the section of an estimate file that makes the estimate usable as a prior, as a JSON object."""
     errors = unknowns.artefact
     return {
@@ -84,6 +98,7 @@ def carried_over_document(unknowns: Unknowns, mean: Array, covariance: Array) ->
         "misfit": None if unknowns.modes is None else _misfit_document(unknowns.modes, unknowns.misfit_mm),
         "mean": mean.tolist(),
         "covariance": [row[: index + 1] for index, row in enumerate(covariance.tolist())],
+        **({} if drift_factor == DriftFactor() else {"drift_factor": vars(drift_factor)}),
     }
 
 

@@ -16,11 +16,12 @@ from twin.identification.predicted import (
     regional_forms,
     residual_covariance,
 )
-from twin.identification.prior_from_estimate import CarriedOverPrior, process_noise
+from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFactor, process_noise
 
 __all__ = [
     "CarriedOverPrior",
     "DriftEstimate",
+    "DriftFactor",
     "DriftPrior",
     "Estimate",
     "FieldKnowledge",

@@ -16,7 +16,7 @@ from twin.identification.misfit import MisfitModes
 from twin.identification.normal import Scales
 from twin.identification.observability import NullDirection, Observability, observability, summary
 from twin.identification.options import Formulation
-from twin.identification.prior_from_estimate import CarriedOverPrior
+from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFactor
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 
@@ -59,7 +59,7 @@ class Estimate:
     standard deviations. `alternatives` contains results of equal weight for other scales that the measurements allow.
     `order_evidence` contains the evidence (marginal likelihood) of each Legendre order that was compared; it is empty
     if the order was given. `drift` is the drift of the machine during the measurement, or None if drift was not
-    estimated.
+    estimated. `drift_factor` is the factor on the process noise between nights that was learned until this estimate.
     """
 
     model: ErrorModel
@@ -80,14 +80,17 @@ class Estimate:
     alternatives: tuple[Alternative, ...] = field(default=(), repr=False)
     order_evidence: tuple[OrderEvidence, ...] = ()
     drift: DriftEstimate | None = field(default=None, repr=False)
+    drift_factor: DriftFactor = field(default_factory=DriftFactor)
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
         """Return this estimate as the prior of an estimate made `nights` nights later.
 
         `process_noise` (p,) contains the standard deviation, in mm or rad, of the change of each parameter per night.
-        If it is None, the parameters are assumed not to change.
+        If it is None, the machine is assumed not to change.
         """
-        known = CarriedOverPrior(self.unknowns, self.z, self.z_covariance, self.scales)
+        known = CarriedOverPrior(
+            self.unknowns, self.z, self.z_covariance, self.scales, self.drift_factor, self.degrees_of_freedom
+        )
         return known if process_noise is None else known.after(process_noise, nights)
 
     @property

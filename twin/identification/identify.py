@@ -20,6 +20,7 @@ from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
 from twin.identification.outliers import contradicting_rows
 from twin.identification.poses import Poses, rigid_poses
+from twin.identification.prior_from_estimate import DriftFactor
 from twin.identification.problem import IdentificationProblem
 from twin.identification.roll import build_measured_problem
 from twin.identification.solution import Solution, average_over_scales, solve
@@ -174,6 +175,7 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
             Alternative(one.scales, *_in_state(state, one.z, one.covariance)) for one in solution.alternatives
         ),
         drift=_drift(whole, solution),
+        drift_factor=DriftFactor() if options.carried_over is None else options.carried_over.drift_factor,
     )
 
 

@@ -3,11 +3,14 @@
 Without process noise, the machine, the artefact and the misfit (errors that the model cannot represent) are assumed to
 be the same in both nights. The prior of the second night is therefore the joint Gaussian posterior of all unknowns that
 the two nights share. The result is then, up to rounding, the same as from one fit of the measurements of both nights.
-With process noise, the machine is assumed to change between the nights by a random walk of its parameters.
+With process noise, the machine is assumed to change between the nights by a random walk: of its parameters by stated
+amounts, and of its misfit in the same proportion. A factor on these amounts is learned from the nights and carried on
+with the estimate.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -25,20 +28,38 @@ from twin.machine.volumetric import QuadraticForm, evaluation_grid
 _ASYMMETRY = 1e-9  # of the largest entry
 _WALK_GRID = (20, 10, 10)
 
+UNKNOWN_LOG_DEVIATION = math.log(3.0)
+"""Standard deviation of the logarithm of a drift factor before any night has been measured."""
+
+
+@dataclass(frozen=True)
+class DriftFactor:
+    """Factor by which a machine drifts more (above 1) or less (below 1) than the stated process noise.
+
+    The factor has a log-normal distribution with the median `value`. `log_deviation` is the standard deviation of its
+    natural logarithm. The defaults are those before any night: a stated process noise is trusted to a factor of 3.
+    """
+
+    value: float = 1.0
+    log_deviation: float = UNKNOWN_LOG_DEVIATION
+
 
 @dataclass(frozen=True, eq=False)
 class CarriedOverPrior:
     """Prior of the P unknowns z, carried over from an earlier estimate.
 
     `mean` (P,) and `covariance` (P, P) of z are in the units of `unknowns`. `scales` are the factors on the standard
-    deviations of noise, prior and misfit in the earlier estimate. Raises DataError, which names the unknown, if the
-    covariance is singular or invalid.
+    deviations of noise, prior and misfit in the earlier estimate. `drift_factor` is the factor on the process noise, as
+    learned from the nights until then. `degrees_of_freedom` are those from which the scale of the noise was estimated.
+    Raises DataError, which names the unknown, if the covariance is singular or invalid.
     """
 
     unknowns: Unknowns
     mean: Array
     covariance: Array
     scales: Scales
+    drift_factor: DriftFactor = DriftFactor()
+    degrees_of_freedom: float = math.inf
 
     def __post_init__(self) -> None:
         size = self.unknowns.blocks.size
@@ -69,13 +90,27 @@ class CarriedOverPrior:
         left_out = blocks.strain.start + artefact.strain_names.index("thermometer")
         unknowns = replace(self.unknowns, artefact=replace(artefact, thermometer_standard_uncertainty_k=0.0))
         covariance = np.delete(np.delete(self.covariance, left_out, axis=0), left_out, axis=1)
-        return CarriedOverPrior(unknowns, np.delete(self.mean, left_out), covariance, self.scales)
+        return replace(self, unknowns=unknowns, mean=np.delete(self.mean, left_out), covariance=covariance)
 
     def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOverPrior:
-        """Return the prior `nights` nights later, with the random walk of each parameter added.
+        """Return the prior `nights` nights later, with the random walk of parameters and misfit added.
 
-        `process_noise` (p,) contains the standard deviation of the walk of each parameter per night, in mm or rad. A
-        parameter that the prior population (the family) holds at zero stays at zero.
+        `process_noise` (p,) contains the stated standard deviation of the walk of each of the p parameters per night,
+        in mm or rad. All standard deviations of the walk are multiplied by the drift factor.
+        """
+        covariance = self.covariance.copy()
+        np.einsum("ii->i", covariance)[:] += self.drift_factor.value**2 * self.walk_variances(process_noise, nights)
+        return replace(self, covariance=covariance)
+
+    def walk_variances(self, process_noise: ArrayLike, nights: float = 1.0) -> Array:
+        """Return the variance (P,) that a random walk of the machine adds to each of the P unknowns in `nights` nights,
+        in the units of the unknowns and for a drift factor of 1.
+
+        `process_noise` (p,) contains the standard deviation of the walk of each of the p parameters per night, in mm or
+        rad. A parameter that the prior population (the family) holds at zero stays at zero. The misfit walks in the
+        same proportion as the machine: if the median parameter walks by 5 % of the standard deviation that the
+        parameters of this machine have, each coefficient of the misfit walks by 5 % of the estimated standard deviation
+        of its kind. Raises DataError if a process noise or the number of nights is negative.
         """
         noise = as_vector(process_noise, self.unknowns.model.size, "process noise")
         if (noise < 0.0).any():
@@ -83,11 +118,14 @@ class CarriedOverPrior:
             raise DataError("a process noise is negative", parameter=parameter)
         if not nights >= 0.0:
             raise DataError(f"the number of nights must not be negative, not {nights}")
-        scale = self.unknowns.scale
-        walked = np.where(scale > 0.0, noise / np.where(scale > 0.0, scale, 1.0), 0.0) ** 2 * nights
-        covariance = self.covariance.copy()
-        np.einsum("ii->i", covariance)[: len(walked)] += walked
-        return replace(self, covariance=covariance)
+        scale, blocks = self.unknowns.scale, self.unknowns.blocks
+        free = scale > 0.0
+        walk = np.zeros(blocks.size)
+        walk[blocks.parameters][free] = noise[free] / scale[free]
+        share = float(np.median(walk[blocks.parameters][free])) / self.scales.prior if free.any() else 0.0
+        for kind, deviation in zip(blocks.kinds, self.scales.kinds, strict=False):
+            walk[kind] = share * deviation
+        return np.asarray(walk**2 * nights)
 
 
 def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Array:

@@ -188,15 +188,22 @@ class Innovation:
         )
 
 
-def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
+def innovation(
+    family: Family,
+    observations: Observations,
+    artefact: Artefact,
+    known: CarriedOverPrior,
+    options: Options | None = None,
+) -> Innovation:
     """Compare measured ball centres (`observations`) with the prior knowledge `known`, which was carried over from an
     earlier estimate.
 
     The covariance in `known` must already include the changes that are expected since this estimate (the process
-    noise). The scale of the touch noise is taken from `known`. Raises DataError if the model, the artefact or the balls
-    of the arguments do not match.
+    noise). The scale of the touch noise is taken from `known`. `options` are those of the identification of the same
+    balls, but here no ball is rejected and no scale is estimated. Raises DataError if the model, the artefact or the
+    balls of the arguments do not match.
     """
-    options = Options(carried_over=known, outliers="none", estimate_scales=False)
+    options = replace(options or Options(), carried_over=known, outliers="none", estimate_scales=False)
     problem = build_problem(family, observations, artefact, options)
     precision = PriorPrecision(problem.blocks, problem.known)
     before = precision.matrix(known.scales)

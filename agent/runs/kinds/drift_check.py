@@ -4,7 +4,7 @@ the reference), and diagnosis of a change."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
+from agent.results.night_gate import night_text
 from agent.results.observations import Correction, no_correction, observations_of
 from agent.results.run_outcome import Decision, NightReport, SuspectedError
 from agent.runs.change_since_reference import prior_tonight
@@ -22,6 +23,7 @@ from twin.artefact.held_out_check import held_out_residuals, held_out_test
 from twin.identification import CarriedOverPrior, Estimate
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import evaluation_grid
+from twin.monitoring.night_fit import NightFit
 from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
 from twin.monitoring.step_detection import Innovation, SuspectedJump, innovation
 from twin.units import UM_PER_MM
@@ -152,6 +154,16 @@ class Judge:
             times = now_um / self.before_um
             reasons.append(f"VE is {times:.2f} times that of the last night, allowed {limits.max_ve_growth:.2f}")
         return "; ".join(reasons)
+
+
+def with_fit(report: NightReport, fit: NightFit) -> NightReport:
+    """Return `report` with the comparison of the fused balls with the nights before."""
+    return replace(
+        report,
+        fit_probability=fit.probability,
+        drift_factor=fit.factor,
+        warning="" if fit.fits else night_text(fit),
+    )
 
 
 def _named(suspect: SuspectedJump) -> SuspectedError:

@@ -23,11 +23,11 @@ from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.results.run_outcome import Decision, NightReport, Proof
 from agent.results.thermal_drift import balls_for_estimate, fusion_options, observations_with_drift
 from agent.runs.calibration import CalibrationRun
-from agent.runs.change_since_reference import change_since
+from agent.runs.change_since_reference import change_since, fit_of_night
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import nights_since
 from agent.runs.kinds.check_measurement import judge_measurement, measure, require_table_of
-from agent.runs.kinds.drift_check import Judge, Judgement
+from agent.runs.kinds.drift_check import Judge, Judgement, with_fit
 from agent.runs.kinds.full_calibration import PendingCalibration, Slot, calibrate_in_full, refusal_until_full
 from agent.runs.kinds.night_plan import (
     FURTHER,
@@ -51,6 +51,7 @@ from agent.runs.reference_state import (
 )
 from agent.runs.run_context import RunContext
 from twin.artefact.position_set import Position
+from twin.monitoring.night_fit import NightFit
 from twin.units import S_PER_MIN
 
 DIAGNOSIS = "diagnosis"
@@ -124,6 +125,7 @@ class NightlyRun(CalibrationRun):
         self._preflight_result = preflight
         self._slot = slot
         self._began_s = self._clock.now()
+        self._fit: NightFit | None = None
 
     # ------------------------------------------------------------------ measuring
 
@@ -258,10 +260,15 @@ class NightlyRun(CalibrationRun):
         with translated(MeasurementFault):
             observations = observations_with_drift(job, balls, self._correction)
             options = fusion_options(chosen.temperature, observations, judge.prior)
+            fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
+            options = replace(options, carried_over=fit.prior)
             order = chosen.identification.order
             estimation = estimate_with_table(
                 job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order
             )
+        self._fit = fit
+        report = with_fit(report, fit)
+        self.progress.night = report
         self._store_estimate(estimation, balls)
         limits = self._rig.store.store_limits()
         self._pass_gates((*self._estimate_gates(estimation), *shape_gates(estimation.table, limits, job.gate_limits)))
@@ -281,7 +288,8 @@ class NightlyRun(CalibrationRun):
     def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:
         limits = self._job.gate_limits
         gates = estimate_gates(estimation.estimate, estimation.volumetric.after, estimation.volumetric.before, limits)
-        change = change_since(self._job, self._judge.reference, self._nights, estimation.estimate, fused=True)
+        prior = self._judge.prior if self._fit is None else self._fit.prior
+        change = change_since(self._job, self._judge.reference, self._nights, estimation.estimate, prior)
         return (*gates, change_gate(change.found_um, change.expected_um, limits))
 
     def _proof(

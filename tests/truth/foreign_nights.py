@@ -1,0 +1,129 @@
+"""Nights of a foreign machine that changes in other ways than a random walk of the program's model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from foreign_artefact import S3, STATIONS_MM, ForeignBar, measure, tilted_bar
+from foreign_machine import TOOL, ForeignMachine, aligned_rms_um, foreign_machine
+from foreign_score import GRID, family_of
+
+from twin.artefact.observations import Observations
+from twin.identification import Estimate, Options, identify, predicted_vce, process_noise
+from twin.identification.identify import accepted_rows
+from twin.machine.forward_model import exact_deviation
+from twin.monitoring.night_fit import NightFit, compare_with_nights_before
+
+NIGHTS, STEP_NIGHT, STATED_UM, SEED = 60, 20, 0.5, 7
+FAMILY = family_of(5)
+_STEP_MM, _SEASON_NIGHTS, _POSITIONS = 12e-3, 45.0, 5
+_SLOPES_MM, _TURNS_RAD = np.array([30e-3, 18e-3, 21e-3]), 6e-6
+
+Change = Callable[[ForeignMachine, int, np.random.Generator], ForeignMachine]
+"""Function that returns the machine of a night from the machine of the night before and the number of the night."""
+
+
+def straightness_steps(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
+    """Let all error motions walk a little, and bend the rail of X sideways by 12 µm in the step night."""
+    walked = _walked(machine, 0.2, rng, (0, 1, 2))
+    if night != STEP_NIGHT:
+        return walked
+    x, y, z = walked.motions
+    bent = x.amplitude.copy()
+    bent[1, 1] += _STEP_MM  # straightness of X along Y, about one wave over the travel
+    return replace(walked, motions=(replace(x, amplitude=bent), y, z))
+
+
+def season(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
+    """Let scales and slopes of the angles follow a season, which changes the machine by 1 to 2 µm a night."""
+    phase = 2.0 * math.pi / _SEASON_NIGHTS
+    motions = []
+    for axis, motion in enumerate(machine.motions):
+        change = math.sin(phase * night + axis) - math.sin(phase * (night - 1) + axis)
+        slope = motion.slope.copy()
+        slope[axis] += _SLOPES_MM[axis] * change
+        slope[3:] += _TURNS_RAD * change * np.array([1.0, -0.6, 0.8])
+        motions.append(replace(motion, slope=slope))
+    x, y, z = motions
+    return replace(machine, motions=(x, y, z))
+
+
+def one_axis_only(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
+    """Let the error motions of X alone walk, by 1 µm a night."""
+    return _walked(machine, 1.0, rng, (0,))
+
+
+def _walked(machine: ForeignMachine, size: float, rng: np.random.Generator, axes: tuple[int, ...]) -> ForeignMachine:
+    unit = size * np.array([1e-3] * 3 + [0.8e-6] * 3)[:, None]
+    motions = list(machine.motions)
+    for axis in axes:
+        amplitude = motions[axis].amplitude
+        steps = rng.normal(size=amplitude.shape) / np.arange(1, amplitude.shape[1] + 1) ** 1.5
+        motions[axis] = replace(motions[axis], amplitude=amplitude + unit * steps)
+    x, y, z = motions
+    return replace(machine, motions=(x, y, z))
+
+
+@dataclass(frozen=True)
+class NightScore:
+    """One night: its comparison with the nights before, and the true and the predicted error in µm that its estimate
+    leaves after the best rigid motion is removed."""
+
+    number: int
+    fit: NightFit
+    true_um: float
+    predicted_um: float
+
+    @property
+    def ratio(self) -> float:
+        return self.true_um / self.predicted_um
+
+
+@dataclass(frozen=True)
+class MeasuredNight:
+    """Machine of a night and what was measured on it."""
+
+    machine: ForeignMachine
+    bar: ForeignBar
+    seen: Observations
+
+
+def measured_nights(change: Change, count: int, seed: int = SEED) -> Iterator[MeasuredNight]:
+    """Yield a full night at all stations, and after it `count` nights with five positions at one station."""
+    rng, drift = np.random.default_rng(seed), np.random.default_rng(seed + 50)
+    machine, bar = foreign_machine(rng), tilted_bar(rng)
+    yield MeasuredNight(machine, bar, measure(machine, bar, S3, rng).seen)
+    for night in range(1, count + 1):
+        machine = change(machine, night, drift)
+        orientations = [S3[(night + number) % len(S3)] for number in range(_POSITIONS)]
+        stations = [STATIONS_MM[night % len(STATIONS_MM)]]
+        yield MeasuredNight(machine, bar, measure(machine, bar, orientations, rng, stations=stations).seen)
+
+
+def fused_nights(change: Change, count: int = NIGHTS, stated_um: float = STATED_UM) -> list[NightScore]:
+    """Fuse each night with those before, as the program does, and compare every estimate with the truth."""
+    nights = measured_nights(change, count)
+    first = next(nights)
+    estimate = identify(FAMILY.model, first.seen, first.bar.artefact, FAMILY)
+    noise = process_noise(FAMILY, 1e-3 * stated_um, TOOL)
+    scores = []
+    for number, night in enumerate(nights, start=1):
+        artefact, seen = night.bar.artefact, night.seen
+        accepted = seen.select(accepted_rows(FAMILY, seen, artefact, Options()))
+        fit = compare_with_nights_before(FAMILY, accepted, artefact, estimate.carried_over(), noise)
+        estimate = identify(FAMILY.model, seen, artefact, FAMILY, Options(carried_over=fit.prior))
+        scores.append(NightScore(number, fit, true_error_um(night.machine, estimate), predicted_um(estimate)))
+    return scores
+
+
+def true_error_um(machine: ForeignMachine, estimate: Estimate) -> float:
+    """Return the rms error in µm that compensation by `estimate` leaves on the true machine."""
+    left = machine.deviation(GRID) - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
+    return aligned_rms_um(GRID + TOOL, left)
+
+
+def predicted_um(estimate: Estimate) -> float:
+    return predicted_vce(estimate, GRID, TOOL).aligned_um
