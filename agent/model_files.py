@@ -52,11 +52,12 @@ def load_positions(path: Path) -> tuple[Position, ...]:
 def load_balls(path: Path, machine: MachineDescription) -> BallFile:
     """Return the measured ball centres from a CSV file.
 
-    Raises InputError if the file cannot be used or names a tool that `machine` does not have.
+    Raises InputError if the file cannot be used, names a tool that `machine` does not have, or contains axis positions
+    outside the travel of `machine`.
     """
     text = read_text(path)
     with translated(InputError, file=str(path)):
-        return parse_balls(text, str(path), machine.tools)
+        return parse_balls(text, str(path), machine.tools, travel=machine.limits)
 
 
 def _neighbours(path: Path) -> Callable[[str], str]:

@@ -5,6 +5,7 @@
     TwinError (ValueError)
     ├── ModelError     invalid kinematic chain, axis range or Legendre order, or an axis position outside a grid
     ├── DataError      measured or calibrated values that cannot be used
+    │   └── PositionError  a position of the artefact that cannot be used; the message begins with its number
     ├── FormatError    invalid text of a file; the error names the file, and the key or the row and column
     └── SingularSet    measurements that do not determine the requested quantities
 
@@ -50,6 +51,22 @@ class ModelError(TwinError):
 
 class DataError(TwinError):
     pass
+
+
+class PositionError(DataError):
+    """Error in the measurements of one position of the artefact, with the message `position K TEXT`.
+
+    `position` is the number K of the position in the observations.
+    """
+
+    def __init__(self, position: int, text: str, *, hint: str = "", **where: str | int) -> None:
+        super().__init__(f"position {position} {text}", hint=hint, **where)
+        self.position = position
+        self._text = text
+
+    def renumbered(self, number: int) -> PositionError:
+        """Return the same error with another number of the position, such as that in a file."""
+        return PositionError(number, self._text, hint=self.hint, **self.where)
 
 
 class FormatError(TwinError):

@@ -16,6 +16,7 @@ from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import StoredEstimate
 from twin.identification import Estimate, Options, identify_by_evidence, predicted_vce, residual_covariance
 from twin.identification import identify as identify_model
+from twin.identification.measured_shape import check_shape
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid
@@ -74,7 +75,8 @@ def identify(
     the formulation (fit of ball centres or of distances between balls), the use of the prior population, the weights of
     the measurements and the treatment of outliers. If it states no uncertainty of the artefact's thermometer, 1 K is
     assumed, or 3 K if `balls` contain no temperature. Raises SingularSet if the measured positions cannot determine any
-    parameter, and DataError if a measured ball is not on the artefact.
+    parameter, and DataError if a measured ball is not on the artefact or if the measured points cannot be those of the
+    artefact (unit, mirrored axis, ball numbers from the other end, artefact moved within a position).
 
     >>> estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
     >>> estimate.rank, estimate.model.size
@@ -85,9 +87,11 @@ def identify(
     options = _with_thermometer(options or Options(), balls)
     if isinstance(order, int):
         machine = machine.with_order(order)
-    elif order == "evidence":
-        return identify_by_evidence(lambda n: machine.with_order(n).family, balls.observations, artefact, options)
-    return identify_model(machine.model, balls.observations, artefact, machine.family, options)
+    with balls.places_named():
+        check_shape(balls.observations, artefact)
+        if order == "evidence":
+            return identify_by_evidence(lambda n: machine.with_order(n).family, balls.observations, artefact, options)
+        return identify_model(machine.model, balls.observations, artefact, machine.family, options)
 
 
 def _with_thermometer(options: Options, balls: BallFile) -> Options:

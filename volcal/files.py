@@ -74,14 +74,14 @@ def read_artefact(path: PathName) -> Artefact:
 def read_balls(path: PathName, machine: MachineDescription) -> BallFile:
     """Return the measured ball centres of a ball file (CSV).
 
-    Every tool named in the file must be a tool of `machine`. Raises FormatError, which names file, row and column, if
-    the file is invalid.
+    Every tool named in the file must be a tool of `machine`, and every axis position must lie in its travel. Raises
+    FormatError, which names file, row and column, if the file is invalid.
 
     >>> balls = volcal.read_balls(volcal.shipped_file("examples/case-study-balls.csv"), setup.machine)
     >>> balls.observations.size, len(balls.positions)
     (260, 24)
     """
-    return parse_balls(_text(path), str(path), machine.tools)
+    return parse_balls(_text(path), str(path), machine.tools, travel=machine.limits)
 
 
 def read_positions(path: PathName) -> tuple[Position, ...]:

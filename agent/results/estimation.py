@@ -17,7 +17,7 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.facts import VolumetricSummary
-from agent.results.observations import Correction, displayed_residuals, observations_of
+from agent.results.observations import Correction, displayed_residuals, observations_of, positions_named
 from agent.results.run_outcome import Proof
 from agent.results.thermal_drift import identification_options, observations_with_drift
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
@@ -30,6 +30,7 @@ from twin.artefact.held_out_check import held_out_test
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
+from twin.identification.measured_shape import check_shape
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.thermometer_effect import ThermometerEffect, thermometer_effect
@@ -91,6 +92,7 @@ def estimate_machine(
     the order of the machine file is used. If an earlier estimate is carried over, the order of that estimate is used in
     any case.
     """
+    check_shape(observations, artefact)
     if options.carried_over is not None:
         machine = machine.with_model(options.carried_over.unknowns.model)
     elif isinstance(order, int):
@@ -126,7 +128,10 @@ def estimate_from_balls(job: Job, balls: Sequence[MeasuredBall], correction: Cor
     settings = job.settings
     observations, order = observations_with_drift(job, balls, correction), settings.identification.order
     options = identification_options(settings.identification, settings.temperature, observations)
-    return estimate_with_table(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
+    with positions_named(balls):
+        return estimate_with_table(
+            job.machine, job.artefact, settings.tool, observations, options, settings.table, order
+        )
 
 
 def thermometer_facts(estimation: EstimationResult, temperature: TemperatureSettings) -> ThermometerFacts:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals
 from twin.artefact.observations import Observations
+from twin.errors import PositionError
 
 Correction = Callable[[Array], Array]
 
@@ -53,6 +55,18 @@ def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, ar
 
 def no_correction(displayed: Array) -> Array:
     return np.zeros_like(displayed)
+
+
+@contextmanager
+def positions_named(balls: Sequence[MeasuredBall]) -> Iterator[None]:
+    """Name the position of an error raised in the `with` block, which concerns the observations of `balls`, by its
+    number in the run."""
+    try:
+        yield
+    except PositionError as error:
+        error.where.pop("row", None)
+        numbers = list(dict.fromkeys(ball.position for ball in balls))
+        raise error.renumbered(numbers[error.position]) from None
 
 
 def _renumbered(numbers: Iterable[int]) -> list[int]:

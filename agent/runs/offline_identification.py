@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -22,16 +23,21 @@ from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
 from twin.artefact.artefact import Artefact
 from twin.compensation.table_file import checksum, format_side_file, format_table
+from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import format_estimate, parse_estimate
 from twin.identification import Options, process_noise
 from twin.identification.identify import accepted_rows
+from twin.identification.measured_shape import check_shape
 from twin.machine.machine_description import MachineDescription
 from twin.monitoring.night_fit import NightFit, compare_with_nights_before
-from twin.units import MM_PER_UM
+from twin.units import MM_PER_UM, UM_PER_MM
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
 """Limits that never apply, for a table that is written to a file only."""
+
+MAX_NOISE_FACTOR = 5.0
+"""Largest ratio, and the inverse of the smallest one, of the noise in the residuals to the stated uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +196,8 @@ def _after_earlier_night(
     known = known if balls.temperature_was_read else known.for_another_thermometer()
     with translated(ConfigurationError):
         replace(options, carried_over=known)  # refuses options that do not go with an earlier estimate
-    with translated(file=str(request.balls)):
+    with translated(file=str(request.balls)), balls.places_named():
+        check_shape(seen, artefact)
         night = compare_with_nights_before(
             family,
             seen.select(accepted_rows(family, seen, artefact, options)),
@@ -205,21 +212,41 @@ def _after_earlier_night(
 
 def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[EstimationResult, tuple[Gate, ...]]:
     """Return the estimate with its table, and the gates that a run would have to pass. Raises TwinError."""
-    estimation = estimate_with_table(
-        material.machine,
-        material.artefact,
-        material.tool,
-        material.balls.observations,
-        material.options,
-        TableSettings(),
-        request.order,
-    )
+    with material.balls.places_named():
+        estimation = estimate_with_table(
+            material.machine,
+            material.artefact,
+            material.tool,
+            material.balls.observations,
+            material.options,
+            TableSettings(),
+            request.order,
+        )
+    _check_stated_noise(estimation, material)
     gates = (
         *estimate_gates(estimation.estimate, estimation.volumetric.after, estimation.volumetric.before, request.gates),
         *table_gates(estimation.table, NO_STORE, request.gates),
         *(() if material.night is None else (night_gate(material.night, request.gates),)),
     )
     return estimation, gates
+
+
+def _check_stated_noise(estimation: EstimationResult, material: IdentificationInput) -> None:
+    """Raise DataError if the residuals contradict the standard uncertainties of the ball file by more than the factor
+    `MAX_NOISE_FACTOR`. The weights of an identification with equal weights do not depend on them."""
+    if material.options.weights != "full":
+        return
+    factor = math.sqrt(estimation.estimate.chi2_normalised)
+    if 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
+        return
+    variance = np.einsum("nii->n", material.balls.observations.covariance) / 3.0
+    stated_um = UM_PER_MM * float(np.sqrt(np.median(variance)))
+    first, last = min(material.balls.rows), max(material.balls.rows)
+    raise DataError(
+        f"the ball centres repeat to {factor * stated_um:.2g} µm, but rows {first} to {last} state {stated_um:.2g} µm",
+        column="sigma_um",
+        hint="give the standard uncertainty in µm; if it is right, look for the cause of the residuals",
+    )
 
 
 def _table_tool(request: IdentificationRequest, machine: MachineDescription, balls: BallFile) -> str:

@@ -6,7 +6,8 @@ The columns x, y and z are axis positions; the tool offset is not added to them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +15,10 @@ from numpy.typing import ArrayLike
 
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
-from twin.errors import FormatError, TwinError
+from twin.errors import FormatError, PositionError, TwinError
+from twin.formats.ball_file_checks import COORDINATES, check_repeated, check_travel
 from twin.formats.csv_reading import CsvRow, read_rows
+from twin.machine.error_model import Ranges
 
 COLUMNS = (
     "position",
@@ -33,6 +36,8 @@ COLUMNS = (
 DEFAULT_SIGMA_UM = 1.0
 DEFAULT_TEMPERATURE_C = 20.0
 """Reference temperature of ISO 1."""
+SIGMA_UM = (0.02, 50.0)
+"""Smallest and largest standard uncertainty of a ball centre that a touch probe on a machine tool can have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +46,32 @@ class BallFile:
 
     `observations` contains one ball centre for each row, in the order of the file. `positions` contains the station and
     the orientation of each of the K positions, sorted by the position number in the file. For each ball centre,
-    `observations.position` is the index of its position in `positions`, from 0 to K-1; the number in the file is not
-    kept. `temperature_was_read` is False if the file contains no temperature; each ball centre then has the reference
-    temperature.
+    `observations.position` is the index of its position in `positions`, from 0 to K-1. `temperature_was_read` is False
+    if the file contains no temperature; each ball centre then has the reference temperature. `numbers` contains the
+    number of each position in the file, and `rows` the row of each ball centre (the header is row 1). Both are empty if
+    the ball centres were not read from a file.
     """
 
     observations: Observations
     positions: tuple[Position, ...]
     temperature_was_read: bool = True
+    numbers: tuple[int, ...] = ()
+    rows: tuple[int, ...] = ()
+
+    @contextmanager
+    def places_named(self) -> Iterator[None]:
+        """Name positions and rows of errors raised in the `with` block as the file numbers them."""
+        try:
+            yield
+        except TwinError as error:
+            raise self._renumbered(error) from None
+
+    def _renumbered(self, error: TwinError) -> TwinError:
+        if self.numbers and isinstance(error, PositionError):
+            error = error.renumbered(self.numbers[error.position])
+        if self.rows and "row" in error.where:
+            error.where["row"] = str(self.rows[int(error.where["row"])])
+        return error
 
 
 def parse_balls(
@@ -57,13 +80,15 @@ def parse_balls(
     tools: Mapping[str, ArrayLike],
     default_sigma_um: float = DEFAULT_SIGMA_UM,
     default_temperature_c: float = DEFAULT_TEMPERATURE_C,
+    travel: Ranges | None = None,
 ) -> BallFile:
     """Return the contents of a ball file given as CSV text.
 
     `tools` maps the names of the machine's tools to their offsets (3,) in mm. If the cell of a standard uncertainty or
     a temperature is empty in a row, `default_sigma_um` or `default_temperature_c` is used. The temperature must be
-    given for all ball centres or for none. Raise FormatError, which names `source`, the row and the column, if the text
-    is invalid.
+    given for all ball centres or for none. `travel` contains the travel limits of X, Y and Z in mm; axis positions are
+    not compared with them if it is None. Raise FormatError, which names `source`, the row and the column, if the text
+    is invalid or if its values cannot be those of a measurement.
     """
     rows = list(read_rows(text, source, COLUMNS))
     if not rows:
@@ -78,18 +103,24 @@ def parse_balls(
     index_of = {number: index for index, number in enumerate(positions)}
     sigma_mm = np.array([1e-3 * _sigma_um(row, default_sigma_um) for row in rows])
     elevations = [positions[number].elevation_deg for number in numbers]
+    axis_positions = np.array([[row.parse_float(name) for name in COORDINATES] for row in rows])
+    tool_offsets = np.array([tools[name] for name in names], dtype=np.float64)
+    if travel is not None:
+        check_travel(rows, axis_positions, tool_offsets[tool], travel)
+    check_repeated(rows, numbers, tool, ball, axis_positions)
     observations = Observations(
         position=np.array([index_of[number] for number in numbers]),
         ball=np.array(ball),
         tool=np.array(tool),
-        axis_positions=np.array([[row.parse_float(name) for name in ("x_mm", "y_mm", "z_mm")] for row in rows]),
+        axis_positions=axis_positions,
         covariance=sigma_mm[:, None, None] ** 2 * np.eye(3),
         temperature_c=np.array([row.parse_float("temperature_c", default_temperature_c) for row in rows]),
         elevation_rad=np.radians(elevations),
         azimuth_rad=np.radians([positions[number].azimuth_deg for number in numbers]),
-        tool_offsets=np.array([tools[name] for name in names], dtype=np.float64),
+        tool_offsets=tool_offsets,
     )
-    return BallFile(observations, tuple(positions.values()), temperature_was_read)
+    lines = tuple(row.number for row in rows)
+    return BallFile(observations, tuple(positions.values()), temperature_was_read, tuple(positions), lines)
 
 
 def format_balls(
@@ -128,6 +159,11 @@ def _sigma_um(row: CsvRow, empty: float) -> float:
     sigma = row.parse_float("sigma_um", empty)
     if not sigma > 0.0:
         raise row.error(f"a standard uncertainty must be positive, not {sigma:g}", "sigma_um")
+    low, high = SIGMA_UM
+    if not low <= sigma <= high:
+        hint = "The column is in µm: the values look like mm" if sigma < low else "The column is in µm"
+        message = f"a touch probe does not measure ball centres to {sigma:g} µm; {low:g} to {high:g} µm is possible"
+        raise row.error(message, "sigma_um", f"{hint}. Leave the cell empty if the uncertainty is not known")
     return sigma
 
 

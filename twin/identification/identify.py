@@ -10,7 +10,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
-from twin.errors import DataError, SingularSet
+from twin.errors import DataError, PositionError, SingularSet
 from twin.identification.alternatives import Alternative
 from twin.identification.distances import DistanceEquations
 from twin.identification.drift import DriftEstimate
@@ -18,14 +18,16 @@ from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import PRIOR
 from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
-from twin.identification.outliers import contradicting_rows
+from twin.identification.outliers import contradicting_rows, studentised_residuals
 from twin.identification.poses import Poses, rigid_poses
 from twin.identification.prior_from_estimate import DriftFactor
 from twin.identification.problem import IdentificationProblem
 from twin.identification.roll import build_measured_problem
+from twin.identification.slipped_position import Slip, slip_in
 from twin.identification.solution import Solution, average_over_scales, solve
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_population import Family
+from twin.units import UM_PER_MM
 
 _MAX_REJECTED_SHARE = 0.2
 _MIN_BALLS = 3
@@ -54,7 +56,8 @@ def identify(
     `family` (the prior population of machines) is the prior of the parameters. The identification uses its standard
     deviations as units of the parameters. Raise SingularSet if the measurements do not determine the parameters, for
     example because there are too few positions or too few different balls. Raise DataError if the family belongs to
-    another model, or if a measured ball is not on the artefact.
+    another model, or if a measured ball is not on the artefact. Raise PositionError if the artefact moved while a
+    position was measured; the order of measuring is that of the rows.
     """
     options = options or Options()
     if family.model != model:
@@ -117,7 +120,9 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
     while True:
         solution = solve(problem, screening, "centres")
         _check_plausible(solution)
-        worst = contradicting_rows(solution, options.false_alarm)
+        residuals = studentised_residuals(solution)
+        worst = contradicting_rows(residuals, options.false_alarm)
+        _check_unmoved(whole, accepted, slip_in(worst, residuals, options.false_alarm))
         if worst.size == 0:
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
             return _RowSelection(problem, accepted, solution if same else None)
@@ -126,6 +131,22 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
         _check_rejected_share(accepted)
         problem = whole.with_rows(accepted)
         _check_set(problem.observations)
+
+
+def _check_unmoved(whole: IdentificationProblem, accepted: Mask, slip: Slip | None) -> None:
+    """Raise PositionError if the artefact moved within a position. Its `row` is that of the first ball after the
+    move, in the order of the given observations."""
+    if slip is None:
+        return
+    seen, rows = whole.observations, np.flatnonzero(accepted)
+    before, after = rows[slip.row - 1], rows[slip.row]
+    size_um = UM_PER_MM * slip.size_mm
+    raise PositionError(
+        int(seen.position[after]),
+        f"moved between ball {seen.ball[before]} and ball {seen.ball[after]} by about {size_um:.0f} µm",
+        hint="measure this position again or remove it",
+        row=int(whole.layout.order[after]),
+    )
 
 
 def _check_plausible(solution: Solution) -> None:

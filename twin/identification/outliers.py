@@ -8,6 +8,7 @@ t² comes from the F distribution. The false alarm rate is shared by all balls (
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,36 @@ _RIDGE = 1e-6  # keeps the covariance invertible for a component that the fit ab
 Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 
-def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
+@dataclass(frozen=True, eq=False)
+class WhitenedResiduals:
+    """Residuals of a solution in the formulation `centres`, with their covariance under the model. Rows (measured ball
+    centres) are sorted by position.
+
+    `residuals` (n, 3) are whitened with `whitening` (n, 3, 3). `pose_basis` (n, 3, 6) is the part that the pose of the
+    position takes up, and `unknowns_root` (n, 3, P) a root of the part that the other unknowns take up. `variance` is
+    the square of the scale of the noise. `square` (n,) contains t² without the common scale, which is `scale`. `points`
+    (n, 3) in mm are the measured tool points, and `counts` (K,) is the number of balls of each position.
+    """
+
+    residuals: Array
+    whitening: Array
+    pose_basis: Array
+    unknowns_root: Array
+    variance: float
+    square: Array
+    scale: float
+    points: Array
+    counts: Rows
+    degrees_of_freedom: float
+
+    def covariance_of(self, rows: slice) -> Array:
+        """Return the covariance (3m, 3m) of the residuals of m rows of one position."""
+        q = self.pose_basis[rows].reshape(-1, self.pose_basis.shape[2])
+        root = self.unknowns_root[rows].reshape(len(q), -1)
+        return np.asarray(self.variance * (np.eye(len(q)) * (1.0 + _RIDGE) - q @ q.T) - root @ root.T)
+
+
+def contradicting_rows(found: WhitenedResiduals, false_alarm: float) -> Rows:
     """Return the indices of the rows (measured ball centres) to reject as outliers in one round of rejection. Rows are
     sorted by artefact position.
 
@@ -34,20 +64,21 @@ def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
     exceeds both of two limits: the limit that follows from the probability `false_alarm`, and 5 % of the largest t² of
     all rows.
     """
-    square = studentised_squares(solution)
-    limit = 3.0 * float(fdtri(3.0, solution.degrees_of_freedom, 1.0 - false_alarm / len(square)))
+    square = found.square / found.scale
+    limit = 3.0 * float(fdtri(3.0, found.degrees_of_freedom, 1.0 - false_alarm / len(square)))
     limit = max(limit, _COMPARABLE_SHARE * float(square.max()))
-    layout = solution.equations.problem.layout
-    worst = layout.pad(square).argmax(axis=1) + np.concatenate(([0], np.cumsum(layout.counts)[:-1]))
-    return np.asarray(worst[square[worst] > limit])
+    starts = np.cumsum(found.counts) - found.counts
+    largest = np.maximum.reduceat(square, starts)
+    worst = starts + [int(part.argmax()) for part in np.split(square, starts[1:])]
+    return np.asarray(worst[largest > limit])
 
 
-def studentised_squares(solution: Solution) -> Array:
-    """Return the square t² (n,) of the studentised residual of each of the n rows (measured ball centres) of a
-    solution. Rows are sorted by artefact position.
+def studentised_residuals(solution: Solution) -> WhitenedResiduals:
+    """Return the residuals of a solution with the square t² of each studentised residual. Rows are sorted by artefact
+    position.
 
     For the whitened residual r (3,) of a row with the covariance C (3, 3), t² is proportional to rᵀ C⁻¹ r. A common
-    factor makes the median of all t² equal to the median of χ² with three degrees of freedom, unless the residuals are
+    scale makes the median of all t² equal to the median of χ² with three degrees of freedom, unless the residuals are
     far smaller than the stated noise. Raise DataError if the solution is not in the formulation `centres`.
     """
     equations = solution.equations
@@ -65,4 +96,15 @@ def studentised_squares(solution: Solution) -> Array:
     solved = np.linalg.solve(covariance, residuals[:, :, None])[:, :, 0]
     square = np.einsum("ni,ni->n", residuals, solved)
     scale = max(float(np.median(square)) / _MEDIAN_OF_CHI2_3, (_MIN_NOISE / solution.scales.noise) ** 2)
-    return np.asarray(square / scale)
+    return WhitenedResiduals(
+        residuals=residuals,
+        whitening=equations.whitening,
+        pose_basis=q,
+        unknowns_root=spread_root,
+        variance=variance,
+        square=square,
+        scale=scale,
+        points=solution.sides[0],
+        counts=layout.counts,
+        degrees_of_freedom=solution.degrees_of_freedom,
+    )

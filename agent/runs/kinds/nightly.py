@@ -20,6 +20,7 @@ from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MeasuredPositions
 from agent.results.estimation import EstimationResult, estimate_with_table
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
+from agent.results.observations import positions_named
 from agent.results.run_outcome import Decision, NightReport, Proof
 from agent.results.thermal_drift import balls_for_estimate, fusion_options, observations_with_drift
 from agent.runs.calibration import CalibrationRun
@@ -263,9 +264,10 @@ class NightlyRun(CalibrationRun):
             fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
             options = replace(options, carried_over=fit.prior)
             order = chosen.identification.order
-            estimation = estimate_with_table(
-                job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order
-            )
+            with positions_named(balls):
+                estimation = estimate_with_table(
+                    job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order
+                )
         self._fit = fit
         report = with_fit(report, fit)
         self.progress.night = report

@@ -1,0 +1,81 @@
+"""Files of a measurement on a foreign machine, as `volcal identify` reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from click.testing import CliRunner, Result
+from foreign_artefact import CERTIFICATE_MM, CTE_PER_K, CTE_UNCERTAINTY_PER_K, ForeignBar
+from foreign_machine import CHAIN, RANGES, TOOL
+from foreign_score import AMPLITUDES
+
+from agent.cli.identify import identify
+from twin.artefact.observations import Observations
+
+COLUMNS = (
+    *("position", "station", "azimuth_deg", "elevation_deg", "tool", "ball"),
+    *("x_mm", "y_mm", "z_mm", "sigma_um", "temperature_c"),
+)
+Row = dict[str, str]
+
+
+def rows_of(seen: Observations, first_position: int = 1) -> list[Row]:
+    """Return the rows of a ball file, whose positions are numbered from `first_position`."""
+    assert seen.azimuth_rad is not None
+    angles = np.degrees(np.stack((seen.azimuth_rad, seen.elevation_rad), axis=1)).round(6)
+    rows = []
+    for k in range(seen.size):
+        azimuth, elevation = angles[k].tolist()
+        x, y, z = seen.axis_positions[k].tolist()
+        sigma_um = 1e3 * float(np.sqrt(seen.covariance[k, 0, 0]))
+        place = (int(seen.position[k]) + first_position, 1, azimuth, elevation, "probe", int(seen.ball[k]))
+        cells = (*place, f"{x:.6f}", f"{y:.6f}", f"{z:.6f}", f"{sigma_um:g}", f"{seen.temperature_c[k]:.3f}")
+        rows.append(dict(zip(COLUMNS, map(str, cells), strict=True)))
+    return rows
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Folder with the files of a measurement; `run` writes the ball file and identifies."""
+
+    path: Path
+
+    @property
+    def out(self) -> Path:
+        return self.path / "out"
+
+    def run(self, bar: ForeignBar, rows: list[Row], *options: str) -> Result:
+        (self.path / "machine.toml").write_text(machine_text())
+        (self.path / "bar.toml").write_text(bar_text(bar))
+        lines = [",".join(COLUMNS), *(",".join(row[name] for name in COLUMNS) for row in rows)]
+        balls = self.path / "balls.csv"
+        balls.write_text("\n".join(lines) + "\n")
+        files = ("--machine", self.path / "machine.toml", "--artefact", self.path / "bar.toml", "--out", self.out)
+        arguments = [str(balls), *map(str, files), *options]
+        return CliRunner().invoke(identify, arguments, prog_name="volcal identify")
+
+
+def machine_text() -> str:
+    lines = ['name = "foreign"', f'chain = "{CHAIN}"']
+    for axis, (low, high) in zip("XYZ", RANGES, strict=True):
+        lines += [f"[axes.{axis}]", f"range_mm = [{low}, {high}]"]
+        lines += ["rapid_mm_per_min = 20000.0", "acceleration_mm_per_s2 = 500.0"]
+    lines += ["[tools.probe]", f"offset_mm = {TOOL.tolist()}", "[model.family]"]
+    return "\n".join(lines + [f"{name} = {value}" for name, value in AMPLITUDES.items()]) + "\n"
+
+
+def bar_text(bar: ForeignBar) -> str:
+    values = {
+        "name": '"foreign"',
+        "certificate": '"drawn"',
+        "reference_temperature_c": 20.0,
+        "cte_per_k": CTE_PER_K,
+        "cte_standard_uncertainty_per_k": CTE_UNCERTAINTY_PER_K,
+        "ball_diameter_mm": 25.0,
+        "holder_length_mm": 60.0,
+        "standard_uncertainty_um": 1e3 * CERTIFICATE_MM,
+        "balls": bar.certified.round(6).tolist(),
+    }
+    return "".join(f"{name} = {value}\n" for name, value in values.items())

@@ -1,0 +1,119 @@
+"""Comparison of the measured shape of the artefact with its certificate, before anything is identified.
+
+Each position is fitted rigidly, as it stands in the file and under the mistakes that are made with such files: values
+in another unit, a mirrored axis, ball numbers counted from the other end. Errors of the machine are some micrometres,
+such mistakes far more. Where they are not, because the certificate is symmetrical within some micrometres, nothing is
+said. The rigid fits compare medians over balls, so that a few wrong balls do not decide.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.errors import DataError, PositionError
+from twin.identification.outliers import Rows
+from twin.identification.poses import RowLayout, rigid_poses
+from twin.units import UM_PER_MM
+
+_MAX_STRAIN = 2e-3  # of the lengths; a bar of steel that is 100 K too warm has 1.2e-3
+_UNITS = {1000.0: "µm", 0.1: "cm", 0.001: "m", 1.0 / 25.4: "inch"}  # measured over certified lengths
+_UNIT_TOLERANCE = 0.01
+_SMALLEST_MM = 1e-3  # residuals below this are equally good
+_BETTER = 2.0  # ratio of the median residuals of all positions by which the other reading must be better
+_BETTER_ALONE = 4.0  # the same of a single position
+_MIN_BALLS_ALONE = 5
+_MIN_BALLS = 3
+
+
+def check_shape(observations: Observations, artefact: Artefact) -> None:
+    """Raise DataError if the measured points have the shape of the artefact in another unit, in a mirror, or with the
+    balls counted from the other end. Raise PositionError if only the balls of a single position are counted from the
+    other end.
+
+    Balls that the artefact does not have are left to the identification, which refuses them.
+    """
+    if (observations.ball >= artefact.count).any():
+        return
+    layout = RowLayout.of(observations.position)
+    seen = observations.select(layout.order)
+    points = seen.axis_positions + seen.tool_offsets[seen.tool]
+    strain = artefact.cte_per_k * (seen.temperature_c - artefact.reference_temperature_c)
+    local = artefact.balls[seen.ball] * (1.0 + strain[:, None])
+    _check_unit(layout, local, points)
+    found = _residuals(layout, local, points)
+    _check_hand(layout, local, points, found)
+    if artefact.members:
+        return
+    reversed_local = artefact.balls[artefact.count - 1 - seen.ball] * (1.0 + strain[:, None])
+    _check_numbering(layout, seen.position, found, _residuals(layout, reversed_local, points))
+
+
+def _check_unit(layout: RowLayout, local: Array, points: Array) -> None:
+    lengths, certified = _spread(layout, points), _spread(layout, local)
+    usable = (layout.counts >= _MIN_BALLS) & (certified > 0.0)
+    if not usable.any():
+        return
+    ratio = float(np.median(lengths[usable] / certified[usable]))
+    if abs(ratio - 1.0) <= _MAX_STRAIN:
+        return
+    unit = next((name for value, name in _UNITS.items() if abs(ratio / value - 1.0) < _UNIT_TOLERANCE), None)
+    hint = "check the artefact file, ball numbers and the unit of the coordinates"
+    if unit is not None:
+        hint = f"the coordinates look like {unit}: give mm"
+    raise DataError(
+        f"the measured distances between the balls are {ratio:.5g} times those of the certificate", hint=hint
+    )
+
+
+def _check_hand(layout: RowLayout, local: Array, points: Array, found: Array) -> None:
+    mirrored = _residuals(layout, local, points * np.array([-1.0, 1.0, 1.0]))
+    found_mm, mirrored_mm = _median(found), _median(mirrored)
+    if found_mm > _BETTER * mirrored_mm:
+        raise DataError(
+            f"the balls are a mirror image of the artefact: with one axis mirrored they fit it to {_um(mirrored_mm)}, "
+            f"as given to {_um(found_mm)}",
+            hint="one axis has the wrong sign or counts from its other end; or the certificate is left-handed",
+        )
+
+
+def _check_numbering(layout: RowLayout, position: Rows, found: Array, other: Array) -> None:
+    found_mm, other_mm = _median(found), _median(other)
+    if found_mm > _BETTER * other_mm:
+        raise DataError(
+            f"the balls are numbered from the other end of the artefact: they fit it to {_um(other_mm)} with reversed "
+            f"numbers, and to {_um(found_mm)} as given",
+            hint="number the balls in the order of the artefact file, from 0",
+        )
+    ends = np.cumsum(layout.counts)
+    for first, end in zip((ends - layout.counts).tolist(), ends.tolist(), strict=True):
+        one_mm, reversed_mm = _median(found[first:end]), _median(other[first:end])
+        if end - first >= _MIN_BALLS_ALONE and one_mm > _BETTER_ALONE * reversed_mm:
+            raise PositionError(
+                int(position[first]),
+                f"has its balls numbered from the other end: they fit the artefact to {_um(reversed_mm)} with reversed "
+                f"numbers, and to {_um(one_mm)} as given",
+                hint="number the balls of this position as those of the others",
+            )
+
+
+def _residuals(layout: RowLayout, local: Array, points: Array) -> Array:
+    """Return the distances (n,) in mm of the points from those of the best rigid fit of each position."""
+    poses = rigid_poses(layout, local, points)
+    return np.asarray(np.linalg.norm(points - poses.to_workpiece(layout, local), axis=1))
+
+
+def _spread(layout: RowLayout, points: Array) -> Array:
+    """Return the rms distance (K,) in mm of the points of each position from their middle."""
+    ends = np.cumsum(layout.counts)[:-1]
+    return np.array([float(np.sqrt(part.var(axis=0).sum())) for part in np.split(points, ends)])
+
+
+def _median(residuals: Array) -> float:
+    return max(float(np.median(residuals)), _SMALLEST_MM)
+
+
+def _um(value_mm: float) -> str:
+    return f"{UM_PER_MM * value_mm:.3g} µm"
