@@ -14,7 +14,7 @@ from rich.console import Console
 
 from agent.cli.errors import fail, reported
 from agent.cli.options import procedure_options
-from agent.cli.printing import facts_table, results_console
+from agent.cli.printing import facts_table, results_console, travel_rows
 from agent.cli.progress import watching
 from agent.errors import GateRefused
 from agent.execution.states import RunState
@@ -127,6 +127,7 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
         rows.append(("VCE predicted", f"{_number(outcome.predicted_vce_um)} µm (aligned)"))
         if outcome.thermometer is not None:
             rows.append(("temperature", outcome.thermometer.short_text))
+        rows += travel_rows(outcome.travel)
         rows.append(("rank", f"{outcome.rank} of {outcome.parameters} parameters"))
     if outcome.proof is not None:
         proof = outcome.proof

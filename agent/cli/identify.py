@@ -16,7 +16,7 @@ from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import PATH
-from agent.cli.printing import results_console
+from agent.cli.printing import results_console, travel_rows
 from agent.results.estimation import order_text
 from agent.runs.offline_identification import IdentificationRequest, IdentificationResult, identify_files
 from agent.settings.load import read_settings
@@ -159,6 +159,8 @@ def _show(result: IdentificationResult, seconds: float) -> None:
         f"{balls} balls, {len(estimate.rejected)} rejected; normalised χ² {estimate.chi2_normalised:.2f}; "
         f"rank {estimate.rank} of {estimate.model.size}; {seconds:.1f} s"
     )
+    for name, text in travel_rows(estimation.travel):
+        console.print(f"{name}: {text}")
     console.print(f"Legendre order {order_text(estimate)}")
     console.print(result.thermometer.text, markup=False)
     if result.thermometer.warning is not None:

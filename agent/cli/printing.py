@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from agent.results.travel_parts import TravelParts
+
 if TYPE_CHECKING:
     from rich.console import JustifyMethod
 
@@ -51,3 +53,17 @@ def facts_table(rows: Iterable[tuple[str, str]], *, title: str | None = None) ->
     for name, value in rows:
         table.add_row(name, value)
     return table
+
+
+def travel_rows(travel: TravelParts | None) -> list[tuple[str, str]]:
+    """Return rows (name, text) with the volumetric error before and after compensation inside and outside the measured
+    region."""
+    if travel is None:
+        return []
+    rows = []
+    for name, part in (("VE → VCE where measured", travel.measured), ("VE → VCE elsewhere", travel.unmeasured)):
+        if part is not None:
+            lower, upper = part.predicted_vce_limits_um
+            text = f"{part.estimated_ve_um:.2f} → {part.predicted_vce_um:.2f} µm (95 %: {lower:.2f} to {upper:.2f})"
+            rows.append((name, f"{text}, {100.0 * part.share:.0f} % of the travel"))
+    return rows

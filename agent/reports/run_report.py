@@ -35,6 +35,7 @@ from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, 
 from agent.results.gates import Gate
 from agent.results.journal_entries import observations_from
 from agent.results.thermometer import ThermometerFacts
+from agent.results.travel_parts import TravelParts
 from drivers.errors import InputError
 from twin.artefact.position_set import Position
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
@@ -106,6 +107,7 @@ def _found(record: RunRecord) -> IdentificationData | None:
         volumetric=VolumetricSummary(**volumetric),
         table=TableFacts(**identified["table"]),
         thermometer=ThermometerFacts.of_record(identified.get("thermometer")),
+        travel=TravelParts.from_record(identified["travel"]) if "travel" in identified else None,
     )
 
 

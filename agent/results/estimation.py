@@ -21,6 +21,8 @@ from agent.results.observations import Correction, displayed_residuals, observat
 from agent.results.run_outcome import Proof
 from agent.results.thermal_drift import identification_options, observations_with_drift
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
+from agent.results.travel_parts import TravelParts
+from agent.results.travel_summary import travel_parts
 from agent.results.volumetric_summary import volumetric_summary
 from agent.settings.schema import Order, TableSettings
 from agent.settings.temperature import TemperatureSettings
@@ -42,13 +44,15 @@ class EstimationResult:
     """Estimate of the machine's errors from `observations`, and the compensation table made from the estimate.
 
     `volumetric` contains the estimated volumetric error (VE) of the machine without compensation and the predicted
-    volumetric compensated error (VCE), the volumetric error that remains with the table active. `thermometer` is
-    the part of this prediction that is due to the artefact's thermometer.
+    volumetric compensated error (VCE), the volumetric error that remains with the table active. `travel` contains both
+    inside and outside the measured region. `thermometer` is the part of the prediction that is due to the artefact's
+    thermometer.
     """
 
     observations: Observations
     estimate: Estimate
     volumetric: VolumetricSummary
+    travel: TravelParts
     table: CompensationTable
     thermometer: ThermometerEffect
 
@@ -76,6 +80,7 @@ def estimate_with_table(
         observations,
         estimate,
         volumetric,
+        travel_parts(estimate, offset, observations.axis_positions),
         build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions),
         thermometer_effect(estimate, volumetric.after, evaluation_grid(model.ranges_mm), offset),
     )

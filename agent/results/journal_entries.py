@@ -97,6 +97,7 @@ def record_identified(
             "order": order_text(estimate),
             "volumetric": asdict(estimation.volumetric),
             "thermometer": asdict(thermometer),
+            "travel": estimation.travel.as_record(),
             "table": asdict(TableFacts.of(estimation.table, checksum(format_table(estimation.table)))),
         },
     )

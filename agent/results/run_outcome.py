@@ -9,6 +9,7 @@ from pathlib import Path
 from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
 from agent.results.thermometer import ThermometerFacts
+from agent.results.travel_parts import TravelParts
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,7 @@ class Outcome:
     estimated_ve_um: float | None = None
     predicted_vce_um: float | None = None
     thermometer: ThermometerFacts | None = None
+    travel: TravelParts | None = None
     chi2_normalised: float | None = None
     rejected: tuple[tuple[int, int, int], ...] = ()
     proof: Proof | None = None
@@ -156,6 +158,7 @@ class Outcome:
             "estimated_ve_um": self.estimated_ve_um,
             "predicted_vce_um": self.predicted_vce_um,
             "thermometer": None if self.thermometer is None else asdict(self.thermometer),
+            "travel": None if self.travel is None else self.travel.as_record(),
             "chi2_normalised": self.chi2_normalised,
             "rejected": [list(row) for row in self.rejected],
             "verified": None if self.proof is None else self.proof.accepted,

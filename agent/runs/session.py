@@ -274,6 +274,7 @@ class RunSession:
             estimated_ve_um=None if estimation is None else estimation.volumetric.before_aligned.value_um,
             predicted_vce_um=None if estimation is None else estimation.volumetric.after_aligned.value_um,
             thermometer=None if estimation is None else thermometer_facts(estimation, settings.temperature),
+            travel=None if estimation is None else estimation.travel,
             chi2_normalised=None if estimation is None else estimation.estimate.chi2_normalised,
             rejected=() if estimation is None else estimation.estimate.rejected,
             proof=progress.proof,

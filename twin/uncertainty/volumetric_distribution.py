@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,19 +86,25 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
     return VolumetricDistributions(ve, vce)
 
 
-def regional_limits(estimate: Estimate, form: Array, coverage: float = 0.95) -> tuple[Limits, Limits]:
-    """Return the limits of the volumetric error in one part of the workspace, without and with compensation.
+def regional_limits(
+    estimate: Estimate, forms: Sequence[Array], coverage: float = 0.95
+) -> tuple[tuple[Limits, Limits], ...]:
+    """Return the limits of the volumetric error without and with compensation, for each of several parts of the
+    workspace.
 
-    Each pair contains the lower and the upper limit in mm of the equal-tailed interval with the given coverage. `form`
-    is the quadratic form of the part, as `twin.identification.regional_forms` returns it. The distributions are those
-    of `volumetric_distributions`, restricted to this part.
+    The limits are those of the equal-tailed interval with the given coverage. `forms` contains the quadratic form of
+    each part, as `twin.identification.regional_forms` returns it. The distributions are those of
+    `volumetric_distributions`, restricted to the part.
     """
     written = np.zeros(_size(estimate))
     written[: estimate.model.size] = estimate.parameters
-    pairs = [_both(form, one, written) for one in mixture_components(estimate)]
-    tail = 0.5 * (1.0 - coverage)
-    ve, vce = (QuadraticMixture(tuple(pair[which] for pair in pairs)) for which in (0, 1))
-    return _rms_limits(ve, tail), _rms_limits(vce, tail)
+    likely, tail = mixture_components(estimate), 0.5 * (1.0 - coverage)
+    found = []
+    for form in forms:
+        pairs = [_both(form, one, written) for one in likely]
+        ve, vce = (QuadraticMixture(tuple(pair[which] for pair in pairs)) for which in (0, 1))
+        found.append((_rms_limits(ve, tail), _rms_limits(vce, tail)))
+    return tuple(found)
 
 
 def _rms_limits(squares: QuadraticMixture, tail: float) -> Limits:

@@ -13,6 +13,7 @@ from typing import Protocol, Self
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
 from agent.results.thermometer import ThermometerFacts
+from agent.results.travel_parts import TravelParts
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
@@ -187,7 +188,8 @@ class IdentificationData:
 
     `positions` is the list of positions to which the indices in `observations.position` refer. `residuals_mm` (n, 3)
     holds the residuals of the n observations, in the order of the observations. `thermometer` is the effect of the
-    artefact's thermometer on the result; it is None in a report on the journal of an earlier version.
+    artefact's thermometer on the result, and `travel` the volumetric error inside and outside the measured region. Both
+    are None in a report on the journal of an earlier version.
     """
 
     observations: Observations
@@ -197,6 +199,7 @@ class IdentificationData:
     volumetric: VolumetricSummary
     table: TableFacts | None = None
     thermometer: ThermometerFacts | None = None
+    travel: TravelParts | None = None
 
     @classmethod
     def of(
@@ -207,8 +210,10 @@ class IdentificationData:
         volumetric: VolumetricSummary,
         table: TableFacts | None = None,
         thermometer: ThermometerFacts | None = None,
+        travel: TravelParts | None = None,
     ) -> Self:
-        return cls(observations, estimate, estimate.residuals_mm, tuple(positions), volumetric, table, thermometer)
+        residuals = estimate.residuals_mm
+        return cls(observations, estimate, residuals, tuple(positions), volumetric, table, thermometer, travel)
 
 
 @dataclass(frozen=True)

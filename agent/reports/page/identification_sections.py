@@ -25,6 +25,29 @@ def summary_table(data: ReportData, identification: IdentificationData, t: Texts
     return Table((t["quantity"], t["before"], t["after"]), cells, (t["before"], t["after"]))
 
 
+def travel_table(identification: IdentificationData, t: Texts) -> Table | None:
+    """Return the volumetric error before and after compensation inside and outside the measured region, or None if the
+    run does not contain it."""
+    travel = identification.travel
+    if travel is None:
+        return None
+    rows = tuple(
+        (
+            t[name].format(share=f"{100.0 * part.share:.0f}"),
+            _with_limits(part.estimated_ve_um, part.estimated_ve_limits_um),
+            _with_limits(part.predicted_vce_um, part.predicted_vce_limits_um),
+        )
+        for name, part in (("travel_measured", travel.measured), ("travel_unmeasured", travel.unmeasured))
+        if part is not None
+    )
+    return Table((t["travel"], t["before"], t["after"]), rows, (t["before"], t["after"]))
+
+
+def _with_limits(value_um: float, limits_um: tuple[float, float]) -> str:
+    lower, upper = (number(limit, 3) for limit in limits_um)
+    return f"{number(value_um, 3)} µm ({lower} to {upper})"
+
+
 def squareness(identification: IdentificationData) -> Table:
     estimate = identification.estimate
     places = [estimate.model.index(name) for name in SQUARENESS]

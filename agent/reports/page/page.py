@@ -52,6 +52,7 @@ def _identification(data: ReportData, identification: IdentificationData, t: Tex
     """Return the values of the sections that need an estimate."""
     return {
         "summary": identification_sections.summary_table(data, identification, t),
+        "travel": identification_sections.travel_table(identification, t),
         "validity": validity(data, identification),
         "squareness": identification_sections.squareness(identification),
         "residual_note": identification_sections.residual_note(identification),

@@ -77,6 +77,10 @@ ENGLISH: Texts = {
         "first letter."
     ),
     "cross_note": "Added to EYZ and EAZ at full overhang of Y, over the height Z.",
+    "travel_note": (
+        "VE estimated and VCE predicted, aligned over the whole travel, with 95 % limits. Outside the measured region "
+        "no ball was measured: there the values rest on the machine family and on the form of the error model."
+    ),
     "map_note": (
         "Machine without table as identified: length of the deviation of the tool point, rigid motion removed. "
         "Contour lines at equal intervals."
@@ -137,6 +141,9 @@ ENGLISH: Texts = {
     # rows
     "ve_aligned": "VE estimated, VCE predicted; aligned",
     "ve_raw": "the same, not aligned",
+    "travel": "part of the travel",
+    "travel_measured": "inside the measured region ({share} %)",
+    "travel_unmeasured": "outside the measured region ({share} %)",
     "held_out": "rms at held-out balls, measured",
     "held_out_head": "rms at the held-out balls",
     "held_out_before": "before (initial state)",
