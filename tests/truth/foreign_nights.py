@@ -69,10 +69,11 @@ def _walked(machine: ForeignMachine, size: float, rng: np.random.Generator, axes
 
 @dataclass(frozen=True)
 class NightScore:
-    """One night: its comparison with the nights before, and the true and the predicted error in µm that its estimate
-    leaves after the best rigid motion is removed."""
+    """One night: its estimate, its comparison with the nights before, and the true and the predicted error in µm that
+    the estimate leaves after the best rigid motion is removed."""
 
     number: int
+    estimate: Estimate
     fit: NightFit
     true_um: float
     predicted_um: float
@@ -115,7 +116,7 @@ def fused_nights(change: Change, count: int = NIGHTS, stated_um: float = STATED_
         accepted = seen.select(accepted_rows(FAMILY, seen, artefact, Options()))
         fit = compare_with_nights_before(FAMILY, accepted, artefact, estimate.carried_over(), noise)
         estimate = identify(FAMILY.model, seen, artefact, FAMILY, Options(carried_over=fit.prior))
-        scores.append(NightScore(number, fit, true_error_um(night.machine, estimate), predicted_um(estimate)))
+        scores.append(NightScore(number, estimate, fit, true_error_um(night.machine, estimate), predicted_um(estimate)))
     return scores
 
 

@@ -3,23 +3,38 @@ that does not fit is named."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from foreign_nights import (
     NIGHTS,
     STATED_UM,
     STEP_NIGHT,
     Change,
+    MeasuredNight,
     NightScore,
     fused_nights,
+    measured_nights,
     one_axis_only,
     season,
     straightness_steps,
 )
+from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text
+
+from agent.cli.identify import identify
+from twin.formats.estimate_file import format_estimate, parse_estimate
 
 WINDOW = 10
+
+
+sixty_nights = cache(fused_nights)
 
 
 def window_means(nights: list[NightScore]) -> np.ndarray:
@@ -38,7 +53,7 @@ def told(change: Change, nights: list[NightScore]) -> str:
 
 @pytest.mark.parametrize("change", [straightness_steps, season, one_axis_only])
 def test_sixty_nights_stay_truthful(change: Change, record_property: Callable[[str, object], None]) -> None:
-    nights = fused_nights(change)
+    nights = sixty_nights(change)
     summary = told(change, nights)
     record_property("nights", summary)
     assert len(nights) == NIGHTS
@@ -53,7 +68,73 @@ def test_sixty_nights_stay_truthful(change: Change, record_property: Callable[[s
 
 
 def test_a_drift_larger_than_stated_is_learned() -> None:
-    nights = fused_nights(season)
-    assert np.median([night.fit.factor for night in nights[10:]]) > 2.0
+    assert np.median([night.fit.factor for night in sixty_nights(season)[10:]]) > 2.0
     quiet = fused_nights(straightness_steps, STEP_NIGHT - 1, stated_um=4.0 * STATED_UM)
     assert quiet[-1].fit.factor < 0.5
+
+
+def identified(night: MeasuredNight, earlier: Path, out: Path, *more: str) -> dict[str, Any]:
+    """Return the JSON output of `volcal identify` for the files of a night."""
+    balls, artefact = out.with_suffix(".csv"), out.with_suffix(".toml")
+    balls.write_text(ball_text(night.seen, per_station=len(np.unique(night.seen.position))), encoding="utf-8")
+    artefact.write_text(artefact_text(night.bar), encoding="utf-8")
+    arguments = [balls, "--machine", MACHINE_FILE, "--artefact", artefact, "--out", out, "--carried-over", earlier]
+    done = CliRunner().invoke(identify, [*map(str, arguments), *more, "--json"], prog_name="volcal identify")
+    document: dict[str, Any] = json.loads(done.stdout.splitlines()[0])
+    return document
+
+
+@pytest.fixture(scope="module")
+def before_the_step(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[NightScore], Path]:
+    """Return the nights before the step, and the estimate file of the last of them."""
+    nights = sixty_nights(straightness_steps)[: STEP_NIGHT - 1]
+    file = tmp_path_factory.mktemp("before") / "estimate.json"
+    file.write_text(format_estimate(nights[-1].estimate, {}), encoding="utf-8")
+    return nights, file
+
+
+def test_the_command_carries_the_drift_factor_on(before_the_step: tuple[list[NightScore], Path]) -> None:
+    nights, file = before_the_step
+    assert parse_estimate(file.read_text(), "e.json").carried_over().drift_factor == nights[-1].estimate.drift_factor
+
+
+def test_the_command_names_the_night_of_a_step(before_the_step: tuple[list[NightScore], Path], tmp_path: Path) -> None:
+    _, file = before_the_step
+    *_, step_night = islice(measured_nights(straightness_steps, STEP_NIGHT), STEP_NIGHT + 1)
+    found = identified(step_night, file, tmp_path / "step", "--process-noise-um", str(STATED_UM))
+    assert found["gates"]["night"] is False
+    night = found["night"]
+    assert night["fits"] is False
+    assert night["probability"] < 1e-4
+    assert night["drift_factor"] > 3.0 * night["drift_factor_expected"]
+    report = (tmp_path / "step" / "report.html").read_text(encoding="utf-8")
+    assert "The night does not fit the nights before" in report
+    assert night["likeliest"] in report
+    stored = parse_estimate((tmp_path / "step" / "estimate.json").read_text(), "estimate.json").carried_over()
+    assert stored.drift_factor.value == pytest.approx(night["drift_factor"])
+
+
+def test_the_command_accepts_a_night_without_a_step(
+    before_the_step: tuple[list[NightScore], Path], tmp_path: Path
+) -> None:
+    def without_step(machine: Any, night: int, rng: np.random.Generator) -> Any:
+        return straightness_steps(machine, min(night, STEP_NIGHT - 1), rng)
+
+    _, file = before_the_step
+    *_, calm = islice(measured_nights(without_step, STEP_NIGHT), STEP_NIGHT + 1)
+    found = identified(calm, file, tmp_path / "calm", "--process-noise-um", str(STATED_UM))
+    assert found["gates"]["night"] is True
+    assert found["night"]["fits"] is True
+    assert found["night"]["likeliest"] is None
+
+
+def test_a_drift_that_is_not_stated_does_not_fit(
+    before_the_step: tuple[list[NightScore], Path], tmp_path: Path
+) -> None:
+    """A season of 1 to 2 µm a night, identified from files 12 nights later as if the machine had not changed."""
+    *_, later = islice(measured_nights(season, 12), 13)
+    start = tmp_path / "start.json"
+    estimate = sixty_nights(season)[0].estimate
+    start.write_text(format_estimate(estimate, {}), encoding="utf-8")
+    found = identified(later, start, tmp_path / "later")
+    assert found["night"]["fits"] is False

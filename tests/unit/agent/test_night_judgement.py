@@ -15,7 +15,7 @@ from agent.execution.states import RunState
 from agent.execution.steps import MoveTo
 from agent.results.run_outcome import Decision, NightReport
 from agent.runs.kinds import drift_check, nightly
-from agent.runs.kinds.drift_check import Judge, Judgement
+from agent.runs.kinds.drift_check import Judge, Judgement, with_fit
 from agent.runs.kinds.full_calibration import Slot
 from agent.runs.kinds.night_plan import NightPlan
 from agent.runs.kinds.nightly import NightlyRun
@@ -24,6 +24,8 @@ from agent.settings.schema import NightlySettings
 from drivers.clock import VirtualClock
 from twin.artefact.position_set import Position
 from twin.errors import DataError
+from twin.identification import DriftFactor
+from twin.monitoring.night_fit import NightFit
 from twin.monitoring.step_detection import SuspectedJump
 
 LIMITS = NightlySettings(max_chi2=2.0, max_ve_growth=1.5, step_evidence=8.0)
@@ -72,6 +74,19 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Judgement]:
         return one.judge_balls(3, [], [], lambda points: points)
 
     return judge
+
+
+@pytest.mark.parametrize("fits", [True, False])
+def test_a_fused_night_that_does_not_fit_is_reported_with_its_figures(fits: bool) -> None:
+    report = NightReport(Decision.WITHIN, "run-7", 1.0, 1, 3)
+    prior: Any = SimpleNamespace(drift_factor=DriftFactor(3.2, 0.2))
+    found = with_fit(report, NightFit(prior, 0.8, 1.7, 2e-5, fits, None if fits else jump("EYX", 15.0)))
+    assert (found.fit_probability, found.drift_factor) == (2e-5, 3.2)
+    assert found.as_json()["warning"] == found.warning
+    assert bool(found.warning) is not fits
+    if not fits:
+        for figure in ("χ² 1.70", "3.2 times as stated", "expected 0.8", "EYX changed by +12.0 µm"):
+            assert figure in found.warning
 
 
 class TestVerdict:
