@@ -67,18 +67,22 @@ class Programme:
         return replace(found, settings=found.settings.model_copy(update={"ageing": harder}))
 
 
+HELD_OUT = "positions_deg = [[30.0, 30.0], [-30.0, -30.0]]"
+"""Held-out orientations to which the tolerance of the held-out balls in the service's settings applies."""
+
 FORTNIGHT = Programme(
     (
         *("calibrated by hand", "timer at noon, timer", "verify", "doors open, timer", "link loss", "timer"),
         *("power failure", "timer", "abort", "timer", "timer", DAMAGE, "full calibration", "timer"),
-    )
+    ),
+    {"[verification]\n": f"[verification]\n{HELD_OUT}\n"},
 )
 SHORT = Programme(
     ("calibrated by hand", "timer at noon, link loss", "doors open, power failure", "abort", DAMAGE),
     {
         'position_set = "S3"': 'position_set = "S1"',
         "[verification]\nstations = [1, 4]": (
-            "[verification]\nstations = [1]\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3"
+            f"[verification]\n{HELD_OUT}\nstations = [1]\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3"
         ),
         "[gates]": "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3",
     },
