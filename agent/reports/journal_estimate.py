@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.formats.estimate_file import StoredEstimate
-from twin.identification import Misfit, Scales
+from twin.identification import BallCheck, Misfit, Scales
 from twin.machine.error_model import ErrorModel
 
 
@@ -34,6 +34,7 @@ class JournalEstimate:
     conditioning: float
     null_summary: tuple[str, ...]
     scales_at_bounds: tuple[str, ...]
+    certificate_check: tuple[BallCheck, ...]
 
     @property
     def standard_uncertainty(self) -> Array:
@@ -64,6 +65,7 @@ def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEs
         conditioning=document.conditioning,
         null_summary=document.null_summary,
         scales_at_bounds=document.scales_at_bounds,
+        certificate_check=stored.certificate_check,
     )
 
 

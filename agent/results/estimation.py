@@ -17,7 +17,13 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.facts import VolumetricSummary
-from agent.results.observations import Correction, displayed_residuals, observations_of, positions_named
+from agent.results.observations import (
+    Correction,
+    certified_balls,
+    displayed_residuals,
+    observations_of,
+    positions_named,
+)
 from agent.results.run_outcome import Proof
 from agent.results.thermal_drift import identification_options, observations_with_drift
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
@@ -155,6 +161,7 @@ def prove(
 
     Raises MeasurementFault if too few balls were found for a comparison.
     """
+    before, after = certified_balls(before, job.artefact), certified_balls(after, job.artefact)
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:
             raise MeasurementFault(f"no ball of a held-out position was measured {when}")

@@ -12,12 +12,16 @@ from agent.errors import GateRefused
 from agent.settings.schema import GateSettings
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
-from twin.identification import Estimate
+from twin.identification import BallCheck, Estimate
 from twin.machine.volumetric import VolumetricRms
+from twin.units import UM_PER_MM
 
 CHANGE = "change"
 """Name of the gate that an operator may open by consent, because a machine really changes if it is repaired or has a
 collision, and must then be calibrated again."""
+
+CERTIFICATE = "certificate"
+"""Name of the gate for the agreement of the balls with their certificate."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +41,8 @@ class Gate:
 def estimate_gates(
     estimate: Estimate, expected: VolumetricRms, before: VolumetricRms, limits: GateSettings
 ) -> tuple[Gate, ...]:
-    """Return the three gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
-    and the gain in accuracy.
+    """Return the four gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
+    the gain in accuracy, and the agreement of the balls with their certificate.
 
     `before` is the estimated volumetric error of the machine without compensation. It contains no contribution of its
     own uncertainty. `expected` is the predicted volumetric error with the table active. The values of both after
@@ -69,6 +73,38 @@ def estimate_gates(
             f"predicted VCE {expected.aligned_mm * 1e3:.2f} µm as a share of the VE before "
             f"{before.aligned_mm * 1e3:.2f} µm (aligned): the improvement must stand out of its uncertainty",
         ),
+        certificate_gate(estimate.certificate_check, limits),
+    )
+
+
+def certificate_gate(checks: Sequence[BallCheck], limits: GateSettings) -> Gate:
+    """Return the gate (limit) for the largest contradiction between a ball and its certificate, in standard deviations.
+
+    Balls that the artefact file declares as uncertified are left out. The text names every ball beyond the limit.
+    """
+    certified = sorted((check for check in checks if check.certified), key=lambda check: -check.contradiction)
+    limit = limits.max_certificate_sigma
+    wrong = [check for check in certified if check.contradiction > limit]
+    if not certified:
+        text = "no ball of the artefact has a certificate with an uncertainty that could be tested"
+    elif not wrong:
+        largest = certified[0]
+        text = f"largest contradiction of a ball with its certificate, in standard deviations: ball {largest.ball}"
+    else:
+        numbers = ", ".join(str(ball) for ball in sorted(check.ball for check in wrong))
+        text = (
+            f"{'; '.join(_contradiction(check) for check in wrong)}: clean and calibrate, or state "
+            f"uncertified_balls = [{numbers}] in the artefact file"
+        )
+    value = certified[0].contradiction if certified else 0.0
+    return Gate(CERTIFICATE, not wrong, value, limit, text)
+
+
+def _contradiction(check: BallCheck) -> str:
+    x, y, z = (UM_PER_MM * value for value in check.apparent_error_mm)
+    return (
+        f"ball {check.ball} contradicts its certificate by {check.contradiction:.0f} standard deviations along "
+        f"{check.direction} (artefact frame; apparent error X {x:.1f}, Y {y:.1f}, Z {z:.1f} µm)"
     )
 
 
@@ -144,12 +180,17 @@ def require_passed(gates: Sequence[Gate]) -> None:
     every such gate."""
     failed = [gate for gate in gates if not gate.passed]
     if failed:
+        hint = "more positions or another position set lower the predicted VCE; see the report"
+        if any(gate.name == CERTIFICATE for gate in failed):
+            hint = (
+                "clean the named balls and have them calibrated, or list them as uncertified_balls in the artefact file"
+            )
         reasons = "; ".join(
             f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({gate.text})" for gate in failed
         )
         raise GateRefused(
             f"no table was written: {reasons}",
-            hint="more positions or another position set lower the predicted VCE; see the report",
+            hint=hint,
         )
 
 

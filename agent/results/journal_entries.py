@@ -22,7 +22,7 @@ from agent.probing.preparation import PreparationResult
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, OUTCOME, PROBE
 from agent.results.estimation import EstimationResult, order_text
 from agent.results.facts import ArtefactFacts, TableFacts
-from agent.results.observations import displayed_residuals
+from agent.results.observations import certified_balls, displayed_residuals
 from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
 from agent.results.thermometer import ThermometerFacts
@@ -114,6 +114,7 @@ def record_held_out(
     activation, the rms residual before activation is None.
     """
     rows = []
+    before, after = certified_balls(before, job.artefact), certified_balls(after, job.artefact)
     for position in job.held_out:
         rms_um = [_rms_um(job, [ball for ball in balls if _at(ball, position)]) for balls in (before, after)]
         if rms_um[1] is not None:

@@ -53,6 +53,11 @@ def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, ar
     return held_out_residuals(displayed, displayed.axis_positions + tool_offset_mm, artefact)
 
 
+def certified_balls(balls: Sequence[MeasuredBall], artefact: Artefact) -> list[MeasuredBall]:
+    """Return the balls whose centres are certified. The others cannot prove a table."""
+    return [ball for ball in balls if ball.ball not in artefact.uncertified]
+
+
 def no_correction(displayed: Array) -> Array:
     return np.zeros_like(displayed)
 

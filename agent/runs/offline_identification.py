@@ -25,7 +25,7 @@ from twin.artefact.artefact import Artefact
 from twin.compensation.table_file import checksum, format_side_file, format_table
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
-from twin.formats.estimate_file import format_estimate, parse_estimate
+from twin.formats.estimate_file import certificate_document, format_estimate, parse_estimate
 from twin.identification import Options, process_noise
 from twin.identification.identify import accepted_rows
 from twin.identification.measured_shape import check_shape
@@ -123,6 +123,7 @@ class IdentificationResult:
             "report": str(self.report),
             "chi2_normalised": estimate.chi2_normalised,
             "rejected": [list(row) for row in estimate.rejected],
+            "certificate": certificate_document(estimate.certificate_check),
             "gates": {gate.name: gate.passed for gate in self.gates},
             "night": None if self.material.night is None else night_document(self.material.night),
         }

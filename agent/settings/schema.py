@@ -213,6 +213,7 @@ class GateSettings(StrictModel):
     max_slope_um_per_mm: PositiveFloat = 0.5
     max_change: PositiveFloat = 3.0
     night_false_alarm: float = Field(default=0.001, gt=0.0, lt=1.0)
+    max_certificate_sigma: PositiveFloat = 5.0
     allow_extrapolation: bool = False
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from foreign_machine import HIGH, LOW, TOOL, ForeignMachine
 
 from twin.artefact.artefact import Artefact
+from twin.artefact.certificate import with_uncertified
 from twin.artefact.observations import Observations
 
 STATIONS_MM = ((560.0, 900.0, 750.0), (1520.0, 900.0, 750.0), (2480.0, 900.0, 750.0), (3440.0, 900.0, 750.0))
@@ -24,11 +25,13 @@ _MARGIN_MM = 10.0
 
 @dataclass(frozen=True)
 class ForeignBar:
-    """Certified and true ball centres (N, 3) in mm at 20 °C, and the true CTE in 1/K."""
+    """Certified and true ball centres (N, 3) in mm at 20 °C, and the true CTE in 1/K. The balls `uncertified` have no
+    certificate."""
 
     certified: np.ndarray
     true: np.ndarray
     cte_per_k: float
+    uncertified: tuple[int, ...] = ()
 
     @property
     def artefact(self) -> Artefact:
@@ -41,8 +44,9 @@ class ForeignBar:
             reference_temperature_c=20.0,
             cte_per_k=CTE_PER_K,
             cte_standard_uncertainty_per_k=CTE_UNCERTAINTY_PER_K,
-            covariance=np.eye(self.certified.size) * CERTIFICATE_MM**2,
+            covariance=with_uncertified(np.eye(self.certified.size) * CERTIFICATE_MM**2, self.uncertified),
             holder_length_mm=60.0,
+            uncertified=self.uncertified,
         )
 
 

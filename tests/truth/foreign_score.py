@@ -8,6 +8,7 @@ import numpy as np
 from foreign_artefact import ForeignBar
 from foreign_machine import CHAIN, RANGES, TOOL, ForeignMachine, aligned_rms_um, grid
 
+from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify_by_evidence, predicted_vce
 from twin.machine.error_model import ErrorModel
@@ -46,9 +47,18 @@ def family_of(order: int) -> Family:
     return family_from_amplitudes(ErrorModel.uniform(parse_chain(CHAIN), RANGES, order), AMPLITUDES)
 
 
-def score(machine: ForeignMachine, bar: ForeignBar, seen: Observations, options: Options | None = None) -> Score:
-    """Identify with the order that the evidence chooses, and compare the result with the truth."""
-    estimate = identify_by_evidence(family_of, seen, bar.artefact, options)
+def score(
+    machine: ForeignMachine,
+    bar: ForeignBar,
+    seen: Observations,
+    options: Options | None = None,
+    artefact: Artefact | None = None,
+) -> Score:
+    """Identify with the order that the evidence chooses, and compare the result with the truth.
+
+    The program reads the certificate of `bar`, or `artefact` instead.
+    """
+    estimate = identify_by_evidence(family_of, seen, artefact or bar.artefact, options)
     truth = machine.deviation(GRID)
     left = truth - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
     predicted = predicted_vce(estimate, GRID, TOOL)

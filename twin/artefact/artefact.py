@@ -28,6 +28,8 @@ class Artefact:
     - `sag_mm` is the distance by which the ends of a horizontal bar hang below its middle.
     - `members` gives for each ball the number of its artefact if several artefacts are combined in one estimate. It is
       empty for a single artefact.
+    - `uncertified` contains the numbers of the balls whose centres are nominal values without a certificate. Their
+      covariance is large, and paths to them use the nominal centres.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Artefact:
     holder_length_mm: float = 0.0
     sag_mm: float = 0.0
     members: tuple[int, ...] = ()
+    uncertified: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         balls = as_points(self.balls, "balls of the artefact")

@@ -54,6 +54,7 @@ def combine_artefacts(artefacts: Sequence[Artefact]) -> Artefact:
         certificate="; ".join(a.certificate for a in artefacts),
         balls=np.concatenate([a.balls for a in artefacts]),
         covariance=covariance,
+        uncertified=tuple(first.count * number + ball for number, a in enumerate(artefacts) for ball in a.uncertified),
         members=tuple(number for number, a in enumerate(artefacts) for _ in range(a.count)),
     )
 

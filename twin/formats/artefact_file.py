@@ -17,6 +17,12 @@ from pydantic import Field, model_validator
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, bar_balls
+from twin.artefact.certificate import (
+    ReferenceLength,
+    with_length_uncertainty,
+    with_reference_lengths,
+    with_uncertified,
+)
 from twin.errors import DataError, FormatError
 from twin.formats.toml_reading import StrictModel, read_toml
 from twin.units import REFERENCE_TEMPERATURE_C
@@ -38,6 +44,15 @@ class BarSection(StrictModel):
     holder_length_mm: Annotated[float, Field(ge=0.0)] = 0.0
 
 
+class ReferenceLengthSection(StrictModel):
+    """Section `[[reference_lengths]]` of an artefact file: the distance between the centres of two balls at the
+    reference temperature, measured independently of the certificate."""
+
+    balls: tuple[int, int]
+    length_mm: Annotated[float, Field(gt=0.0)]
+    standard_uncertainty_um: Annotated[float, Field(gt=0.0)]
+
+
 class ArtefactDocument(StrictModel):
     """Keys of an artefact file. Uncertainties are standard uncertainties (k = 1)."""
 
@@ -53,6 +68,9 @@ class ArtefactDocument(StrictModel):
     covariance_file: str | None = None
     holder_length_mm: Annotated[float, Field(ge=0.0)] | None = None
     sag_um: Annotated[float, Field(ge=0.0)] = 0.0
+    length_standard_uncertainty_ppm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    uncertified_balls: tuple[int, ...] = ()
+    reference_lengths: tuple[ReferenceLengthSection, ...] = ()
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
@@ -72,21 +90,55 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
     """
     document = read_toml(text, source, ArtefactDocument)
     balls, holder = _balls(document)
+    covariance = _covariance(document, len(balls), source, read_text)
     try:
+        balls, covariance = _with_additions(document, balls, covariance, source)
         return Artefact(
             name=document.name,
-            certificate=document.certificate,
+            certificate=_certificate(document),
             balls=balls,
             ball_diameter_mm=document.ball_diameter_mm,
             reference_temperature_c=document.reference_temperature_c,
             cte_per_k=document.cte_per_k,
             cte_standard_uncertainty_per_k=document.cte_standard_uncertainty_per_k,
-            covariance=_covariance(document, len(balls), source, read_text),
+            covariance=covariance,
             holder_length_mm=holder,
             sag_mm=document.sag_um * 1e-3,
+            uncertified=tuple(sorted(set(document.uncertified_balls))),
         )
     except DataError as error:
         raise error.at(file=source) from None
+
+
+def _with_additions(document: ArtefactDocument, balls: Array, covariance: Array, source: str) -> tuple[Array, Array]:
+    """Return the centres (N, 3) in mm and their covariance (3N, 3N) in mm² with all that the file states in addition to
+    the certificate."""
+    covariance = with_length_uncertainty(balls, covariance, document.length_standard_uncertainty_ppm)
+    try:
+        covariance = with_uncertified(covariance, document.uncertified_balls)
+    except DataError as error:
+        raise error.at(file=source, key="uncertified_balls") from None
+    try:
+        return with_reference_lengths(balls, covariance, _reference_lengths(document))
+    except DataError as error:
+        raise error.at(file=source, key="reference_lengths") from None
+
+
+def _reference_lengths(document: ArtefactDocument) -> list[ReferenceLength]:
+    return [
+        ReferenceLength(length.balls, length.length_mm, length.standard_uncertainty_um * 1e-3)
+        for length in document.reference_lengths
+    ]
+
+
+def _certificate(document: ArtefactDocument) -> str:
+    """Return the name of the certificate with the additions of the file, for reports."""
+    parts = [document.certificate]
+    if document.uncertified_balls:
+        numbers = ", ".join(str(ball) for ball in sorted(set(document.uncertified_balls)))
+        parts.append(f"uncertified balls: {numbers}")
+    parts += [length.text for length in _reference_lengths(document)]
+    return "; ".join(parts)
 
 
 def _balls(document: ArtefactDocument) -> tuple[Array, float]:

@@ -7,7 +7,7 @@ The file also contains everything that is needed to use the estimate as the prio
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -19,10 +19,11 @@ from twin.errors import FormatError, TwinError
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
-from twin.identification import CarriedOverPrior, DriftFactor, Estimate, Scales
+from twin.identification import BallCheck, CarriedOverPrior, DriftFactor, Estimate, Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
+from twin.units import MM_PER_UM, UM_PER_MM
 
 FORMAT = "volcal estimate 2"
 _ASYMMETRY = 1e-9
@@ -83,6 +84,21 @@ class OrderSection(StrictModel):
     scales: ScalesSection
 
 
+class CertificateSection(StrictModel):
+    """Comparison of one certified ball centre with the measurements.
+
+    `contradiction` is in standard deviations along the worst direction, and `direction` is the axis of the artefact's
+    frame nearest to the apparent error `apparent_error_um`. `certified` is False for a ball that the artefact file
+    declares as uncertified.
+    """
+
+    ball: int
+    certified: bool
+    contradiction: float = Field(ge=0.0)
+    direction: Literal["X", "Y", "Z"]
+    apparent_error_um: Triple
+
+
 class EstimateFile(StrictModel):
     format: Literal["volcal estimate 2"]
     provenance: dict[str, str]
@@ -101,6 +117,7 @@ class EstimateFile(StrictModel):
     scales_at_bounds: tuple[str, ...]
     order_evidence: tuple[OrderSection, ...]
     rejected: tuple[RejectedBallSection, ...]
+    certificate: tuple[CertificateSection, ...] = ()
     carried_over: CarriedOverSection
 
 
@@ -117,6 +134,14 @@ class StoredEstimate:
     z: Array
     z_covariance: Array
     document: EstimateFile
+
+    @property
+    def certificate_check(self) -> tuple[BallCheck, ...]:
+        """Comparison of each certified ball centre with the measurements; empty in files of older versions."""
+        return tuple(
+            BallCheck(row.ball, row.contradiction, _millimetres(row.apparent_error_um), row.certified)
+            for row in self.document.certificate
+        )
 
     def carried_over(self) -> CarriedOverPrior:
         """Return this estimate as the prior of a later estimate, without process noise: the machine is assumed not to
@@ -162,11 +187,26 @@ def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
             for entry in estimate.order_evidence
         ],
         "rejected": [{"position": k, "ball": ball, "tool": tool} for k, ball, tool in estimate.rejected],
+        "certificate": certificate_document(estimate.certificate_check),
         "carried_over": carried_over_document(
             estimate.unknowns, estimate.z, estimate.z_covariance, estimate.drift_factor
         ),
     }
     return _text(document) + "\n"
+
+
+def certificate_document(checks: Sequence[BallCheck]) -> list[dict[str, Any]]:
+    """Return the checks of the certified ball centres as JSON objects, one for each ball."""
+    return [
+        {
+            "ball": check.ball,
+            "certified": check.certified,
+            "contradiction": check.contradiction,
+            "direction": check.direction,
+            "apparent_error_um": [UM_PER_MM * value for value in check.apparent_error_mm],
+        }
+        for check in checks
+    ]
 
 
 def _text(value: object) -> str:
@@ -204,6 +244,11 @@ def parse_estimate(text: str, source: str) -> StoredEstimate:
         z_covariance=z_covariance,
         document=document,
     )
+
+
+def _millimetres(values_um: Triple) -> Triple:
+    x, y, z = (MM_PER_UM * value for value in values_um)
+    return (x, y, z)
 
 
 def _model_document(model: ErrorModel) -> dict[str, Any]:

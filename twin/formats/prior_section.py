@@ -39,6 +39,7 @@ class ArtefactSection(StrictModel):
     certificate_mm: Rows
     cte_standard_uncertainty_per_k: float
     thermometer_standard_uncertainty_k: float
+    uncertified_balls: tuple[int, ...] = ()
 
 
 class MisfitSection(StrictModel):
@@ -94,6 +95,7 @@ def carried_over_document(
             "certificate_mm": errors.certificate.tolist(),
             "cte_standard_uncertainty_per_k": errors.cte_standard_uncertainty_per_k,
             "thermometer_standard_uncertainty_k": errors.thermometer_standard_uncertainty_k,
+            "uncertified_balls": list(errors.uncertified),
         },
         "misfit": None if unknowns.modes is None else _misfit_document(unknowns.modes, unknowns.misfit_mm),
         "mean": mean.tolist(),
@@ -127,6 +129,7 @@ def read_unknowns(section: CarriedOverSection, model: ErrorModel, source: str) -
         certificate=_array(artefact.certificate_mm, (3 * balls, width), source, "artefact.certificate_mm"),
         cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
         thermometer_standard_uncertainty_k=artefact.thermometer_standard_uncertainty_k,
+        uncertified=artefact.uncertified_balls,
     )
     scale = _array(section.scale, (model.size,), source, "scale")
     if misfit is None:

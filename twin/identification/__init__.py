@@ -1,5 +1,6 @@
 """Identification of the error model that is used for compensation, from measured ball centres."""
 
+from twin.identification.certificate_check import BallCheck
 from twin.identification.drift import DriftEstimate, DriftPrior, MachineDrift
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence
@@ -19,6 +20,7 @@ from twin.identification.predicted import (
 from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFactor, process_noise
 
 __all__ = [
+    "BallCheck",
     "CarriedOverPrior",
     "DriftEstimate",
     "DriftFactor",

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array
 from twin.identification.alternatives import Alternative
+from twin.identification.certificate_check import BallCheck, check_certificate
 from twin.identification.drift import DriftEstimate
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
 from twin.identification.misfit import MisfitModes
@@ -60,6 +61,8 @@ class Estimate:
     `order_evidence` contains the evidence (marginal likelihood) of each Legendre order that was compared; it is empty
     if the order was given. `drift` is the drift of the machine during the measurement, or None if drift was not
     estimated. `drift_factor` is the factor on the process noise between nights that was learned until this estimate.
+    `free_balls` contains the balls whose certified centres contradict the measurements; the estimate does not use these
+    centres.
     """
 
     model: ErrorModel
@@ -81,6 +84,7 @@ class Estimate:
     order_evidence: tuple[OrderEvidence, ...] = ()
     drift: DriftEstimate | None = field(default=None, repr=False)
     drift_factor: DriftFactor = field(default_factory=DriftFactor)
+    free_balls: tuple[int, ...] = ()
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
         """Return this estimate as the prior of an estimate made `nights` nights later.
@@ -92,6 +96,12 @@ class Estimate:
             self.unknowns, self.z, self.z_covariance, self.scales, self.drift_factor, self.degrees_of_freedom
         )
         return known if process_noise is None else known.after(process_noise, nights)
+
+    @cached_property
+    def certificate_check(self) -> tuple[BallCheck, ...]:
+        """Comparison of each certified ball centre with the measurements; empty if the certificate states no
+        uncertainty."""
+        return check_certificate(self.unknowns, self.z, self.z_covariance, self.free_balls)
 
     @property
     def prior_scale(self) -> Array:

@@ -25,6 +25,7 @@ from twin.identification.problem import IdentificationProblem
 from twin.identification.roll import build_measured_problem
 from twin.identification.slipped_position import Slip, slip_in
 from twin.identification.solution import Solution, average_over_scales, solve
+from twin.identification.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_population import Family
 from twin.units import UM_PER_MM
@@ -37,11 +38,15 @@ Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 @dataclass(frozen=True, eq=False)
 class _RowSelection:
-    """Accepted rows of the whole problem, and the solution from these rows if it has already been computed."""
+    """Accepted rows of the whole problem, and the solution from these rows if it has already been computed.
+
+    The certified centres of the balls `free` contradict the measurements and are left free.
+    """
 
     problem: IdentificationProblem
     accepted: Mask
     solution: Solution | None
+    free: tuple[int, ...] = ()
 
 
 def identify(
@@ -70,21 +75,35 @@ def identify(
 def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
     """Return a mask (n,) that is True for each ball centre that `identify` would accept, and False for each outlier
     that it would reject."""
+    return accepted_rows_and_free_balls(family, observations, artefact, options)[0]
+
+
+def accepted_rows_and_free_balls(
+    family: Family, observations: Observations, artefact: Artefact, options: Options
+) -> tuple[Mask, tuple[int, ...]]:
+    """Return the mask of `accepted_rows`, and the balls whose certified centres `identify` would leave free."""
     _check_set(observations)
     whole = build_measured_problem(family, observations, artefact, options)
     accepted = np.empty(observations.size, dtype=bool)
-    accepted[whole.layout.order] = _select_rows(whole, options).accepted
-    return accepted
+    selection = _select_rows(whole, options)
+    accepted[whole.layout.order] = selection.accepted
+    return accepted, selection.free
 
 
 def identify_accepted(
-    family: Family, observations: Observations, artefact: Artefact, options: Options, accepted: Mask
+    family: Family,
+    observations: Observations,
+    artefact: Artefact,
+    options: Options,
+    accepted: Mask,
+    free: tuple[int, ...],
 ) -> Estimate:
-    """Identify with exactly the rows that the mask `accepted` (n,) marks. All other rows count as rejected."""
+    """Identify with exactly the rows that the mask `accepted` (n,) marks. All other rows count as rejected. The
+    certified centres of the balls `free` are left free."""
     whole = build_measured_problem(family, observations, artefact, options)
     chosen = accepted[whole.layout.order]
     problem = whole if chosen.all() else whole.with_rows(chosen)
-    return _estimate(whole, _RowSelection(problem, chosen, None), options)
+    return _estimate(whole, _RowSelection(with_free_balls(problem, free), chosen, None, free), options)
 
 
 def _check_set(observations: Observations) -> None:
@@ -113,19 +132,28 @@ def _select_rows(whole: IdentificationProblem, options: Options) -> _RowSelectio
 
 def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSelection:
     """Return the rows that remain after outliers have been rejected. Rejection and fit are repeated until no ball
-    contradicts the others. These fits always use ball centres and the prior."""
+    contradicts the others. These fits always use ball centres and the prior.
+
+    Balls that are wrong in several positions are first tested against their certificate: if it is wrong, their centres
+    are left free and their rows stay. In the end, a ball that was freed because of an outlier is bound again.
+    """
     screening = replace(options, formulation="centres", weights="full", use_prior=True)
     accepted = np.ones(whole.observations.size, dtype=bool)
-    problem = whole
+    problem, search = whole, WrongBallSearch(screening)
     while True:
-        solution = solve(problem, screening, "centres")
-        _check_plausible(solution)
+        solution = search.solve(problem)
         residuals = studentised_residuals(solution)
         worst = contradicting_rows(residuals, options.false_alarm)
+        if not is_isolated(problem.observations.ball[worst]) and search.found_in(problem, solution):
+            continue
+        _check_plausible(solution)
         _check_unmoved(whole, accepted, slip_in(worst, residuals, options.false_alarm))
         if worst.size == 0:
+            if search.bind_again(problem, solution):
+                continue
+            free = search.free
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
-            return _RowSelection(problem, accepted, solution if same else None)
+            return _RowSelection(with_free_balls(problem, free), accepted, solution if same else None, free)
         accepted = accepted.copy()
         accepted[np.flatnonzero(accepted)[worst]] = False
         _check_rejected_share(accepted)
@@ -197,6 +225,7 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
         ),
         drift=_drift(whole, solution),
         drift_factor=DriftFactor() if options.carried_over is None else options.carried_over.drift_factor,
+        free_balls=() if options.weights == "unit" else selection.free,
     )
 
 

@@ -22,11 +22,12 @@ from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.identification.estimate import Estimate
 from twin.identification.evidence import OrderEvidence
-from twin.identification.identify import accepted_rows, identify_accepted
+from twin.identification.identify import accepted_rows_and_free_balls, identify_accepted
 from twin.identification.normal import Scales
 from twin.identification.options import Options
 from twin.identification.roll import build_measured_problem
 from twin.identification.solution import log_evidence_and_scales
+from twin.identification.wrong_balls import with_free_balls
 from twin.machine.machine_population import Family
 
 ORDERS = tuple(range(3, 10))
@@ -54,16 +55,18 @@ def identify_by_evidence(
     if not candidates:
         raise DataError("there is no order to compare")
     judged = replace(options, formulation="centres", weights="full")
-    accepted = accepted_rows(family_of(max(candidates)), observations, artefact, judged)
+    accepted, free = accepted_rows_and_free_balls(family_of(max(candidates)), observations, artefact, judged)
     seen = observations.select(accepted)
     evidence = {
-        order: log_evidence_and_scales(build_measured_problem(family_of(order), seen, artefact, judged), judged)
+        order: log_evidence_and_scales(
+            with_free_balls(build_measured_problem(family_of(order), seen, artefact, judged), free), judged
+        )
         for order in sorted(candidates)
     }
     table = _compare(evidence)
     chosen = next(entry.order for entry in table if entry.chosen)
     return replace(
-        identify_accepted(family_of(chosen), observations, artefact, options, accepted),
+        identify_accepted(family_of(chosen), observations, artefact, options, accepted, free),
         order_evidence=table,
     )
 

@@ -72,6 +72,7 @@ def _artefact_errors(artefact: Artefact, options: Options) -> ArtefactErrors:
         certificate=_certificate_factor(artefact.covariance),
         cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
         thermometer_standard_uncertainty_k=options.temperature_standard_uncertainty_k or 0.0,
+        uncertified=artefact.uncertified,
     )
 
 

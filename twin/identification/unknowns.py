@@ -14,7 +14,7 @@ from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes
 from twin.machine.error_model import ErrorModel
 
-_COVARIANCE_TOLERANCE = 1e-9  # of the largest variance: tolerance for two covariances of the same certificate
+_COVARIANCE_TOLERANCE = 1e-9  # of both standard deviations: tolerance for two covariances of the same certificate
 
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -59,7 +59,8 @@ class ArtefactErrors:
 
     `balls` (N, 3) in mm and `cte_per_k` are the certified values. `certificate` (3N, m) is a matrix L in mm; the
     covariance of the certified ball centres is L Lᵀ. The number of columns m is 0 for a perfect certificate. A standard
-    uncertainty of 0 means that the coefficient of thermal expansion (CTE) or the thermometer is exact.
+    uncertainty of 0 means that the coefficient of thermal expansion (CTE) or the thermometer is exact. `uncertified`
+    contains the numbers of the balls whose centres are nominal values without a certificate.
     """
 
     balls: Array
@@ -67,6 +68,7 @@ class ArtefactErrors:
     certificate: Array
     cte_standard_uncertainty_per_k: float
     thermometer_standard_uncertainty_k: float
+    uncertified: tuple[int, ...] = ()
 
     @property
     def strain_names(self) -> tuple[str, ...]:
@@ -94,10 +96,12 @@ class ArtefactErrors:
         if self.balls.shape != artefact.balls.shape or not np.array_equal(self.balls, artefact.balls):
             return False
         doubt = (self.cte_per_k, self.cte_standard_uncertainty_per_k)
-        difference = np.abs(self.certificate @ self.certificate.T - artefact.covariance).max()
+        difference = np.abs(self.certificate @ self.certificate.T - artefact.covariance)
+        deviation = np.sqrt(np.maximum(np.diagonal(artefact.covariance), 0.0))
+        # uncertified balls have far larger variances than the others, so each element has its own tolerance
+        allowed = _COVARIANCE_TOLERANCE * np.multiply.outer(deviation, deviation)
         return bool(
-            doubt == (artefact.cte_per_k, artefact.cte_standard_uncertainty_per_k)
-            and difference <= _COVARIANCE_TOLERANCE * np.abs(artefact.covariance).max()
+            doubt == (artefact.cte_per_k, artefact.cte_standard_uncertainty_per_k) and (difference <= allowed).all()
         )
 
 

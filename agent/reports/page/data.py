@@ -17,7 +17,7 @@ from agent.results.travel_parts import TravelParts
 from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
-from twin.identification import Estimate, FieldKnowledge, Scales
+from twin.identification import BallCheck, Estimate, FieldKnowledge, Scales
 
 
 class ReportedEstimate(FieldKnowledge, Protocol):
@@ -44,6 +44,8 @@ class ReportedEstimate(FieldKnowledge, Protocol):
     def conditioning(self) -> float: ...
     @property
     def null_summary(self) -> tuple[str, ...]: ...
+    @property
+    def certificate_check(self) -> tuple[BallCheck, ...]: ...
 
 
 @dataclass(frozen=True)

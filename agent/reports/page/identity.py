@@ -3,12 +3,16 @@ result."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from agent.reports.page.data import IdentificationData, ReportData
 from agent.reports.page.number_format import Rows, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity
+from twin.identification import BallCheck
+from twin.units import UM_PER_MM
 
 
 def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
@@ -71,8 +75,10 @@ def identity(data: ReportData) -> Rows:
         ("Tool offset", f"{data.tool_name} {point(data.tool_offset)}"),
         ("Artefact", f"{artefact.name}, {artefact.balls} balls of {number(artefact.ball_diameter_mm, 5)} mm"),
         ("Certificate", artefact.certificate),
-        ("Position set", data.header.position_set),
     ]
+    if identification is not None:
+        rows += _certificate_check(identification.estimate.certificate_check)
+    rows.append(("Position set", data.header.position_set))
     if identification is not None:
         centres = plural(identification.observations.size, "ball centre")
         measured = f"{centres} in {plural(len(identification.positions), 'position')}"
@@ -84,6 +90,22 @@ def identity(data: ReportData) -> Rows:
         rows.append(("Machine time", f"{fixed(run.machine_minutes, 0)} min"))
     rows += run.banks
     rows.append(("Software", f"volcal {data.header.software_version}"))
+    return rows
+
+
+def _certificate_check(checks: Sequence[BallCheck]) -> Rows:
+    """Return rows on the certified balls and the uncertified ones, compared with the measurements."""
+    certified = sorted((check for check in checks if check.certified), key=lambda check: -check.contradiction)
+    rows = []
+    if certified:
+        worst = ", ".join(
+            f"ball {check.ball}: {fixed(check.contradiction, 1)} along {check.direction}" for check in certified[:3]
+        )
+        rows.append(("Largest contradictions to the certificate", f"{worst} (standard deviations, artefact frame)"))
+    for check in checks:
+        if not check.certified:
+            error = ", ".join(fixed(UM_PER_MM * value, 1) for value in check.apparent_error_mm)
+            rows.append((f"Ball {check.ball}, uncertified", f"centre estimated; {error} µm from the file in X, Y, Z"))
     return rows
 
 
@@ -116,4 +138,6 @@ def validity(data: ReportData, identification: IdentificationData) -> list[str]:
         first,
         *thermometer,
         f"Balls were measured at axis positions {spans} mm. Outside of them the model extrapolates.",
+        "A common scale error of all certified lengths looks like scale errors of the machine's axes and cannot be "
+        "seen with this artefact alone, only with a length measured independently.",
     ]

@@ -14,7 +14,7 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.night_gate import night_text
-from agent.results.observations import Correction, no_correction, observations_of
+from agent.results.observations import Correction, certified_balls, no_correction, observations_of
 from agent.results.run_outcome import Decision, NightReport, SuspectedError
 from agent.runs.change_since_reference import prior_tonight
 from agent.runs.reference_state import ReferenceState
@@ -132,7 +132,8 @@ class Judge:
         """Return the rms residual of the held-out balls at displayed axis positions, and the expected rms, both in
         µm."""
         offset, artefact, prior = self.job.tool_offset_mm, self.job.artefact, self.prior
-        displayed, bare = (observations_of(held_out, offset, shift) for shift in (no_correction, correction))
+        certified = certified_balls(held_out, artefact)
+        displayed, bare = (observations_of(certified, offset, shift) for shift in (no_correction, correction))
         result = held_out_residuals(displayed, displayed.axis_positions + offset, artefact)
         left = uncompensated(prior.unknowns, prior.mean, self.reference.table.written)
         covariance = residual_covariance(

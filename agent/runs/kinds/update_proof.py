@@ -19,7 +19,7 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.estimation import EstimationResult
-from agent.results.observations import displayed_residuals, observations_of
+from agent.results.observations import certified_balls, displayed_residuals, observations_of
 from agent.results.run_outcome import Proof
 from twin.artefact.held_out_check import HeldOutResiduals, held_out_test
 from twin.artefact.observations import Observations
@@ -38,6 +38,7 @@ def prove_update(
 
     Raises MeasurementFault if too few held-out balls were measured.
     """
+    before, after = certified_balls(before, job.artefact), certified_balls(after, job.artefact)
     for balls, when in ((before, "before"), (after, "with the new table active")):
         if not balls:
             raise MeasurementFault(f"no ball of a held-out position was measured {when}")

@@ -1,0 +1,127 @@
+"""Additions to a certificate: uncertified balls, a common uncertainty of all lengths and measured lengths."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.artefact.certificate import (
+    ReferenceLength,
+    with_length_uncertainty,
+    with_reference_lengths,
+    with_uncertified,
+)
+from twin.errors import DataError, FormatError
+from twin.formats.artefact_file import parse_artefact
+
+TEXT = """
+name = "bar"
+cte_per_k = 11.5e-6
+cte_standard_uncertainty_per_k = 0.3e-6
+ball_diameter_mm = 25.0
+standard_uncertainty_um = 0.8
+balls = [[0.0, 0.0, 0.0], [300.0, 10.0, 0.0], [600.0, 0.0, 10.0], [900.0, -10.0, 0.0]]
+"""
+BALLS = np.array([[0.0, 0.0, 0.0], [300.0, 10.0, 0.0], [600.0, 0.0, 10.0], [900.0, -10.0, 0.0]])
+
+
+def covariance() -> np.ndarray:
+    root = np.random.default_rng(1).normal(size=(12, 12)) * 0.5e-3
+    return np.asarray(root @ root.T + 1e-7 * np.eye(12))
+
+
+def test_a_reference_length_is_a_weighted_least_squares_adjustment() -> None:
+    """The certified coordinates and the length are adjusted together by Gauss-Newton on the exact distance."""
+    first, second, length, sigma = 0, 3, 900.0571, 0.7e-3
+    weights = np.linalg.inv(covariance())
+    found = BALLS.reshape(-1).copy()
+    for _ in range(5):
+        points = found.reshape(-1, 3)
+        line = points[second] - points[first]
+        distance = np.linalg.norm(line)
+        row = np.zeros(12)
+        row[9:], row[:3] = line / distance, -line / distance
+        normal = weights + np.outer(row, row) / sigma**2
+        right = weights @ (BALLS.reshape(-1) - found) + row * (length - distance) / sigma**2
+        found += np.linalg.solve(normal, right)
+    balls, updated = with_reference_lengths(BALLS, covariance(), [ReferenceLength((first, second), length, sigma)])
+    assert balls.reshape(-1) == pytest.approx(found, abs=1e-8)
+    assert updated == pytest.approx(np.linalg.inv(normal), abs=1e-11)
+
+
+def test_the_order_of_reference_lengths_does_not_matter() -> None:
+    lengths = [ReferenceLength((0, 3), 900.0560, 1e-3), ReferenceLength((3, 1), 600.3340, 0.5e-3)]
+    one, other = (with_reference_lengths(BALLS, covariance(), order) for order in (lengths, lengths[::-1]))
+    assert one[0] == pytest.approx(other[0], abs=1e-9)
+    assert one[1] == pytest.approx(other[1], abs=1e-11)
+
+
+@pytest.mark.parametrize(("sigmas", "refused"), [(4.9, False), (5.1, True)])
+def test_a_length_more_than_five_standard_deviations_off_is_refused(sigmas: float, refused: bool) -> None:
+    distance = np.linalg.norm(BALLS[3] - BALLS[0])
+    length = distance + sigmas * np.sqrt(2.0 * 0.8e-3**2 + 1e-3**2)
+    text = TEXT + f"[[reference_lengths]]\nballs = [0, 3]\nlength_mm = {length:.9f}\nstandard_uncertainty_um = 1.0\n"
+    if not refused:
+        assert "length of balls 0 and 3 measured" in parse_artefact(text, "bar.toml").certificate
+        return
+    with pytest.raises(DataError, match=r"reference length of balls 0 and 3 .* 5\.1 standard deviations") as error:
+        parse_artefact(text, "bar.toml")
+    assert error.value.where == {"file": "bar.toml", "key": "reference_lengths"}
+
+
+def test_a_common_length_uncertainty_lets_one_length_correct_all() -> None:
+    known = with_length_uncertainty(BALLS, np.eye(12) * 1e-10, 50.0)
+    distance = float(np.linalg.norm(BALLS[3] - BALLS[0]))
+    length = ReferenceLength((0, 3), distance * (1.0 + 13e-6), 1e-5)
+    balls, _ = with_reference_lengths(BALLS, known, [length])
+    for ball in (1, 2, 3):
+        ratio = np.linalg.norm(balls[ball] - balls[0]) / np.linalg.norm(BALLS[ball] - BALLS[0])
+        assert ratio - 1.0 == pytest.approx(13e-6, abs=0.2e-6)
+
+
+def test_uncertified_balls_keep_their_centres_and_lose_their_certificate() -> None:
+    artefact = parse_artefact("uncertified_balls = [2]\n" + TEXT, "bar.toml")
+    assert artefact.uncertified == (2,)
+    assert artefact.balls == pytest.approx(BALLS)
+    assert np.sqrt(np.diagonal(artefact.covariance)) == pytest.approx(6 * [0.8e-3] + 3 * [1.0] + 3 * [0.8e-3])
+    assert artefact.certificate == "nominal, not calibrated; uncertified balls: 2"
+
+
+def test_correlations_of_an_uncertified_ball_are_dropped() -> None:
+    widened = with_uncertified(covariance(), [1])
+    assert not widened[3:6, [0, 1, 2, *range(6, 12)]].any()
+    assert widened[3:6, 3:6] == pytest.approx(np.eye(3))
+    others = np.array([0, 1, 2, *range(6, 12)])
+    assert widened[np.ix_(others, others)] == pytest.approx(covariance()[np.ix_(others, others)])
+
+
+@pytest.mark.parametrize(
+    ("addition", "message"),
+    [
+        ("uncertified_balls = [4]\n", "ball 4 does not exist on an artefact with 4 balls"),
+        ("uncertified_balls = [-1]\n", "ball -1 does not exist"),
+        ("uncertified_balls = [0, 1]\n", "2 of 4 balls are uncertified, but at least three must be certified"),
+    ],
+)
+def test_impossible_uncertified_balls_are_refused(addition: str, message: str) -> None:
+    with pytest.raises(DataError, match=message) as error:
+        parse_artefact(addition + TEXT, "bar.toml")
+    assert error.value.where == {"file": "bar.toml", "key": "uncertified_balls"}
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ("balls = [0, 9]\nlength_mm = 900.0\nstandard_uncertainty_um = 1.0\n", "ball 9 does not exist"),
+        ("balls = [1, 1]\nlength_mm = 900.0\nstandard_uncertainty_um = 1.0\n", "two different balls"),
+    ],
+)
+def test_impossible_reference_lengths_are_refused(section: str, message: str) -> None:
+    with pytest.raises(DataError, match=message) as error:
+        parse_artefact(TEXT + "[[reference_lengths]]\n" + section, "bar.toml")
+    assert error.value.where == {"file": "bar.toml", "key": "reference_lengths"}
+
+
+def test_a_reference_length_needs_an_uncertainty() -> None:
+    with pytest.raises(FormatError, match="standard_uncertainty_um"):
+        parse_artefact(TEXT + "[[reference_lengths]]\nballs = [0, 3]\nlength_mm = 900.0\n", "bar.toml")

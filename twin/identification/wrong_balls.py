@@ -1,0 +1,82 @@
+"""Search for balls whose certified centres are wrong, during the rejection of outliers.
+
+A ball with a wrong certified centre contradicts all other balls in every position. Without this search, its rows would
+be rejected as outliers one after the other, or the errors of the machine would be scaled up to explain it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twin.identification.certificate_check import agreeing_balls, max_free_balls, prior_with_free_balls, worst_ball
+from twin.identification.options import Options
+from twin.identification.problem import IdentificationProblem
+from twin.identification.solution import Solution, log_evidence_and_scales, solve
+
+
+def with_free_balls(problem: IdentificationProblem, balls: Sequence[int]) -> IdentificationProblem:
+    """Return the problem in which the certified centres of `balls` are left free."""
+    if not balls:
+        return problem
+    return replace(problem, known=prior_with_free_balls(problem.unknowns, problem.known, balls))
+
+
+def is_isolated(balls: np.ndarray[Any, np.dtype[np.int64]]) -> bool:
+    """Return True if the outliers found are of different balls `balls` (k,). Such outliers are rejected before any ball
+    is tested, since a gross one distorts the test."""
+    return balls.size > 0 and len(np.unique(balls)) == balls.size
+
+
+@dataclass
+class WrongBallSearch:
+    """Search of one rejection of outliers. `free` contains the balls whose centres are left free so far; a ball in
+    `bound` was freed in vain and is not freed again."""
+
+    options: Options
+    free: tuple[int, ...] = ()
+    bound: tuple[int, ...] = ()
+
+    def solve(self, problem: IdentificationProblem) -> Solution:
+        return solve(with_free_balls(problem, self.free), self.options, "centres")
+
+    def found_in(self, problem: IdentificationProblem, solution: Solution) -> bool:
+        """Free the ball that contradicts its certificate most in `solution`. Return False if there is none.
+
+        A carried-over certificate is not searched, since its errors are already known.
+        """
+        known, unknowns = problem.known, problem.unknowns
+        carried = known is not None and bool(known.members[problem.blocks.certificate].any())
+        if carried or len(self.free) >= max_free_balls(unknowns):
+            return False
+        wrong = worst_ball(unknowns, solution.z, solution.covariance, self.free)
+        if wrong is None or wrong in self.bound:
+            return False
+        free = (*self.free, wrong)
+        trial = solve(with_free_balls(problem, free), self.options, "centres")
+        if worst_ball(unknowns, trial.z, trial.covariance, free) is not None:
+            # a gross error distorts the scales and with them the test, but not the evidence
+            free = (*self.free, self._likeliest(problem, wrong))
+        self.free = free
+        return True
+
+    def bind_again(self, problem: IdentificationProblem, solution: Solution) -> bool:
+        """Bind the freed balls that agree with their certificate in `solution`. Return False if there are none."""
+        agreeing = agreeing_balls(problem.unknowns, solution.z, solution.covariance, self.free)
+        self.bound = (*self.bound, *agreeing)
+        self.free = tuple(ball for ball in self.free if ball not in agreeing)
+        return bool(agreeing)
+
+    def _likeliest(self, problem: IdentificationProblem, wrong: int) -> int:
+        """Return the certified ball whose centre, if it is left free as well, gives the largest evidence; `wrong` if
+        there is no ball to compare."""
+        artefact = problem.unknowns.artefact
+        closed = (*self.free, *self.bound, *artefact.uncertified)
+        return max(
+            (ball for ball in range(len(artefact.balls)) if ball not in closed),
+            key=lambda ball: log_evidence_and_scales(with_free_balls(problem, (*self.free, ball)), self.options)[0],
+            default=wrong,
+        )
