@@ -50,6 +50,7 @@ def document(state: Path, **sections: Any) -> dict[str, Any]:
         "stations": {"places_mm": PLACES_MM, "standing_at": 1},
         "probe_check": {"limit_um": 3.0},
         "verification": {"stations": [1, 4]},
+        "temperature": {"standard_uncertainty_k": 0.1},
         "gates": {"allow_extrapolation": True},
     }
     return merged(base, sections)
