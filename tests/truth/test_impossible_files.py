@@ -104,6 +104,24 @@ class TestShapeOfTheArtefact:
         flip = np.arange(3) == axis
         refused(folder, bar, moved(rows, lambda x: np.where(flip, length - x, x)), "are a mirror image", "one axis")
 
+    @pytest.mark.parametrize("axis", [0, 1])
+    def test_mirrored_axis_of_a_straight_bar(self, axis: int, bars: Bars, folder: Folder) -> None:
+        """The bar is its own mirror image, but it lies at other azimuths than the file states."""
+        bar, rows = bars["straight"]
+        length = np.array([4000.0, 1300.0, 1500.0])
+        flip = np.arange(3) == axis
+        refused(folder, bar, moved(rows, lambda x: np.where(flip, length - x, x)), "mirrored azimuths", "one axis")
+
+    @pytest.mark.parametrize("name", sorted(MAKERS))
+    @pytest.mark.parametrize("turned_deg", [30.0, 180.0])
+    def test_a_mount_that_is_turned_about_z_is_no_mirror(
+        self, name: str, turned_deg: float, bars: Bars, folder: Folder
+    ) -> None:
+        bar, rows = bars[name]
+        azimuths = [(float(row["azimuth_deg"]) + turned_deg + 180.0) % 360.0 - 180.0 for row in rows]
+        other = [{**row, "azimuth_deg": f"{azimuth:g}"} for row, azimuth in zip(rows, azimuths, strict=True)]
+        assert folder.run(bar, other, "--order", "4").exit_code == 0
+
     @pytest.mark.parametrize("name", sorted(MAKERS))
     def test_ball_numbers_reversed_in_all_positions(self, name: str, bars: Bars, folder: Folder) -> None:
         bar, rows = bars[name]

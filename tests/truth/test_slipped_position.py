@@ -13,7 +13,7 @@ from foreign_machine import foreign_machine
 from foreign_score import family_of
 
 from twin.artefact.observations import Observations
-from twin.errors import PositionError
+from twin.errors import PositionError, TwinError
 from twin.identification import Options
 from twin.identification.identify import accepted_rows
 
@@ -89,6 +89,25 @@ def test_wrong_balls_are_rejected_and_no_slip(seed: int) -> None:
     rejected = ~accepted(replace(seen, axis_positions=points), made)
     assert (rejected & wrong).sum() >= 2
     assert rejected.sum() <= 6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_balls_that_are_a_millimetre_off_are_rejected(seed: int) -> None:
+    """Errors as gross as these would take a machine a hundred times worse than its family, if they were believed."""
+    seen, made = measurement(seed, "straight" if seed % 2 else "tilted")
+    rng, points = np.random.default_rng(seed), seen.axis_positions.copy()
+    wrong = rng.choice(seen.size, 3, replace=False)
+    points[wrong] += rng.normal(0.0, 0.6, (3, 3))
+    rejected = np.flatnonzero(~accepted(replace(seen, axis_positions=points), made))
+    assert set(wrong.tolist()) <= set(rejected.tolist())
+    assert len(rejected) <= 6
+
+
+@pytest.mark.parametrize("shift", [1, 3])
+def test_balls_with_the_numbers_of_their_neighbours_are_neither_slips_nor_accepted(shift: int) -> None:
+    seen, made = measurement(1, "tilted")
+    with pytest.raises(TwinError, match=r"check .*ball numbers"):
+        accepted(replace(seen, ball=(seen.ball + shift) % 11), made)
 
 
 def test_the_command_names_position_balls_and_row_of_the_file(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from twin.identification.outliers import contradicting_rows, studentised_residua
 from twin.identification.poses import Poses, rigid_poses
 from twin.identification.prior_from_estimate import DriftFactor
 from twin.identification.problem import IdentificationProblem
-from twin.identification.roll import build_measured_problem
+from twin.identification.roll import build_measured_problem, restrict_measured_problem
 from twin.identification.slipped_position import Slip, slip_in
 from twin.identification.solution import Solution, average_over_scales, solve
 from twin.identification.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
@@ -102,7 +102,7 @@ def identify_accepted(
     certified centres of the balls `free` are left free."""
     whole = build_measured_problem(family, observations, artefact, options)
     chosen = accepted[whole.layout.order]
-    problem = whole if chosen.all() else whole.with_rows(chosen)
+    problem = whole if chosen.all() else restrict_measured_problem(whole, chosen, options)
     return _estimate(whole, _RowSelection(with_free_balls(problem, free), chosen, None, free), options)
 
 
@@ -146,18 +146,19 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
         worst = contradicting_rows(residuals, options.false_alarm)
         if not is_isolated(problem.observations.ball[worst]) and search.found_in(problem, solution):
             continue
-        _check_plausible(solution)
-        _check_unmoved(whole, accepted, slip_in(worst, residuals, options.false_alarm))
         if worst.size == 0:
+            _check_plausible(solution)
             if search.bind_again(problem, solution):
                 continue
             free = search.free
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
             return _RowSelection(with_free_balls(problem, free), accepted, solution if same else None, free)
+        if _is_plausible(solution):
+            _check_unmoved(whole, accepted, slip_in(worst, residuals, options.false_alarm))
         accepted = accepted.copy()
         accepted[np.flatnonzero(accepted)[worst]] = False
         _check_rejected_share(accepted)
-        problem = whole.with_rows(accepted)
+        problem = restrict_measured_problem(whole, accepted, options)
         _check_set(problem.observations)
 
 
@@ -179,12 +180,18 @@ def _check_unmoved(whole: IdentificationProblem, accepted: Mask, slip: Slip | No
 
 def _check_plausible(solution: Solution) -> None:
     """Raise DataError if only errors a hundred times those of the family would explain the measurements."""
-    if solution.scales_estimated and solution.scales.prior > 0.99 * PRIOR.high:
+    if not _is_plausible(solution):
         raise DataError(
             f"the ball centres contradict the artefact or the machine: only errors {PRIOR.high:g} times as large as "
             "those of the machine's family would explain them",
             hint="check the artefact file, ball numbers, tool offset and units before measuring again",
         )
+
+
+def _is_plausible(solution: Solution) -> bool:
+    """Return False if the estimated scale of the errors of the machine is at its upper bound. A few gross errors of
+    balls may be the cause, until they are rejected."""
+    return not solution.scales_estimated or solution.scales.prior <= 0.99 * PRIOR.high
 
 
 def _check_rejected_share(accepted: Mask) -> None:

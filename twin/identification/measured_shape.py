@@ -16,6 +16,7 @@ from twin.artefact.observations import Observations
 from twin.errors import DataError, PositionError
 from twin.identification.outliers import Rows
 from twin.identification.poses import RowLayout, rigid_poses
+from twin.identification.straight_lines import StraightLines
 from twin.units import UM_PER_MM
 
 _MAX_STRAIN = 2e-3  # of the lengths; a bar of steel that is 100 K too warm has 1.2e-3
@@ -25,6 +26,7 @@ _SMALLEST_MM = 1e-3  # residuals below this are equally good
 _BETTER = 2.0  # ratio of the median residuals of all positions by which the other reading must be better
 _BETTER_ALONE = 4.0  # the same of a single position
 _MIN_BALLS_ALONE = 5
+_DIRECTION_RAD, _MIRRORED_RAD = 0.05, 0.3  # a mount misses its angles by some mrad
 _MIN_BALLS = 3
 
 
@@ -47,6 +49,8 @@ def check_shape(observations: Observations, artefact: Artefact) -> None:
     _check_hand(layout, local, points, found)
     if artefact.members:
         return
+    if seen.azimuth_rad is not None:
+        _check_directions(artefact, layout, seen, local, points)
     reversed_local = artefact.balls[artefact.count - 1 - seen.ball] * (1.0 + strain[:, None])
     _check_numbering(layout, seen.position, found, _residuals(layout, reversed_local, points))
 
@@ -77,6 +81,51 @@ def _check_hand(layout: RowLayout, local: Array, points: Array, found: Array) ->
             f"as given to {_um(found_mm)}",
             hint="one axis has the wrong sign or counts from its other end; or the certificate is left-handed",
         )
+
+
+def _check_directions(artefact: Artefact, layout: RowLayout, seen: Observations, local: Array, points: Array) -> None:
+    """Raise DataError if the measured directions of a straight bar are those of the mount with X or Y mirrored.
+
+    The mount may be turned about Z by any angle, and the bar may be clamped end for end. A mirrored Z axis is then the
+    same as half a turn about Z with the bar reversed, so that it cannot be told.
+    """
+    assert seen.azimuth_rad is not None  # noqa: S101  checked by the caller
+    if StraightLines.of(artefact, [seen.ball]) is None:
+        return
+    rows = np.split(np.arange(seen.size), np.cumsum(layout.counts)[:-1])
+    rows = [part for part in rows if len(part) >= _MIN_BALLS]
+    found = np.array([_direction(local[part], points[part]) for part in rows])
+    first = [int(part[0]) for part in rows]
+    azimuth, elevation = seen.azimuth_rad[first], seen.elevation_rad[first]
+    across = np.cos(elevation)
+    stated = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)), axis=1)
+    as_given, mirrored = (_disagreement(stated, found * [side, 1.0, 1.0]) for side in (1.0, -1.0))
+    if mirrored < _DIRECTION_RAD and as_given > _MIRRORED_RAD:
+        raise DataError(
+            "the bar lies at the mirrored azimuths: with X or Y mirrored its directions agree with azimuth_deg and "
+            f"elevation_deg to {np.degrees(mirrored):.2g}°, as given to {np.degrees(as_given):.2g}°",
+            hint="one axis has the wrong sign or counts from its other end, or the azimuths have the wrong sign",
+        )
+
+
+def _direction(local: Array, points: Array) -> Array:
+    """Return the unit vector (3,) of the bar from its first to its last ball, in the measured points."""
+    along = local[:, 0] - local[:, 0].mean()
+    vector = along @ points
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _disagreement(stated: Array, found: Array) -> float:
+    """Return the rms angle in rad between directions (K, 3) after the best turn about Z, for a bar clamped either way
+    round."""
+    best = float("inf")
+    for side in (1.0, -1.0):
+        turn = np.sum((stated[:, 0] - 1j * stated[:, 1]) * side * (found[:, 0] + 1j * found[:, 1]))
+        turn = turn / abs(turn) if abs(turn) > 0.0 else 1.0
+        level = (stated[:, 0] + 1j * stated[:, 1]) * turn
+        there = np.stack((level.real, level.imag, stated[:, 2]), axis=1)
+        best = min(best, float(np.sqrt(np.mean(np.sum((side * found - there) ** 2, axis=1)))))
+    return best
 
 
 def _check_numbering(layout: RowLayout, position: Rows, found: Array, other: Array) -> None:

@@ -13,6 +13,7 @@ same in all positions, from the straightness errors of the machine, which are as
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -38,9 +39,22 @@ def build_measured_problem(
 
     Raise DataError for a ball that the artefact does not have, or for an invalid prior.
     """
+    return with_estimated_roll(build_problem(family, observations, artefact, options), _start_scales(options))
+
+
+def restrict_measured_problem(
+    whole: IdentificationProblem, accepted: np.ndarray[Any, Any], options: Options
+) -> IdentificationProblem:
+    """Return the problem with the rows (measured balls) that the mask `accepted` (n,) marks.
+
+    The roll of straight artefacts is estimated again: a single ball that is far off determines it alone.
+    """
+    return with_estimated_roll(whole.with_rows(accepted), _start_scales(options))
+
+
+def _start_scales(options: Options) -> Scales:
     carried = options.carried_over
-    scales = Scales() if carried is None else replace(carried.scales, noise=1.0)
-    return with_estimated_roll(build_problem(family, observations, artefact, options), scales)
+    return Scales() if carried is None else replace(carried.scales, noise=1.0)
 
 
 def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> IdentificationProblem:
