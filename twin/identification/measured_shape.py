@@ -121,7 +121,7 @@ def _disagreement(stated: Array, found: Array) -> float:
     best = float("inf")
     for side in (1.0, -1.0):
         turn = np.sum((stated[:, 0] - 1j * stated[:, 1]) * side * (found[:, 0] + 1j * found[:, 1]))
-        turn = turn / abs(turn) if abs(turn) > 0.0 else 1.0
+        turn /= max(abs(turn), 1e-12)
         level = (stated[:, 0] + 1j * stated[:, 1]) * turn
         there = np.stack((level.real, level.imag, stated[:, 2]), axis=1)
         best = min(best, float(np.sqrt(np.mean(np.sum((side * found - there) ** 2, axis=1)))))
