@@ -1,7 +1,7 @@
 """Machines that share nothing with the program: own transforms, own error functions, own deflection.
 
-The chain is tool-Y-Z-X-bed-workpiece with a ram along Y. Each error motion is a sum of sines with free wavelengths and
-phases instead of a Legendre series. The deflection is that of a ram and a column which bend under gravity, with
+The chain is tool-Y-Z-X-bed-workpiece with a ram along Y. The error motions of an axis are sums of sines with free
+wavelengths, power series, or straight pieces of rail, instead of Legendre series. The deflection is that of a ram and a column which bend under gravity, with
 exponents and couplings that are drawn. The position of the tool point is the exact product of rotations and
 translations.
 """
@@ -9,6 +9,7 @@ translations.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -16,14 +17,23 @@ RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 TOOL = np.array([0.0, 250.0, 0.0])
 CHAIN = "tool-Y-Z-X-bed-workpiece"
 LOW, HIGH = np.array(RANGES).T
-_WAVES = 9
+_TERMS = 9
+_JOINTS = 7
 _LINEAR_MM, _ANGULAR_RAD, _SQUARE_RAD = 6.0e-3, 5.0e-6, 7.0e-6
 
 
+class Motion(Protocol):
+    """Error motion of one axis."""
+
+    def at(self, share: np.ndarray) -> np.ndarray:
+        """Return displacements in mm and angles in rad (n, 6) at shares (n,) of the travel."""
+        ...
+
+
 @dataclass(frozen=True)
-class _Motion:
-    """Error motion of one axis: amplitudes, wave numbers and phases (6, k) for three displacements and three angles,
-    and a slope (6,) over the travel."""
+class Waves:
+    """Sums of sines: amplitudes, wave numbers and phases (6, k), and a slope (6,) over the travel. The errors are as
+    large in the middle of the travel as at its ends."""
 
     amplitude: np.ndarray
     wave: np.ndarray
@@ -31,16 +41,39 @@ class _Motion:
     slope: np.ndarray
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """Return displacements in mm and angles in rad (n, 6) at shares (n,) of the travel."""
         angle = np.pi * self.wave[None] * share[:, None, None] + self.phase[None]
         return (self.amplitude[None] * np.sin(angle)).sum(axis=2) + self.slope * (share[:, None] - 0.5)
+
+
+@dataclass(frozen=True)
+class Powers:
+    """Power series (6, k) about a point of the travel. The errors grow towards the ends."""
+
+    coefficients: np.ndarray
+    centre: float
+
+    def at(self, share: np.ndarray) -> np.ndarray:
+        argument = (share - self.centre) / max(self.centre, 1.0 - self.centre)
+        powers = argument[:, None] ** np.arange(1, self.coefficients.shape[1] + 1)
+        return powers @ self.coefficients.T
+
+
+@dataclass(frozen=True)
+class Rails:
+    """Rails of several pieces: values (6, k) at equally spaced joints, with a straight line between two joints."""
+
+    values: np.ndarray
+
+    def at(self, share: np.ndarray) -> np.ndarray:
+        joints = np.linspace(0.0, 1.0, self.values.shape[1])
+        return np.stack([np.interp(share, joints, row) for row in self.values], axis=1)
 
 
 @dataclass(frozen=True)
 class ForeignMachine:
     """Machine whose true error field is `deviation`, in mm, at axis positions (n, 3)."""
 
-    motions: tuple[_Motion, _Motion, _Motion]
+    motions: tuple[Motion, Motion, Motion]
     squareness: np.ndarray
     bending: np.ndarray
     ranges: tuple[tuple[float, float], ...] = RANGES
@@ -89,12 +122,17 @@ def foreign_machine(rng: np.random.Generator, worse: float = 1.0) -> ForeignMach
     return ForeignMachine((x, y, z), rng.normal(0.0, _SQUARE_RAD, 3), bending, worse=worse)
 
 
-def _motion(rng: np.random.Generator) -> _Motion:
+def _motion(rng: np.random.Generator) -> Motion:
     unit = np.array([_LINEAR_MM] * 3 + [_ANGULAR_RAD] * 3)[:, None]
-    count = np.arange(1, _WAVES + 1)
-    wave = count + rng.uniform(-0.5, 0.5, (6, _WAVES))
-    amplitude = unit * rng.uniform(-0.6, 0.6, (6, _WAVES)) / count**1.5
-    return _Motion(amplitude, wave, rng.uniform(0.0, 2.0 * np.pi, (6, _WAVES)), 0.8 * unit[:, 0] * rng.normal(size=6))
+    count = np.arange(1, _TERMS + 1)
+    kind = rng.integers(3)
+    if kind == 0:
+        wave = count + rng.uniform(-0.5, 0.5, (6, _TERMS))
+        amplitude = unit * rng.uniform(-1.0, 1.0, (6, _TERMS)) / count**1.5
+        return Waves(amplitude, wave, rng.uniform(0.0, 2.0 * np.pi, (6, _TERMS)), unit[:, 0] * rng.normal(size=6))
+    if kind == 1:
+        return Powers(unit * rng.uniform(-1.3, 1.3, (6, _TERMS)) * 0.75 ** (count - 1), rng.uniform(0.3, 0.7))
+    return Rails(np.cumsum(unit * rng.normal(0.0, 0.45, (6, _JOINTS)), axis=1))
 
 
 def _turned(angles: np.ndarray, point: np.ndarray) -> np.ndarray:
