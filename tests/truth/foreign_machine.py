@@ -19,6 +19,7 @@ CHAIN = "tool-Y-Z-X-bed-workpiece"
 LOW, HIGH = np.array(RANGES).T
 _TERMS = 9
 _JOINTS = 7
+KINDS = (0.15, 0.15, 0.15, 0.55)
 _LINEAR_MM, _ANGULAR_RAD, _SQUARE_RAD = 6.0e-3, 5.0e-6, 7.0e-6
 
 
@@ -46,8 +47,19 @@ class Waves:
 
 
 @dataclass(frozen=True)
+class Polynomials:
+    """Legendre series (6, k) of the orders 1 to k, by numpy. The errors grow towards the ends."""
+
+    coefficients: np.ndarray
+
+    def at(self, share: np.ndarray) -> np.ndarray:
+        constant = np.zeros((6, 1))
+        return np.polynomial.legendre.legval(2.0 * share - 1.0, np.hstack((constant, self.coefficients)).T).T
+
+
+@dataclass(frozen=True)
 class Powers:
-    """Power series (6, k) about a point of the travel. The errors grow towards the ends."""
+    """Power series (6, k) about a point of the travel. The errors grow fast towards the ends."""
 
     coefficients: np.ndarray
     centre: float
@@ -125,7 +137,9 @@ def foreign_machine(rng: np.random.Generator, worse: float = 1.0) -> ForeignMach
 def _motion(rng: np.random.Generator) -> Motion:
     unit = np.array([_LINEAR_MM] * 3 + [_ANGULAR_RAD] * 3)[:, None]
     count = np.arange(1, _TERMS + 1)
-    kind = rng.integers(3)
+    kind = rng.choice(4, p=KINDS)
+    if kind == 3:
+        return Polynomials(unit * rng.uniform(-1.25, 1.25, (6, _TERMS)) * 0.62 ** (count - 1))
     if kind == 0:
         wave = count + rng.uniform(-0.5, 0.5, (6, _TERMS))
         amplitude = unit * rng.uniform(-1.0, 1.0, (6, _TERMS)) / count**1.5
