@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.identification.evidence import SCALE_PRIORS, free_scales, log_scale_precision, scaled_blocks
+from twin.identification.evidence import SCALE_PRIORS, free_scales, log_scale_precision
 from twin.identification.normal import Posterior, PriorPrecision, Scales
 
 
@@ -72,20 +72,19 @@ def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
 
 
 def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Scales, rows: int) -> Array:
-    """Return the covariance (6, 6) of the log scales. A scale that applies to no unknown has its prior variance."""
+    """Return the covariance (7, 7) of the log scales. A scale that applies to no unknown has its prior variance."""
     prior = precision.matrix(scales)
-    # C D: share of each unknown that comes from the prior; 1 - C D is the share that comes from the measurements
+    # C D: share of each unknown that comes from the prior
     kept = posterior.covariance @ prior
-    measured = np.eye(len(kept)) - kept
-    # traces of V⁻¹∂V V⁻¹∂V' by the posterior: first the noise, then each pair of blocks of the prior
+    # AᵀV⁻¹A = D - D C D, and σ² AᵀV⁻²A = D C D - D C D C D
+    measured = prior - prior @ kept
+    noisy = prior @ kept @ (np.eye(len(kept)) - kept)
     information = np.zeros((len(SCALE_PRIORS), len(SCALE_PRIORS)))
     information[0, 0] = rows - len(kept) + float(np.vdot(kept.T, kept))
-    noise = np.diagonal(kept) - np.einsum("ab,ba->a", kept, kept)
-    blocks = scaled_blocks(precision.blocks)
-    for row, one in enumerate(blocks, start=1):
-        information[0, row] = information[row, 0] = noise[one].sum()
-        for column, other in enumerate(blocks, start=1):
-            information[row, column] = float(np.vdot(measured[other, one].T, measured[one, other]))
+    information[0, 1:] = information[1:, 0] = 0.5 * precision.derivatives(noisy, scales)
+    for column, change in enumerate(precision.covariance_changes(scales), start=1):
+        through = measured @ change @ measured
+        information[1:, column] = 0.25 * precision.derivatives(through, scales)
     return np.asarray(np.linalg.inv(2.0 * information + log_scale_precision()))
 
 

@@ -66,10 +66,11 @@ class ScalePrior:
 NOISE = ScalePrior(3.0, 0.3, 10.0)
 PRIOR = ScalePrior(30.0, 0.01, 100.0)  # nearly flat: a machine may be ten times better or worse than its family
 MISFIT = ScalePrior(3.0, 0.003, 300.0)
-SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS))
+STATIONARY = ScalePrior(3.0, 0.003, 300.0)
+SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS), STATIONARY)
 """Priors of the scales, in the order of `Scales.values`. The median is 1 for noise and parameter prior. For a kind of
 misfit it is the scale of the parameter prior: a machine that is ten times worse also bends ten times as much."""
-_NAMES = ("touch noise", "family prior", *MISFIT_KINDS)
+_NAMES = ("touch noise", "family prior", *MISFIT_KINDS, "stationary errors")
 _BOUND_TOLERANCE = 1e-3  # distance of a log scale from its bound below which it counts as reached
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 
@@ -114,21 +115,11 @@ def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
 
 
 def free_scales(precision: PriorPrecision) -> list[bool]:
-    """Return a flag for each scale (factor on a standard deviation), in the order of `Scales.values`: noise, parameter
-    prior, kinds of misfit. The flag is True if the scale can be estimated. It is False if a prior carried over from an
-    earlier estimate fixes the scale, or if the scale applies to no unknown."""
-    found = [True, *(precision.has_free_scale(block) for block in scaled_blocks(precision.blocks))]
-    return found + [False] * (len(SCALE_PRIORS) - len(found))
-
-
-def scaled_blocks(blocks: UnknownBlocks) -> tuple[slice, ...]:
-    """Return the blocks of the unknowns z to which a scale (factor on the prior standard deviation) applies: the
-    parameters, followed by each kind of misfit.
-
-    The blocks are in the order of `Scales.values` without its first entry, the scale of the noise, which belongs to no
-    block.
-    """
-    return blocks.parameters, *blocks.kinds
+    """Return one flag for each scale, in the order of `Scales.values`. It is False if a carried-over prior fixes the
+    scale or if the scale applies to no unknown, and True otherwise."""
+    kinds = [precision.has_free_scale(block) for block in precision.blocks.kinds]
+    kinds += [False] * (len(MISFIT_KINDS) - len(kinds))
+    return [True, precision.has_free_scale(precision.blocks.parameters), *kinds, precision.series is not None]
 
 
 def _scales(logs: Array, free: list[bool], others: Scales) -> Scales:
@@ -153,12 +144,12 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
 
 @cache
 def log_scale_precision() -> Array:
-    """Return the precision (6, 6) of the joint normal prior of the log scales, whose mean is zero.
+    """Return the precision (7, 7) of the joint normal prior of the log scales, whose mean is zero.
 
     The log scale of each kind of misfit is distributed about that of the parameter prior.
     """
     rows = np.eye(len(SCALE_PRIORS))
-    rows[2:, 1] = -1.0
+    rows[2:, 1] = -1.0  # kinds of misfit and stationary part
     rows /= np.array([prior.log_deviation for prior in SCALE_PRIORS])[:, None]
     return np.asarray(rows.T @ rows)
 
@@ -167,36 +158,23 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (6,) with respect to the
     logarithms of the six scales: the factors on the standard deviations of the touch noise, of the parameter prior and
     of the four kinds of misfit."""
-    blocks, variance = precision.blocks, scales.noise**2
+    variance = scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.information_vector
     z = posterior.solve(right)
-    prior = precision.matrix(scales) if precision.known is not None else None
-    weighted_z = prior @ z if prior is not None else precision.diagonal(scales) * z
-    variances = posterior.variances if prior is None else np.diagonal(posterior.covariance)
-    taken = variances * precision.diagonal(scales)
-    trace = float(taken.sum()) if prior is None else float((prior * posterior.covariance).sum())
+    prior = precision.matrix(scales)
+    weighted_z = prior @ z
+    covariance = posterior.covariance
+    shared = prior @ covariance
     # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
     value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
-    noise = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
     gradient = np.zeros(len(SCALE_PRIORS))
-    gradient[0] = noise
-    for index, block in enumerate(scaled_blocks(blocks), start=1):
-        gradient[index] = 2.0 * _log_scale_derivative(block, taken, weighted_z, z)
+    gradient[0] = 2.0 * (normal.rows - (len(z) - float(np.trace(shared))) - normal.misfit_square(z) / variance)
+    # D - D C D - D z zᵀ D, whose product with the derivative of the prior covariance is that of the value
+    pull = prior - shared @ prior - np.multiply.outer(weighted_z, weighted_z)
+    gradient[1:] = precision.derivatives(pull, scales)
     return value, gradient
-
-
-def _log_scale_derivative(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
-    """Return half of the derivative of `negative_log_likelihood` with respect to the logarithm of the scale of one
-    block of unknowns.
-
-    The result is the number of unknowns in the block, minus the sum of `taken` over the block, minus the sum of the
-    products of `weighted_z` and `z` over the block. `taken` is the posterior variance of each unknown multiplied by its
-    prior precision. `weighted_z` is the prior precision multiplied by the vector of unknowns `z`.
-    """
-    size = block.stop - block.start
-    return float(size - taken[block].sum() - weighted_z[block] @ z[block])
 
 
 def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
@@ -205,4 +183,8 @@ def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
     diagonal = np.log(precision.diagonal(scales))
     if precision.known is not None:
         diagonal[precision.known.members] = 0.0
-    return float(diagonal.sum())
+    if precision.series is None:
+        return float(diagonal.sum())
+    series = precision.series
+    diagonal[series.index[series.used]] = 0.0
+    return float(diagonal.sum() + np.linalg.slogdet(series.precision(scales.prior, scales.stationary))[1].sum())

@@ -4,6 +4,7 @@ artefact have already been eliminated by projection."""
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,6 +16,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 from twin.arrays import Array
 from twin.errors import SingularSet
 from twin.identification.misfit import MISFIT_KINDS
+from twin.identification.series_prior import SeriesPrior
 from twin.identification.unknowns import UnknownBlocks
 
 
@@ -48,12 +50,13 @@ class Scales:
     waves_x: float = 1.0
     waves_y: float = 1.0
     waves_z: float = 1.0
+    stationary: float = 1.0
 
     @property
     def values(self) -> tuple[float, ...]:
         """Scales (factors on the standard deviations) of the noise, the parameter prior and each kind of misfit, in
         this order."""
-        return self.noise, self.prior, *self.kinds
+        return self.noise, self.prior, *self.kinds, self.stationary
 
     @property
     def kinds(self) -> tuple[float, float, float, float]:
@@ -99,6 +102,7 @@ class PriorPrecision:
 
     blocks: UnknownBlocks
     known: JointPrior | None = None
+    series: SeriesPrior | None = None
 
     def has_free_scale(self, block: slice) -> bool:
         """Return True if the scale (factor on the prior standard deviation) of the unknowns in `block` can be
@@ -124,6 +128,12 @@ class PriorPrecision:
         if self.known is not None:
             matrix += self.known.precision
             diagonal[self.known.members] = 0.0
+        if self.series is not None:
+            series = self.series
+            diagonal[series.index[series.used]] = 0.0
+            inside = series.used[:, :, None] & series.used[:, None, :]
+            rows, columns = np.broadcast_arrays(series.index[:, :, None], series.index[:, None, :])
+            matrix[rows[inside], columns[inside]] += series.precision(scales.prior, scales.stationary)[inside]
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
@@ -134,6 +144,39 @@ class PriorPrecision:
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
             diagonal[kind] = scale**-2
         return diagonal
+
+
+    def derivatives(self, form: Array, scales: Scales) -> Array:
+        """Return the derivatives (6,) of trace(F Σ) with respect to the logarithms of all scales but the noise, where Σ
+        is the prior covariance without joint prior and F the symmetric matrix `form` (P, P)."""
+        diagonal = 2.0 * np.diagonal(form) / self.diagonal(scales)
+        found = np.zeros(6)
+        found[0] = diagonal[self.blocks.parameters].sum()
+        for column, kind in enumerate(self.blocks.kinds, start=1):
+            found[column] = diagonal[kind].sum()
+        if self.series is not None:
+            kernel = self.series.kernel
+            found[5] = 2.0 * scales.stationary**2 * float(np.vdot(self.series.parts(form), kernel))
+        return found
+
+
+    def covariance_changes(self, scales: Scales) -> Iterator[Array]:
+        """Yield the derivative (P, P) of the prior covariance with respect to the logarithm of each scale but the noise,
+        in the order of `Scales.values`."""
+        size, diagonal = self.blocks.size, 2.0 / self.diagonal(scales)
+        for block in (self.blocks.parameters, *self.blocks.kinds):
+            change = np.zeros((size, size))
+            change[range(block.start, block.stop), range(block.start, block.stop)] = diagonal[block]
+            yield change
+        for _ in range(4 - len(self.blocks.kinds)):
+            yield np.zeros((size, size))
+        change = np.zeros((size, size))
+        if self.series is not None:
+            series = self.series
+            inside = series.used[:, :, None] & series.used[:, None, :]
+            rows, columns = np.broadcast_arrays(series.index[:, :, None], series.index[:, None, :])
+            change[rows[inside], columns[inside]] = 2.0 * scales.stationary**2 * series.kernel[inside]
+        yield change
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from twin.identification.observability import null_space, observability, summary
 from twin.identification.options import Formulation, Options
 from twin.identification.poses import Poses
 from twin.identification.problem import IdentificationProblem, Sides
+from twin.identification.series_prior import SeriesPrior
 from twin.identification.unknowns import UnknownBlocks
 
 _MAX_ITERATIONS = 8
@@ -166,7 +167,10 @@ def _precision(problem: IdentificationProblem, matrix: Array, options: Options) 
     """Return the prior precision. If the prior is off, only the directions that the measurements leave open are held at
     zero."""
     if options.use_prior:
-        return PriorPrecision(problem.blocks, problem.known)
+        unknowns = problem.unknowns
+        free = options.estimate_scales and problem.known is None
+        series = SeriesPrior.of(unknowns.model, unknowns.scale) if free else None
+        return PriorPrecision(problem.blocks, problem.known, series)
     block = problem.blocks.parameters
     if options.formulation == "centres" and options.weights == "full":
         _check_field_determined(problem, matrix[block, block])

@@ -1,0 +1,88 @@
+"""Prior of the error motions: independent Legendre coefficients of the family, plus errors that are equally rough
+everywhere.
+
+Independent coefficients describe errors that grow towards the ends of the travel, because every Legendre polynomial is
+1 or -1 there. The errors of a rail made of several pieces, or of a screw, do not grow: they are stationary along the
+travel. Their Legendre coefficients are correlated, which keeps the ends as small as the middle. The covariance of a
+series is therefore a sum of both parts, each with a scale of its own, which the measurements determine.
+
+The stationary part has a Matérn covariance with the exponent 3/2 (Rasmussen and Williams 2006, 4.2), projected onto the
+Legendre polynomials of the series.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.machine.error_model import ErrorModel, series_orders
+
+_LENGTH = 0.6  # correlation length of the stationary part on the axis normalised to [-1, 1]: three tenths of the travel
+_NODES = 60
+_SHARE = 0.5  # rms of the stationary part at scale 1, relative to the independent part
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesPrior:
+    """Covariance of the stationary part of the p parameters of a model, in units of their prior standard deviations.
+
+    `index` (B, n) contains the parameters of each of B series, and `used` (B, n) marks the entries that are not padding.
+    `kernel` (B, n, n) is the covariance of each series at scale 1, zero where there is padding.
+    """
+
+    index: np.ndarray[Any, np.dtype[np.int64]]
+    used: np.ndarray[Any, np.dtype[np.bool_]]
+    kernel: Array
+
+    @classmethod
+    def of(cls, model: ErrorModel, scale: Array) -> SeriesPrior:
+        """Return the prior for a model whose parameters have the prior standard deviations `scale` (p,) in mm or rad.
+
+        A series with a parameter that is held at zero has no stationary part.
+        """
+        series = [
+            (block, list(series_orders(error, model.orders[error])))
+            for error, block in model.block.items()
+            if block.stop > block.start and (scale[block] > 0.0).all()
+        ]
+        most = max((len(orders) for _, orders in series), default=1)
+        index = np.zeros((len(series), most), dtype=np.int64)
+        used = np.zeros((len(series), most), dtype=bool)
+        kernel = np.zeros((len(series), most, most))
+        for row, (block, orders) in enumerate(series):
+            count = len(orders)
+            index[row, :count], used[row, :count] = np.arange(block.start, block.stop), True
+            projected = _projected_kernel(max(orders) + 1)[np.ix_(orders, orders)]
+            mean_square = 1.0 / (2.0 * np.array(orders) + 1.0)  # of a Legendre polynomial over the travel
+            size = _SHARE**2 * float(mean_square @ scale[block] ** 2) / float(mean_square @ np.diagonal(projected))
+            kernel[row, :count, :count] = size * projected / np.multiply.outer(scale[block], scale[block])
+        return cls(index, used, kernel)
+
+    def precision(self, independent: float, stationary: float) -> Array:
+        """Return the precision (B, n, n) of each series for the scales of both parts. Padding has the unit matrix."""
+        covariance = stationary**2 * self.kernel
+        diagonal = np.einsum("bii->bi", covariance)
+        diagonal += np.where(self.used, independent**2, 1.0)
+        return np.linalg.inv(covariance)
+
+    def parts(self, matrix: Array) -> Array:
+        """Return the blocks (B, n, n) of a matrix (P, P) that belong to the series."""
+        blocks = matrix[self.index[:, :, None], self.index[:, None, :]]
+        return np.asarray(blocks * (self.used[:, :, None] & self.used[:, None, :]))
+
+
+@lru_cache(maxsize=32)
+def _projected_kernel(terms: int) -> Array:
+    """Return the covariance (terms, terms) of the Legendre coefficients of the orders 0 to terms - 1 of a stationary
+    error with unit variance."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    distance = np.sqrt(3.0) * np.abs(nodes[:, None] - nodes) / _LENGTH
+    kernel = (1.0 + distance) * np.exp(-distance)
+    # coefficient k of f is (2k + 1)/2 times the integral of f P_k
+    projection = np.polynomial.legendre.legvander(nodes, terms - 1).T * weights
+    projection *= (np.arange(terms) + 0.5)[:, None]
+    return np.asarray(projection @ kernel @ projection.T)
