@@ -1,9 +1,9 @@
 """Machines that share nothing with the program: own transforms, own error functions, own deflection.
 
-The chain is tool-Y-Z-X-bed-workpiece with a ram along Y. The error motions of an axis are sums of sines with free
-wavelengths, power series, or straight pieces of rail, instead of Legendre series. The deflection is that of a ram and a column which bend under gravity, with
-exponents and couplings that are drawn. The position of the tool point is the exact product of rotations and
-translations.
+The chain is tool-Y-Z-X-bed-workpiece with a ram along Y. The error motions of an axis are Legendre series of numpy,
+sums of sines with free wavelengths, power series, or straight pieces of rail. The deflection is that of a ram and a
+column which bend under gravity, with exponents and couplings that are drawn. The position of the tool point is the
+exact product of rotations and translations.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def foreign_machine(rng: np.random.Generator, worse: float = 1.0) -> ForeignMach
     """Draw a machine. Its error field is multiplied by `worse`."""
     motions = tuple(_motion(rng) for _ in range(3))
     x, y, z = motions
-    bending = np.array([rng.uniform(3.0, 9.0), rng.uniform(1.4, 3.0), *rng.normal(0.0, [2.0, 1.5, 1.0, 0.7])])
+    bending = np.array([rng.uniform(3.0, 9.0), rng.uniform(1.4, 3.0), *rng.normal(0.0, [5.0, 4.0, 3.0, 1.5])])
     return ForeignMachine((x, y, z), rng.normal(0.0, _SQUARE_RAD, 3), bending, worse=worse)
 
 

@@ -65,6 +65,7 @@ class ScalesSection(StrictModel):
     waves_x: float
     waves_y: float
     waves_z: float
+    stationary: float = 1.0
 
 
 class RejectedBallSection(StrictModel):

@@ -73,18 +73,25 @@ def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
 
 def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Scales, rows: int) -> Array:
     """Return the covariance (7, 7) of the log scales. A scale that applies to no unknown has its prior variance."""
-    prior = precision.matrix(scales)
-    # C D: share of each unknown that comes from the prior
-    kept = posterior.covariance @ prior
-    # AᵀV⁻¹A = D - D C D, and σ² AᵀV⁻²A = D C D - D C D C D
-    measured = prior - prior @ kept
-    noisy = prior @ kept @ (np.eye(len(kept)) - kept)
+    # D C: share of each unknown that comes from the prior; AᵀV⁻¹A = D - D C D; σ² AᵀV⁻²A = D C D - D C D C D
+    kept = precision.times(posterior.covariance, scales)
+    measured = precision.times(np.eye(len(kept)) - kept.T, scales)
+    noisy = kept @ measured
     information = np.zeros((len(SCALE_PRIORS), len(SCALE_PRIORS)))
     information[0, 0] = rows - len(kept) + float(np.vdot(kept.T, kept))
-    information[0, 1:] = information[1:, 0] = 0.5 * precision.derivatives(noisy, scales)
-    for column, change in enumerate(precision.covariance_changes(scales), start=1):
-        through = measured @ change @ measured
-        information[1:, column] = 0.25 * precision.derivatives(through, scales)
+    # half traces with the derivatives of the prior covariance by the log scales, a quarter for log variances
+    changes = precision.variance_changes(scales)
+    information[0, 1:6] = information[1:6, 0] = 0.5 * changes @ np.diagonal(noisy)
+    information[1:6, 1:6] = 0.25 * changes @ measured**2 @ changes.T
+    if precision.series is not None:
+        series = precision.series
+        change = 2.0 * scales.stationary**2 * series.kernel
+        through = np.zeros_like(measured)
+        series.put_product(change, measured, through)
+        information[0, 6] = information[6, 0] = 0.5 * float(np.vdot(series.parts(noisy), change))
+        information[6, 6] = 0.25 * float(np.vdot(through.T, through))
+        # diagonal of G ∂Σ G for the symmetric G = D - D C D
+        information[1:6, 6] = information[6, 1:6] = 0.25 * changes @ np.einsum("ij,ij->j", measured, through)
     return np.asarray(np.linalg.inv(2.0 * information + log_scale_precision()))
 
 

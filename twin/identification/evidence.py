@@ -25,7 +25,6 @@ from scipy.optimize import minimize
 from twin.arrays import Array
 from twin.identification.misfit import MISFIT_KINDS
 from twin.identification.normal import NormalEquations, Posterior, PriorPrecision, Scales
-from twin.identification.unknowns import UnknownBlocks
 
 
 @dataclass(frozen=True)
@@ -162,18 +161,21 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.information_vector
     z = posterior.solve(right)
-    prior = precision.matrix(scales)
-    weighted_z = prior @ z
-    covariance = posterior.covariance
-    shared = prior @ covariance
+    weighted_z = precision.times(z[:, None], scales)[:, 0]
+    # D - D C D, whose products with the derivatives of the prior covariance belong to those of the determinants
+    kept = precision.times(posterior.covariance, scales)
+    pull = precision.times(np.eye(len(z)) - kept.T, scales)
     # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
     value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
     gradient = np.zeros(len(SCALE_PRIORS))
-    gradient[0] = 2.0 * (normal.rows - (len(z) - float(np.trace(shared))) - normal.misfit_square(z) / variance)
-    # D - D C D - D z zᵀ D, whose product with the derivative of the prior covariance is that of the value
-    pull = prior - shared @ prior - np.multiply.outer(weighted_z, weighted_z)
-    gradient[1:] = precision.derivatives(pull, scales)
+    gradient[0] = 2.0 * (normal.rows - (len(z) - float(np.trace(kept))) - normal.misfit_square(z) / variance)
+    gradient[1:6] = precision.variance_changes(scales) @ (np.diagonal(pull) - weighted_z**2)
+    if precision.series is not None:
+        series = precision.series
+        change = 2.0 * scales.stationary**2 * series.kernel
+        own = series.parts(pull) - weighted_z[series.index][:, :, None] * weighted_z[series.index][:, None, :]
+        gradient[6] = float(np.vdot(own, change))
     return value, gradient
 
 

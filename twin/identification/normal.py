@@ -4,7 +4,6 @@ artefact have already been eliminated by projection."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -145,38 +144,23 @@ class PriorPrecision:
             diagonal[kind] = scale**-2
         return diagonal
 
-
-    def derivatives(self, form: Array, scales: Scales) -> Array:
-        """Return the derivatives (6,) of trace(F Σ) with respect to the logarithms of all scales but the noise, where Σ
-        is the prior covariance without joint prior and F the symmetric matrix `form` (P, P)."""
-        diagonal = 2.0 * np.diagonal(form) / self.diagonal(scales)
-        found = np.zeros(6)
-        found[0] = diagonal[self.blocks.parameters].sum()
-        for column, kind in enumerate(self.blocks.kinds, start=1):
-            found[column] = diagonal[kind].sum()
+    def times(self, matrix: Array, scales: Scales) -> Array:
+        """Return the product of the prior precision (P, P) for the given scales and a matrix (P, m)."""
+        if self.known is not None:
+            return np.asarray(self.matrix(scales) @ matrix)
+        product: Array = self.diagonal(scales)[:, None] * matrix
         if self.series is not None:
-            kernel = self.series.kernel
-            found[5] = 2.0 * scales.stationary**2 * float(np.vdot(self.series.parts(form), kernel))
-        return found
+            self.series.put_product(self.series.precision(scales.prior, scales.stationary), matrix, product)
+        return product
 
-
-    def covariance_changes(self, scales: Scales) -> Iterator[Array]:
-        """Yield the derivative (P, P) of the prior covariance with respect to the logarithm of each scale but the noise,
-        in the order of `Scales.values`."""
-        size, diagonal = self.blocks.size, 2.0 / self.diagonal(scales)
-        for block in (self.blocks.parameters, *self.blocks.kinds):
-            change = np.zeros((size, size))
-            change[range(block.start, block.stop), range(block.start, block.stop)] = diagonal[block]
-            yield change
-        for _ in range(4 - len(self.blocks.kinds)):
-            yield np.zeros((size, size))
-        change = np.zeros((size, size))
-        if self.series is not None:
-            series = self.series
-            inside = series.used[:, :, None] & series.used[:, None, :]
-            rows, columns = np.broadcast_arrays(series.index[:, :, None], series.index[:, None, :])
-            change[rows[inside], columns[inside]] = 2.0 * scales.stationary**2 * series.kernel[inside]
-        yield change
+    def variance_changes(self, scales: Scales) -> Array:
+        """Return the derivatives (5, P) of the prior variances of all unknowns, without their stationary part, with
+        respect to the logarithms of the scales of the parameter prior and of the four kinds of misfit."""
+        changes = np.zeros((5, self.blocks.size))
+        variance = 2.0 / self.diagonal(scales)
+        for row, block in enumerate((self.blocks.parameters, *self.blocks.kinds)):
+            changes[row, block] = variance[block]
+        return changes
 
 
 @dataclass(frozen=True, eq=False)

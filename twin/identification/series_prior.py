@@ -30,8 +30,8 @@ _SHARE = 0.5  # rms of the stationary part at scale 1, relative to the independe
 class SeriesPrior:
     """Covariance of the stationary part of the p parameters of a model, in units of their prior standard deviations.
 
-    `index` (B, n) contains the parameters of each of B series, and `used` (B, n) marks the entries that are not padding.
-    `kernel` (B, n, n) is the covariance of each series at scale 1, zero where there is padding.
+    `index` (B, n) contains the parameters of each of B series, and the mask `used` (B, n) marks the entries that are
+    not padding. `kernel` (B, n, n) is the covariance of each series at scale 1, zero where there is padding.
     """
 
     index: np.ndarray[Any, np.dtype[np.int64]]
@@ -68,6 +68,12 @@ class SeriesPrior:
         diagonal = np.einsum("bii->bi", covariance)
         diagonal += np.where(self.used, independent**2, 1.0)
         return np.linalg.inv(covariance)
+
+    def put_product(self, blocks: Array, matrix: Array, product: Array) -> None:
+        """Write the products of `blocks` (B, n, n) and the rows of a matrix (P, m) that belong to each series into the
+        same rows of `product` (P, m)."""
+        rows = blocks @ (matrix[self.index] * self.used[:, :, None])
+        product[self.index[self.used]] = rows[self.used]
 
     def parts(self, matrix: Array) -> Array:
         """Return the blocks (B, n, n) of a matrix (P, P) that belong to the series."""

@@ -35,13 +35,38 @@ def seen_of(order: int, seed: int, expression: str = "S3", stations: int = 2) ->
     )
 
 
+def stationary_columns(family: Family, seen: Observations) -> np.ndarray:
+    """Return columns (n, 3, m) whose sum of squares is the covariance of the stationary part of all error motions.
+
+    The integrals of the Matérn kernel with the Legendre polynomials are taken by the midpoint rule.
+    """
+    u = (np.arange(600) + 0.5) / 300.0 - 1.0
+    distance = np.sqrt(3.0) * np.abs(u[:, None] - u) / 0.6
+    kernel = (1.0 + distance) * np.exp(-distance)
+    basis, sd = deviation_basis(family.model, seen.axis_positions, TOOL), family.prior_standard_deviation
+    found = []
+    for error in (f"E{direction}{axis}" for axis in "XYZ" for direction in "XYZABC"):
+        here = [row for row, name in enumerate(family.model.names) if name.startswith(f"{error}[")]
+        orders = np.array([int(family.model.names[row][4:-1]) for row in here])
+        if not len(orders):
+            continue
+        polynomials = np.stack([np.polynomial.legendre.Legendre.basis(order)(u) for order in orders])
+        weights = polynomials * ((2 * orders + 1) / 2.0)[:, None] / 300.0
+        covariance = weights @ kernel @ weights.T
+        squares = 1.0 / (2.0 * orders + 1.0)
+        covariance *= 0.25 * (squares @ sd[here] ** 2) / (squares @ np.diag(covariance))
+        found.append(basis[:, :, here] @ np.linalg.cholesky(covariance))
+    return np.concatenate(found, axis=2)
+
+
 def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, ...]) -> float:
     """Return the log normal density of the residuals with the poses projected out, in one matrix over all balls."""
     family = family_of(order)
     points = seen.axis_positions + TOOL
     columns = [deviation_basis(family.model, seen.axis_positions, TOOL) * family.prior_standard_deviation * scales[1]]
     modes = misfit_modes(family.model, tuple(TOOL.tolist()))
-    columns.append(1e-3 * modes.at(seen.axis_positions) * np.repeat(scales[2:], modes.sizes))
+    columns.append(1e-3 * modes.at(seen.axis_positions) * np.repeat(scales[2:6], modes.sizes))
+    columns.append(scales[6] * stationary_columns(family, seen))
     certificate, residual, kept = np.zeros((seen.size, 3, 21)), np.zeros((seen.size, 3)), []
     for position in np.unique(seen.position):
         here = np.flatnonzero(seen.position == position)
@@ -60,8 +85,8 @@ def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, ...]
     free = null_space(np.concatenate(kept, axis=1).T).T
     covariance = free @ (design @ design.T + (1e-3 * scales[0]) ** 2 * np.eye(len(design))) @ free.T
     density = multivariate_normal.logpdf(free @ residual.reshape(-1), np.zeros(len(free)), covariance)
-    noise, prior, *kinds = np.log(scales)
-    distances = np.array([noise / np.log(3.0), prior / np.log(30.0), *((kind - prior) / np.log(3.0) for kind in kinds)])
+    noise, prior, *tied = np.log(scales)
+    distances = np.array([noise / np.log(3.0), prior / np.log(30.0), *((one - prior) / np.log(3.0) for one in tied)])
     return float(density) - 0.5 * float((distances**2).sum())
 
 
