@@ -81,8 +81,8 @@ def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Sca
     information[0, 0] = rows - len(kept) + float(np.vdot(kept.T, kept))
     # half traces with the derivatives of the prior covariance by the log scales, a quarter for log variances
     changes = precision.variance_changes(scales)
-    information[0, 1:6] = information[1:6, 0] = 0.5 * changes @ np.diagonal(noisy)
-    information[1:6, 1:6] = 0.25 * changes @ measured**2 @ changes.T
+    information[0, 1:] = information[1:, 0] = 0.5 * changes @ np.diagonal(noisy)
+    information[1:, 1:] = 0.25 * changes @ measured**2 @ changes.T
     if precision.series is not None:
         series = precision.series
         change = 2.0 * scales.stationary**2 * series.kernel
@@ -91,7 +91,7 @@ def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Sca
         information[0, 6] = information[6, 0] = 0.5 * float(np.vdot(series.parts(noisy), change))
         information[6, 6] = 0.25 * float(np.vdot(through.T, through))
         # diagonal of G ∂Σ G for the symmetric G = D - D C D
-        information[1:6, 6] = information[6, 1:6] = 0.25 * changes @ np.einsum("ij,ij->j", measured, through)
+        information[1:6, 6] = information[6, 1:6] = 0.25 * changes[:5] @ np.einsum("ij,ij->j", measured, through)
     return np.asarray(np.linalg.inv(2.0 * information + log_scale_precision()))
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -79,6 +79,7 @@ _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01
 def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
     """Return the scales (factors on the standard deviations of noise, prior and misfit) that maximise the product of
     the marginal likelihood and the priors of the scales."""
+    normal, precision = in_principal_axes(normal, precision)
     free = free_scales(precision)
     log_start: Logs = np.log(start.values)[free]
     cost = _cost(normal, precision, start)
@@ -98,6 +99,7 @@ def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Sca
     """Return the logarithm of the product of the marginal likelihood and the priors of `scales` (factors on the
     standard deviations of noise, prior and misfit). Terms that depend only on the measured rows and their covariances
     are omitted."""
+    normal, precision = in_principal_axes(normal, precision)
     logs = np.log(scales.values)[free_scales(precision)]
     return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
 
@@ -118,7 +120,8 @@ def free_scales(precision: PriorPrecision) -> list[bool]:
     scale or if the scale applies to no unknown, and True otherwise."""
     kinds = [precision.has_free_scale(block) for block in precision.blocks.kinds]
     kinds += [False] * (len(MISFIT_KINDS) - len(kinds))
-    return [True, precision.has_free_scale(precision.blocks.parameters), *kinds, precision.series is not None]
+    stationary = precision.series is not None or precision.stationary is not None
+    return [True, precision.has_free_scale(precision.blocks.parameters), *kinds, stationary]
 
 
 def _scales(logs: Array, free: list[bool], others: Scales) -> Scales:
@@ -154,29 +157,41 @@ def log_scale_precision() -> Array:
 
 
 def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:
-    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (6,) with respect to the
-    logarithms of the six scales: the factors on the standard deviations of the touch noise, of the parameter prior and
-    of the four kinds of misfit."""
+    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (7,) with respect to the
+    logarithms of the scales: the factors on the standard deviations of the touch noise, of the parameter prior, of the
+    four kinds of misfit and of the stationary part of the error motions.
+
+    The prior precision must be diagonal: see `in_principal_axes`.
+    """
     variance = scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.information_vector
     z = posterior.solve(right)
-    weighted_z = precision.times(z[:, None], scales)[:, 0]
-    # D - D C D, whose products with the derivatives of the prior covariance belong to those of the determinants
-    kept = precision.times(posterior.covariance, scales)
-    pull = precision.times(np.eye(len(z)) - kept.T, scales)
+    prior = precision.matrix(scales) if precision.known is not None else None
+    weighted_z = prior @ z if prior is not None else precision.diagonal(scales) * z
+    variances = posterior.variances if prior is None else np.diagonal(posterior.covariance)
+    diagonal = precision.diagonal(scales)
+    trace = float((variances * diagonal).sum()) if prior is None else float((prior * posterior.covariance).sum())
     # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
     value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
     gradient = np.zeros(len(SCALE_PRIORS))
-    gradient[0] = 2.0 * (normal.rows - (len(z) - float(np.trace(kept))) - normal.misfit_square(z) / variance)
-    gradient[1:6] = precision.variance_changes(scales) @ (np.diagonal(pull) - weighted_z**2)
-    if precision.series is not None:
-        series = precision.series
-        change = 2.0 * scales.stationary**2 * series.kernel
-        own = series.parts(pull) - weighted_z[series.index][:, :, None] * weighted_z[series.index][:, None, :]
-        gradient[6] = float(np.vdot(own, change))
+    gradient[0] = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
+    # derivatives with respect to the prior variances: D - D C D - D z zᵀ D, of which only the diagonal counts
+    gradient[1:] = precision.variance_changes(scales) @ (diagonal - diagonal**2 * variances - weighted_z**2)
     return value, gradient
+
+
+def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tuple[NormalEquations, PriorPrecision]:
+    """Return the same equations and prior for unknowns in the principal axes of the stationary part of the error
+    motions, in which the prior precision is diagonal."""
+    series = precision.series
+    if series is None:
+        return normal, precision
+    size = precision.blocks.size
+    rotation = series.rotation(size)
+    turned = replace(normal, matrix=rotation.T @ normal.matrix @ rotation, right=rotation.T @ normal.right)
+    return turned, replace(precision, series=None, stationary=series.principal_variances(size))
 
 
 def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
@@ -185,8 +200,4 @@ def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
     diagonal = np.log(precision.diagonal(scales))
     if precision.known is not None:
         diagonal[precision.known.members] = 0.0
-    if precision.series is None:
-        return float(diagonal.sum())
-    series = precision.series
-    diagonal[series.index[series.used]] = 0.0
-    return float(diagonal.sum() + np.linalg.slogdet(series.precision(scales.prior, scales.stationary))[1].sum())
+    return float(diagonal.sum())

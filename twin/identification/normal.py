@@ -102,6 +102,7 @@ class PriorPrecision:
     blocks: UnknownBlocks
     known: JointPrior | None = None
     series: SeriesPrior | None = None
+    stationary: Array | None = None
 
     def has_free_scale(self, block: slice) -> bool:
         """Return True if the scale (factor on the prior standard deviation) of the unknowns in `block` can be
@@ -139,7 +140,10 @@ class PriorPrecision:
         """Return the diagonal (P,) of the prior precision as it would be for the given scales (factors on the prior
         standard deviations) if no unknown had a joint prior."""
         diagonal = np.ones(self.blocks.size)
-        diagonal[self.blocks.parameters] = scales.prior**-2
+        if self.stationary is None:
+            diagonal[self.blocks.parameters] = scales.prior**-2
+        else:
+            diagonal /= np.where(self.is_parameter, scales.prior**2, 1.0) + scales.stationary**2 * self.stationary
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
             diagonal[kind] = scale**-2
         return diagonal
@@ -153,13 +157,24 @@ class PriorPrecision:
             self.series.put_product(self.series.precision(scales.prior, scales.stationary), matrix, product)
         return product
 
+    @property
+    def is_parameter(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Mask (P,) of the model parameters."""
+        numbers = np.arange(self.blocks.size)
+        return np.asarray((numbers >= self.blocks.parameters.start) & (numbers < self.blocks.parameters.stop))
+
     def variance_changes(self, scales: Scales) -> Array:
-        """Return the derivatives (5, P) of the prior variances of all unknowns, without their stationary part, with
-        respect to the logarithms of the scales of the parameter prior and of the four kinds of misfit."""
-        changes = np.zeros((5, self.blocks.size))
-        variance = 2.0 / self.diagonal(scales)
-        for row, block in enumerate((self.blocks.parameters, *self.blocks.kinds)):
-            changes[row, block] = variance[block]
+        """Return the derivatives (6, P) of the prior variances of all unknowns with respect to the logarithms of the
+        scales without that of the noise.
+
+        The last row, that of the stationary part, is zero unless the unknowns are in principal axes.
+        """
+        changes = np.zeros((6, self.blocks.size))
+        changes[0, self.blocks.parameters] = 2.0 * scales.prior**2
+        for row, (block, scale) in enumerate(zip(self.blocks.kinds, scales.kinds, strict=False), start=1):
+            changes[row, block] = 2.0 * scale**2
+        if self.stationary is not None:
+            changes[5] = 2.0 * scales.stationary**2 * self.stationary
         return changes
 
 

@@ -13,7 +13,7 @@ Legendre polynomials of the series.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -62,12 +62,41 @@ class SeriesPrior:
             kernel[row, :count, :count] = size * projected / np.multiply.outer(scale[block], scale[block])
         return cls(index, used, kernel)
 
+    @cached_property
+    def principal(self) -> tuple[Array, Array]:
+        """Variances (B, n) of the stationary part along its principal axes at scale 1, and these axes as the columns of
+        rotations (B, n, n)."""
+        values, axes = np.linalg.eigh(self.kernel)
+        return np.maximum(values, 0.0), axes
+
     def precision(self, independent: float, stationary: float) -> Array:
-        """Return the precision (B, n, n) of each series for the scales of both parts. Padding has the unit matrix."""
-        covariance = stationary**2 * self.kernel
-        diagonal = np.einsum("bii->bi", covariance)
-        diagonal += np.where(self.used, independent**2, 1.0)
-        return np.linalg.inv(covariance)
+        """Return the precision (B, n, n) of each series for the scales of both parts."""
+        values, axes = self.principal
+        return np.asarray((axes / (independent**2 + stationary**2 * values)[:, None, :]) @ axes.transpose(0, 2, 1))
+
+    def principal_variances(self, size: int) -> Array:
+        """Return the variances (size,) of the stationary part of all unknowns in principal axes, at scale 1."""
+        found = np.zeros(size)
+        found[self._numbers] = self.principal[0][self._used_axes]
+        return found
+
+    def rotation(self, size: int) -> Array:
+        """Return the rotation T (size, size) that converts unknowns in principal axes to unknowns."""
+        rotation = np.eye(size)
+        for numbers, used, axes, taken in zip(self.index, self.used, self.principal[1], self._used_axes, strict=True):
+            rotation[np.ix_(numbers[used], numbers[used])] = axes[np.ix_(used, taken)]
+        return rotation
+
+    @cached_property
+    def _used_axes(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Mask (B, n) of the principal axes that are not those of padding."""
+        padding = np.where(self.used, 0.0, 1.0)
+        return np.asarray(np.einsum("bi,bij->bj", padding, self.principal[1] ** 2) < 0.5)
+
+    @property
+    def _numbers(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """Parameters of all series, in their order."""
+        return self.index[self.used]
 
     def put_product(self, blocks: Array, matrix: Array, product: Array) -> None:
         """Write the products of `blocks` (B, n, n) and the rows of a matrix (P, m) that belong to each series into the
