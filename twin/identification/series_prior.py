@@ -96,7 +96,7 @@ class SeriesPrior:
     @property
     def _numbers(self) -> np.ndarray[Any, np.dtype[np.int64]]:
         """Parameters of all series, in their order."""
-        return self.index[self.used]
+        return np.asarray(self.index[self.used])
 
     def put_product(self, blocks: Array, matrix: Array, product: Array) -> None:
         """Write the products of `blocks` (B, n, n) and the rows of a matrix (P, m) that belong to each series into the
