@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
@@ -61,11 +61,12 @@ def write_atomically(path: Path, text: str) -> None:
     write_all_atomically(path.parent, {path.name: text})
 
 
-def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -> None:
+def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes], removed: Iterable[str] = ()) -> None:
     """Write several files into `directory`, which is created if it is missing. `contents` maps file names to contents.
 
     All files are written completely to the disk under temporary names before the first file is renamed. If a file
-    cannot be written, InputError is raised and none of the files appears.
+    cannot be written, InputError is raised and none of the files appears. The files whose names are in `removed` are
+    deleted at the end if they exist: they belong to results that the new files replace.
     """
     staged: dict[Path, Path] = {}
     try:
@@ -77,6 +78,8 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
             staged[target] = _stage(directory, name, content)
         for target, temporary in staged.items():
             temporary.replace(target)
+        for name in removed:
+            (directory / name).unlink(missing_ok=True)
         sync_directory(directory)
     except (FileExistsError, NotADirectoryError):
         raise _file_in_the_way(directory) from None

@@ -207,7 +207,7 @@ def _show(
         ),
         ("machine time", f"{found.minutes:.1f} min"),
         ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),
-        ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned ({volumetric.after.raw_um:.2f} as defined)"),
+        ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned"),
         ("valuation", f"{volumetric.percent:.1f} % of the volumetric error removed"),
         ("preflight", "passed: no collision, no limit" if found.preflight_passed else "vetted, not run"),
         *((rival.name, f"{rival.vce_um:.2f} µm in {rival.minutes:.1f} min") for rival in rivals),

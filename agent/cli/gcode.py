@@ -14,6 +14,7 @@ import click
 
 from agent.cli.errors import VolcalGroup, reported
 from agent.cli.options import PATH
+from agent.results.gates import require_unmarked
 from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
 from drivers.clock import wall_seconds
 from twin.compensation.gcode.correction_summary import CorrectionSummary
@@ -117,6 +118,7 @@ def gcode_group() -> None:
 )
 @click.option("--divide-rapids", is_flag=True, help="Divide G0 moves too, not only G1 to G3.")
 @click.option("--keep", multiple=True, callback=_g_codes, metavar="G", help="Pass this unknown G code through.")
+@click.option("--even-so", is_flag=True, help="Use a table that was written although a gate did not pass.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout; the program then needs --out.")
 @reported
 def correct(
@@ -135,6 +137,7 @@ def correct(
     decimals: int,
     divide_rapids: bool,
     keep: frozenset[int],
+    even_so: bool,
     as_json: bool,
 ) -> None:
     """Add the corrections of a table to the positions of a part program (G-code).
@@ -146,6 +149,8 @@ def correct(
     if as_json and out is None:
         raise click.UsageError("--json and the program cannot both go to standard output: give --out")
     table, crc = load_table(table_file)
+    if not even_so:
+        require_unmarked(table, str(table_file))
     setup = load_part_setup(setup_file) if setup_file else PartSetup()
     setup = replace(
         setup,

@@ -18,9 +18,15 @@ from agent.cli.errors import reported
 from agent.cli.options import PATH
 from agent.cli.printing import results_console, travel_rows
 from agent.results.estimation import order_text
-from agent.runs.offline_identification import IdentificationRequest, IdentificationResult, identify_files
+from agent.results.gates import reasons
+from agent.runs.offline_identification import (
+    WHOLE_TRAVEL,
+    IdentificationRequest,
+    IdentificationResult,
+    identify_files,
+)
 from agent.settings.load import read_settings
-from agent.settings.schema import GateSettings, IdentificationSettings, Order
+from agent.settings.schema import IdentificationSettings, Order
 from drivers.clock import utc_timestamp, wall_seconds
 from twin.identification import Options
 
@@ -89,9 +95,10 @@ def _order(_context: click.Context, _option: click.Parameter, text: str) -> Orde
 @click.option(
     "--config",
     type=PATH,
-    help="Settings file whose [gates] are the limits [default: their defaults] and whose [temperature] states the "
-    "thermometer.",
+    help="Settings file whose [gates] are the limits [default: their defaults, extrapolation allowed] and whose "
+    "[temperature] states the thermometer.",
 )
+@click.option("--even-so", is_flag=True, help="Write the table, with a mark, although a gate did not pass.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
 @reported
 def identify(
@@ -109,12 +116,13 @@ def identify(
     temperature_uncertainty: float | None,
     tool: str | None,
     config: Path | None,
+    even_so: bool,
     as_json: bool,
 ) -> None:
     """Identify a machine from measured ball centres.
 
-    Writes estimate.json, table.csv, table.json and report.html into DIR: all of them, or none when the input is
-    wrong (exit code 2).
+    Writes estimate.json, table.csv, table.json and report.html into DIR, or nothing when the input is wrong (exit
+    code 2). If a gate does not pass, no table is written (exit code 4); estimate and report say why.
     """
     started = wall_seconds()
     options = Options(formulation=formulation, use_prior=prior == "on", weights=weights)
@@ -131,7 +139,8 @@ def identify(
         order=order,
         carried_over=carried_over,
         process_noise_um=process_noise_um or 0.0,
-        gates=GateSettings() if settings is None else settings.gates,
+        gates=WHOLE_TRAVEL if settings is None else settings.gates,
+        even_so=even_so,
         temperature_uncertainty_k=temperature_uncertainty,
         thermometer_uncertainty_k=None if settings is None else settings.temperature.standard_uncertainty_k,
     )
@@ -140,6 +149,7 @@ def identify(
         click.echo(json.dumps(result.as_json(wall_seconds() - started)))
     else:
         _show(result, wall_seconds() - started)
+    result.require_table()
 
 
 def _show(result: IdentificationResult, seconds: float) -> None:
@@ -147,11 +157,11 @@ def _show(result: IdentificationResult, seconds: float) -> None:
     table = Table(title=f"{result.material.machine.name}: {result.position_set}", title_justify="left")
     table.add_column("")
     table.add_column("aligned", justify="right")
-    table.add_column("as defined", justify="right")
-    before, after = estimation.volumetric.before, estimation.volumetric.after
-    rows = (("volumetric error, estimated", before), ("predicted after compensation", after))
-    for name, value in rows:
-        table.add_row(name, f"{value.aligned_um:.2f} µm", f"{value.raw_um:.2f} µm")
+    table.add_column("95 % limits", justify="right")
+    before, after = estimation.volumetric.before_aligned, estimation.volumetric.after_aligned
+    for name, value in (("volumetric error, estimated", before), ("predicted after compensation", after)):
+        lower, upper = value.limits_um or (float("nan"), float("nan"))
+        table.add_row(name, f"{value.value_um:.2f} µm", f"{lower:.2f} to {upper:.2f} µm")
     console = results_console()
     console.print(table)
     balls = result.material.balls.observations.size
@@ -165,7 +175,6 @@ def _show(result: IdentificationResult, seconds: float) -> None:
     console.print(result.thermometer.text, markup=False)
     if result.thermometer.warning is not None:
         console.print(f"note: {result.thermometer.warning}", style="yellow", markup=False)
-    for gate in result.gates:
-        if not gate.passed:
-            console.print(f"note: {gate.name} {gate.value:.3g} is beyond {gate.limit:.3g}: {gate.text}", style="yellow")
+    if result.failed and result.has_table:
+        console.print(f"note: the table was written although {reasons(result.gates)}", style="yellow")
     console.print(f"report: {result.report}", markup=False)

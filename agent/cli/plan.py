@@ -151,7 +151,7 @@ def _table(
         ("touches", str(measured.touches + preflight.verified.touches)),
         ("machine time", f"{preflight.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain paths)"),
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
-        ("expected VCE", f"{expectation.vce.aligned_um:.2f} µm aligned ({expectation.vce.raw_um:.2f} as defined)"),
+        ("expected VCE", f"{expectation.vce.aligned_um:.2f} µm aligned"),
         ("valuation", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
     ]

@@ -27,6 +27,7 @@ from agent.results.controller_export import (
     export_table,
     load_table_to_export,
 )
+from agent.results.gates import require_unmarked
 from agent.results.table_image import table_of
 from drivers.errors import InputError
 from twin.compensation.controllers.format_options import (
@@ -104,6 +105,7 @@ def options_of_formats(command: FC) -> FC:
 @click.option("--largest-um", type=click.FloatRange(min=0.0, min_open=True), default=1000.0, show_default=True)
 @click.option("--opposite-sign", is_flag=True, help="Write every value with the opposite of the documented sign.")
 @options_of_formats
+@click.option("--even-so", is_flag=True, help="Export a table that was written although a gate did not pass.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def export(
@@ -117,6 +119,7 @@ def export(
     points: tuple[int, int, int] | None,
     largest_um: float,
     opposite_sign: bool,
+    even_so: bool,
     as_json: bool,
     **format_options: Any,
 ) -> None:
@@ -129,6 +132,8 @@ def export(
         raise click.UsageError("--table and --bank name two tables: give one of the two")
     chosen = _chosen(format_name, format_options)
     source = _from_bank(config, bank, estimate) if table_path is None else load_table_to_export(table_path, estimate)
+    if not even_so:
+        require_unmarked(source.table, source.origin)
     if format_name is None:
         if points or opposite_sign or as_json:
             raise click.UsageError("--points, --opposite-sign and --json need --format")
@@ -173,9 +178,8 @@ def _show(result: TableExportResult) -> None:
     table = Table(title=f"{result.source.origin} for {result.request.format}", title_justify="left")
     table.add_column("volumetric error")
     table.add_column("aligned", justify="right")
-    table.add_column("as defined", justify="right")
     for name, value in (("before", found.before), ("with the whole table", found.full), ("as written", found.reduced)):
-        table.add_row(name, f"{value.aligned_um:.2f} µm", f"{value.raw_um:.2f} µm")
+        table.add_row(name, f"{value.aligned_um:.2f} µm")
     console.print(table)
     machine = "as estimated" if found.estimated else "as the table describes it (no estimate)"
     retained = f"{100.0 * found.retained_share:.0f} % of the improvement is retained"
@@ -195,6 +199,9 @@ def _show(result: TableExportResult) -> None:
         console.print(f"lost: {text}", markup=False)
     for name, fact in result.exported.facts.items():
         console.print(f"{name}: {fact}", markup=False)
+    if result.source.table.gates_not_passed:
+        failed = ", ".join(result.source.table.gates_not_passed)
+        console.print(f"The table did not pass the gates: {failed}.", style="yellow")
     if result.request.options.opposite_sign:
         console.print("Every value has the OPPOSITE sign of the documented one.", style="yellow")
     for name in result.exported.files:

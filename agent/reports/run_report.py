@@ -98,17 +98,29 @@ def _found(record: RunRecord) -> IdentificationData | None:
     identified = record.decision(IDENTIFIED)
     if identified is None or record.estimate is None:
         return None
-    volumetric = {name: Quantity(**quantity) for name, quantity in identified["volumetric"].items()}
     return IdentificationData(
         observations=observations_from(identified["observations"]),
         estimate=journal_estimate(_stored(record), identified["unresolved_mm2"]),
         residuals_mm=np.array(identified["residuals_mm"], dtype=np.float64),
         positions=measured_positions(record),
-        volumetric=VolumetricSummary(**volumetric),
+        volumetric=_volumetric(identified["volumetric"]),
         table=TableFacts(**identified["table"]),
         thermometer=ThermometerFacts.of_record(identified.get("thermometer")),
         travel=TravelParts.from_record(identified["travel"]) if "travel" in identified else None,
     )
+
+
+def _volumetric(record: Mapping[str, Any]) -> VolumetricSummary:
+    """Return the volumetric errors of the journal. In journals of earlier versions, the VE before is the one that the
+    table corrects."""
+    before, after = _quantity(record["before_aligned"]), _quantity(record["after_aligned"])
+    return VolumetricSummary(before, after, record.get("table_ve_um", before.value_um))
+
+
+def _quantity(record: Mapping[str, Any]) -> Quantity:
+    """Return a quantity of the journal. Journals of earlier versions contain no limits."""
+    limits = record.get("limits_um")
+    return Quantity(record["value_um"], record["standard_uncertainty_um"], None if limits is None else tuple(limits))
 
 
 def measured_positions(record: RunRecord) -> tuple[Position, ...]:

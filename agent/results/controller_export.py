@@ -103,6 +103,7 @@ class TableExportResult:
             "unknown_um": None if loss.unknown_mm is None else round(1e3 * loss.unknown_mm, 3),
             "check_at_mm": [round(value, 3) for value in self.check[0].tolist()],
             "check_moves_um": [round(1e3 * value, 1) + 0.0 for value in self.check[1].tolist()],
+            "gates_not_passed": list(table.gates_not_passed),
             "lost": list(self.exported.losses),
             "facts": dict(self.exported.facts),
             "files": [str(self.request.out / name) for name in self.exported.files],

@@ -6,7 +6,7 @@ held-out balls (measured, but not used for the estimate).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 
@@ -37,8 +37,10 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import held_out_test
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
+from twin.formats.estimate_file import VolumetricSection, format_estimate
 from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
 from twin.identification.measured_shape import check_shape
+from twin.identification.predicted import field_forms
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.thermometer_effect import ThermometerEffect, thermometer_effect
@@ -81,14 +83,14 @@ def estimate_with_table(
     requested = table.anchor_mm or (0.0, 0.0, 0.0)
     clipped = [np.clip(value, low, high) for value, (low, high) in zip(requested, model.ranges_mm, strict=True)]
     anchor = Anchor(np.array(clipped))
-    volumetric = volumetric_summary(estimate, offset)
+    forms = field_forms(estimate, evaluation_grid(model.ranges_mm), offset)
     return EstimationResult(
         observations,
         estimate,
-        volumetric,
+        volumetric_summary(estimate, offset, forms),
         travel_parts(estimate, offset, observations.axis_positions),
         build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions),
-        thermometer_effect(estimate, volumetric.after, evaluation_grid(model.ranges_mm), offset),
+        thermometer_effect(estimate, forms),
     )
 
 
@@ -189,6 +191,19 @@ def prove(
         chi2_normalised=expected.chi2_normalised,
         reason=reason or "better than before and as predicted",
     )
+
+
+def estimate_text(estimation: EstimationResult, origin: Mapping[str, str]) -> str:
+    """Return the text of the estimate file of `estimation`. `origin` maps names such as `software` to texts on the
+    origin of the estimate."""
+    before, after = estimation.volumetric.before_aligned, estimation.volumetric.after_aligned
+    stated = VolumetricSection(
+        estimated_ve_um=before.value_um,
+        estimated_ve_limits_um=before.limits_um,
+        predicted_vce_um=after.value_um,
+        predicted_vce_limits_um=after.limits_um,
+    )
+    return format_estimate(estimation.estimate, origin, stated)
 
 
 def provenance(job: Job, run_id: str) -> dict[str, str]:

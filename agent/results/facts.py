@@ -10,38 +10,30 @@ import numpy as np
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.compensation.table import CompensationTable
-from twin.machine.volumetric import VolumetricRms
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Length in µm with its standard uncertainty. The standard uncertainty is None if it is not known."""
+    """Length in µm with its standard uncertainty and its 95 % limits, each of which is None if it is not known."""
 
     value_um: float
     standard_uncertainty_um: float | None = None
+    limits_um: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class VolumetricSummary:
-    """Estimated volumetric error (VE) of the machine without compensation (`before_raw`, `before_aligned`) and
-    predicted volumetric compensated error (VCE), which remains with the table active (`after_raw`, `after_aligned`).
+    """Estimated volumetric error (VE) of the machine without compensation, and predicted volumetric compensated error
+    (VCE), which remains with the table active.
 
-    The values whose names end in `_raw` contain the rigid motion of the workspace. The values whose names end in
-    `_aligned` are computed after removal of the best-fitting rigid motion.
+    Both are computed after removal of the best-fitting rigid motion of the workspace: no free artefact sees that
+    motion, so nothing that is measured can tell how large it is. `table_ve_um` is the volumetric error of the estimated
+    parameters alone, which the table corrects. The estimated VE also contains the errors that were not determined.
     """
 
-    before_raw: Quantity
     before_aligned: Quantity
-    after_raw: Quantity
     after_aligned: Quantity
-
-    @property
-    def before(self) -> VolumetricRms:
-        return VolumetricRms(1e-3 * self.before_raw.value_um, 1e-3 * self.before_aligned.value_um)
-
-    @property
-    def after(self) -> VolumetricRms:
-        return VolumetricRms(1e-3 * self.after_raw.value_um, 1e-3 * self.after_aligned.value_um)
+    table_ve_um: float
 
 
 @dataclass(frozen=True)

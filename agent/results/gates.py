@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.errors import GateRefused
+from agent.results.facts import VolumetricSummary
 from agent.settings.schema import GateSettings
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
 from twin.identification import BallCheck, Estimate
-from twin.machine.volumetric import VolumetricRms
 from twin.units import UM_PER_MM
 
 CHANGE = "change"
@@ -22,6 +22,12 @@ collision, and must then be calibrated again."""
 
 CERTIFICATE = "certificate"
 """Name of the gate for the agreement of the balls with their certificate."""
+
+MORE_POSITIONS = "more positions or another position set lower the predicted VCE; see the report"
+BETTER_CERTIFICATE = (
+    "clean the named balls and have them calibrated, or list them as uncertified_balls in the artefact file"
+)
+"""Remedies for gates that were not passed: for the gate `CERTIFICATE`, and for all others."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +44,15 @@ class Gate:
     text: str
 
 
-def estimate_gates(
-    estimate: Estimate, expected: VolumetricRms, before: VolumetricRms, limits: GateSettings
-) -> tuple[Gate, ...]:
+def estimate_gates(estimate: Estimate, volumetric: VolumetricSummary, limits: GateSettings) -> tuple[Gate, ...]:
     """Return the four gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
     the gain in accuracy, and the agreement of the balls with their certificate.
 
-    `before` is the estimated volumetric error of the machine without compensation. It contains no contribution of its
-    own uncertainty. `expected` is the predicted volumetric error with the table active. The values of both after
-    removal of the best-fitting rigid motion are compared, because a rigid motion of the workspace is not an error of
-    the machine.
+    `volumetric` contains the volumetric error that the table corrects, without the errors that were not determined, and
+    the predicted volumetric error with the table active.
     """
-    share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")
+    before_um, after_um = volumetric.table_ve_um, volumetric.after_aligned.value_um
+    share = after_um / before_um if before_um > 0.0 else float("inf")
     return (
         Gate(
             "fit",
@@ -70,8 +73,8 @@ def estimate_gates(
             share <= limits.max_remaining_fraction,
             share,
             limits.max_remaining_fraction,
-            f"predicted VCE {expected.aligned_mm * 1e3:.2f} µm as a share of the VE before "
-            f"{before.aligned_mm * 1e3:.2f} µm (aligned): the improvement must stand out of its uncertainty",
+            f"predicted VCE {after_um:.2f} µm as a share of the VE {before_um:.2f} µm that the table corrects "
+            "(aligned): the improvement must stand out of its uncertainty",
         ),
         certificate_gate(estimate.certificate_check, limits),
     )
@@ -175,23 +178,35 @@ def with_consent(gates: Sequence[Gate]) -> list[Gate]:
     ]
 
 
-def require_passed(gates: Sequence[Gate]) -> None:
+def names_of_failed(gates: Sequence[Gate]) -> tuple[str, ...]:
+    return tuple(gate.name for gate in gates if not gate.passed)
+
+
+def reasons(gates: Sequence[Gate]) -> str:
+    """Return a text that names every one of `gates` that was not passed, with its value and its limit."""
+    return "; ".join(
+        f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({gate.text})"
+        for gate in gates
+        if not gate.passed
+    )
+
+
+def require_passed(gates: Sequence[Gate], consent: str = "") -> None:
     """Raise GateRefused if one of `gates` (limits of the estimate and the table) was not passed. The message names
-    every such gate."""
-    failed = [gate for gate in gates if not gate.passed]
-    if failed:
-        hint = "more positions or another position set lower the predicted VCE; see the report"
-        if any(gate.name == CERTIFICATE for gate in failed):
-            hint = (
-                "clean the named balls and have them calibrated, or list them as uncertified_balls in the artefact file"
-            )
-        reasons = "; ".join(
-            f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({gate.text})" for gate in failed
-        )
+    every such gate and ends with a remedy and `consent`, a sentence on what to do otherwise."""
+    if names_of_failed(gates):
+        remedy = BETTER_CERTIFICATE if CERTIFICATE in names_of_failed(gates) else MORE_POSITIONS
+        raise GateRefused(f"no table was written: {reasons(gates)}", hint=f"{remedy}{consent}")
+
+
+def require_unmarked(table: CompensationTable, file: str) -> None:
+    """Raise GateRefused if `table`, read from `file`, carries the mark that it was written although gates had not been
+    passed."""
+    if table.gates_not_passed:
         raise GateRefused(
-            f"no table was written: {reasons}",
-            hint=hint,
-        )
+            f"the table was written although it did not pass the gates {', '.join(table.gates_not_passed)}",
+            hint="the report beside it says why; `--even-so` uses the table all the same",
+        ).at(file=file)
 
 
 def _largest_slope_um_per_mm(table: CompensationTable) -> float:

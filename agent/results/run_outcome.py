@@ -110,6 +110,11 @@ class NightReport:
         }
 
 
+def limits_list(limits: tuple[float, float] | None) -> list[float] | None:
+    """Return the lower and the upper limit as a list for JSON; None if the limits are not known."""
+    return None if limits is None else list(limits)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """State, results and report of a run. A field is None if the run ended before the field was set."""
@@ -129,6 +134,8 @@ class Outcome:
     parameters: int | None = None
     estimated_ve_um: float | None = None
     predicted_vce_um: float | None = None
+    estimated_ve_limits_um: tuple[float, float] | None = None
+    predicted_vce_limits_um: tuple[float, float] | None = None
     thermometer: ThermometerFacts | None = None
     travel: TravelParts | None = None
     chi2_normalised: float | None = None
@@ -156,7 +163,9 @@ class Outcome:
             "rank": self.rank,
             "parameters": self.parameters,
             "estimated_ve_um": self.estimated_ve_um,
+            "estimated_ve_limits_um": limits_list(self.estimated_ve_limits_um),
             "predicted_vce_um": self.predicted_vce_um,
+            "predicted_vce_limits_um": limits_list(self.predicted_vce_limits_um),
             "thermometer": None if self.thermometer is None else asdict(self.thermometer),
             "travel": None if self.travel is None else self.travel.as_record(),
             "chi2_normalised": self.chi2_normalised,

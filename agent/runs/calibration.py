@@ -14,7 +14,14 @@ from agent.probing import publish
 from agent.probing.position import MeasuredBall
 from agent.probing.repeated_positions import measure_with_repeats
 from agent.probing.run_plan import MeasuredPositions, measure_positions
-from agent.results.estimation import EstimationResult, estimate_from_balls, prove, provenance, thermometer_facts
+from agent.results.estimation import (
+    EstimationResult,
+    estimate_from_balls,
+    estimate_text,
+    prove,
+    provenance,
+    thermometer_facts,
+)
 from agent.results.gates import Gate, change_gate, estimate_gates, require_passed, table_gates, with_consent
 from agent.results.journal_entries import record_held_out, record_identified
 from agent.results.run_outcome import Proof
@@ -27,7 +34,6 @@ from agent.runs.reference_state import AcceptedTable, ReferenceState, record_acc
 from agent.runs.run_context import RunContext
 from drivers.errors import NotActiveYet
 from drivers.roles import TableImage
-from twin.formats.estimate_file import format_estimate
 
 
 class CalibrationRun(GuardedRun):
@@ -79,11 +85,10 @@ class CalibrationRun(GuardedRun):
         self.progress.estimation = estimation
         thermometer = thermometer_facts(estimation, self._job.settings.temperature)
         record_identified(self._journal, balls, estimation, thermometer)
-        self._journal.estimate(format_estimate(estimation.estimate, provenance(self._job, self._journal.run_id)))
+        self._journal.estimate(estimate_text(estimation, provenance(self._job, self._journal.run_id)))
 
     def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:
-        predicted, before = estimation.volumetric.after, estimation.volumetric.before
-        gates = estimate_gates(estimation.estimate, predicted, before, self._job.gate_limits)
+        gates = estimate_gates(estimation.estimate, estimation.volumetric, self._job.gate_limits)
         if self._reference is None:
             return gates
         change = change_since(self._job, self._reference, self._nights, estimation.estimate)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,24 @@ import numpy as np
 from agent.files import check_folder, read_text, translated, write_all_atomically
 from agent.model_files import load_artefact, load_balls, load_machine
 from agent.reports.page import Header, IdentificationData, ReportData, name_of_positions
-from agent.results.estimation import EstimationResult, estimate_with_table, order_text, scale_warnings
+from agent.results.estimation import (
+    EstimationResult,
+    estimate_text,
+    estimate_with_table,
+    order_text,
+    scale_warnings,
+)
 from agent.results.facts import ArtefactFacts, TableFacts, triple
-from agent.results.gates import Gate, estimate_gates, table_gates
+from agent.results.gates import (
+    Gate,
+    estimate_gates,
+    names_of_failed,
+    reasons,
+    require_passed,
+    table_gates,
+)
 from agent.results.night_gate import night_document, night_gate, night_text
+from agent.results.run_outcome import limits_list
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
 from agent.settings.schema import GateSettings, Order, TableSettings
 from drivers.errors import ConfigurationError, InputError
@@ -25,7 +39,7 @@ from twin.artefact.artefact import Artefact
 from twin.compensation.table_file import checksum, format_side_file, format_table
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
-from twin.formats.estimate_file import certificate_document, format_estimate, parse_estimate
+from twin.formats.estimate_file import certificate_document, parse_estimate
 from twin.identification import Options, process_noise
 from twin.identification.identify import accepted_rows
 from twin.identification.measured_shape import check_shape
@@ -35,6 +49,12 @@ from twin.units import MM_PER_UM, UM_PER_MM
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
 """Limits that never apply, for a table that is written to a file only."""
+
+TABLE_FILES = ("table.csv", "table.json")
+
+WHOLE_TRAVEL = GateSettings(allow_extrapolation=True)
+"""Limits if no settings file states any. A table covers the whole travel, and no bar reaches its corners; the predicted
+error, on which the gate `gain` depends, covers the travel that was not reached too."""
 
 MAX_NOISE_FACTOR = 5.0
 """Largest ratio, and the inverse of the smallest one, of the noise in the residuals to the stated uncertainty."""
@@ -47,8 +67,9 @@ class IdentificationRequest:
     `tool` is the tool for which the compensation table is made; if it is None, the tool with which most balls were
     measured is used. `carried_over` is the file of an earlier estimate that serves as prior. `process_noise_um` is the
     possible change of the machine's error field since that estimate. It is an rms over the workspace in µm, after
-    removal of the best-fitting rigid motion. `gates` contains the limits (gates) that the estimate and the table would
-    have to meet in a run on a machine. `temperature_uncertainty_k` is the standard uncertainty of the artefact's
+    removal of the best-fitting rigid motion. `gates` contains the limits (gates) that the estimate and the table
+    must meet, or no table is written. If `even_so` is True, the table is written in any case; it then carries a mark.
+    `temperature_uncertainty_k` is the standard uncertainty of the artefact's
     temperature in K, common to all rows; it is None if it is not stated. In this case `thermometer_uncertainty_k`, the
     uncertainty of the thermometer according to the settings, is used for a ball file that contains temperatures.
     """
@@ -62,7 +83,8 @@ class IdentificationRequest:
     order: Order = "evidence"
     carried_over: Path | None = None
     process_noise_um: float = 0.0
-    gates: GateSettings = field(default_factory=GateSettings)
+    gates: GateSettings = WHOLE_TRAVEL
+    even_so: bool = False
     temperature_uncertainty_k: float | None = None
     thermometer_uncertainty_k: float | None = None
 
@@ -84,6 +106,9 @@ class IdentificationInput:
 
 @dataclass(frozen=True)
 class IdentificationResult:
+    """Result of an identification from files. `even_so` is True if the table is written although a gate (limit of the
+    estimate or the table) did not pass."""
+
     run_id: str
     timestamp: str
     position_set: str
@@ -91,6 +116,21 @@ class IdentificationResult:
     estimation: EstimationResult
     gates: tuple[Gate, ...]
     report: Path
+    even_so: bool = False
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the gates that did not pass."""
+        return names_of_failed(self.gates)
+
+    @property
+    def has_table(self) -> bool:
+        return self.even_so or not self.failed
+
+    def require_table(self) -> None:
+        """Raise GateRefused if no table was written because a gate did not pass. The message names each such gate."""
+        if not self.has_table:
+            require_passed(self.gates, ". `--even-so` writes the table with a mark")
 
     @property
     def thermometer(self) -> ThermometerFacts:
@@ -101,7 +141,7 @@ class IdentificationResult:
         exists only for a run on a machine is None."""
         estimate, volumetric = self.estimation.estimate, self.estimation.volumetric
         return {
-            "state": "complete",
+            "state": "complete" if self.has_table else "refused",
             "run_id": self.run_id,
             "position_set": self.position_set,
             "formulation": estimate.formulation,
@@ -114,8 +154,10 @@ class IdentificationResult:
             "orders": dict(estimate.model.orders),
             "order_evidence": {str(entry.order): entry.relative_log for entry in estimate.order_evidence},
             "estimated_ve_um": volumetric.before_aligned.value_um,
+            "estimated_ve_limits_um": limits_list(volumetric.before_aligned.limits_um),
             "predicted_vce_um": volumetric.after_aligned.value_um,
-            "predicted_vce_raw_um": volumetric.after_raw.value_um,
+            "predicted_vce_limits_um": limits_list(volumetric.after_aligned.limits_um),
+            "predicted_vce_raw_um": None,
             "thermometer": asdict(self.thermometer),
             "travel": self.estimation.travel.as_record(),
             "verified": None,
@@ -126,14 +168,18 @@ class IdentificationResult:
             "certificate": certificate_document(estimate.certificate_check),
             "gates": {gate.name: gate.passed for gate in self.gates},
             "night": None if self.material.night is None else night_document(self.material.night),
+            "table": str(self.report.with_name("table.csv")) if self.has_table else None,
+            "reason": reasons(self.gates),
         }
 
 
 def identify_files(request: IdentificationRequest, timestamp: str) -> IdentificationResult:
     """Identify the machine's errors from files, and write the results into the folder `request.out`.
 
-    The files written are estimate.json, table.csv, table.json and report.html. `timestamp` is the UTC time of the
-    results in ISO 8601. Raises UserError if the input is wrong; in this case, no file is written.
+    The files written are estimate.json, report.html and, if every gate passed or `request.even_so` is True, table.csv
+    and table.json. Without a table, these two files of an earlier identification are deleted, because they do not
+    belong to the new estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is
+    wrong; in this case, no file is written.
     """
     check_folder(request.out)
     material = read_material(request)
@@ -147,8 +193,9 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
         estimation=estimation,
         gates=gates,
         report=request.out / "report.html",
+        even_so=request.even_so,
     )
-    write_all_atomically(request.out, _texts(result, request))
+    write_all_atomically(request.out, _texts(result, request), () if result.has_table else TABLE_FILES)
     return result
 
 
@@ -213,7 +260,7 @@ def _after_earlier_night(
 
 
 def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[EstimationResult, tuple[Gate, ...]]:
-    """Return the estimate with its table, and the gates that a run would have to pass. Raises TwinError."""
+    """Return the estimate with its table, and the gates that a run has to pass too. Raises TwinError."""
     with material.balls.places_named():
         estimation = estimate_with_table(
             material.machine,
@@ -226,7 +273,7 @@ def _gated(material: IdentificationInput, request: IdentificationRequest) -> tup
         )
     _check_stated_noise(estimation, material)
     gates = (
-        *estimate_gates(estimation.estimate, estimation.volumetric.after, estimation.volumetric.before, request.gates),
+        *estimate_gates(estimation.estimate, estimation.volumetric, request.gates),
         *table_gates(estimation.table, NO_STORE, request.gates),
         *(() if material.night is None else (night_gate(material.night, request.gates),)),
     )
@@ -262,16 +309,16 @@ def _table_tool(request: IdentificationRequest, machine: MachineDescription, bal
 
 
 def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict[str, str]:
-    """Return the texts of the four result files by file name."""
+    """Return the texts of the result files by file name."""
     from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib
 
-    table = format_table(result.estimation.table)
-    return {
-        "estimate.json": format_estimate(result.estimation.estimate, _provenance(result, request)),
-        "table.csv": table,
-        "table.json": format_side_file(result.estimation.table),
-        "report.html": render_report(_report_data(result, request, checksum(table))),
+    marked = replace(result.estimation.table, gates_not_passed=result.failed)
+    table = format_table(marked)
+    texts = {
+        "estimate.json": estimate_text(result.estimation, _provenance(result, request)),
+        "report.html": render_report(_report_data(result, request, checksum(table) if result.has_table else "")),
     }
+    return texts | dict(zip(TABLE_FILES, (table, format_side_file(marked)), strict=True)) if result.has_table else texts
 
 
 def _provenance(result: IdentificationResult, request: IdentificationRequest) -> dict[str, str]:
@@ -310,7 +357,7 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
         run_id=result.run_id,
         timestamp=result.timestamp,
         software_version=version("volcal"),
-        state="complete",
+        state="complete" if result.has_table else "refused",
         position_set=result.position_set,
         settings=settings,
     )
@@ -325,13 +372,22 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
             estimation.estimate,
             material.balls.positions,
             estimation.volumetric,
-            TableFacts.of(estimation.table, crc32),
+            TableFacts.of(estimation.table, crc32) if result.has_table else None,
             result.thermometer,
             estimation.travel,
         ),
         gates=result.gates,
-        gates_enforced=False,
-        warnings=_warnings(result, options),
+        warnings=(*_gate_notes(result), *_warnings(result, options)),
+    )
+
+
+def _gate_notes(result: IdentificationResult) -> tuple[str, ...]:
+    """Return one sentence for each gate that did not pass: with a table, that it was written all the same."""
+    begin = "Written although" if result.has_table else "No table was written:"
+    return tuple(
+        f"{begin} the gate {gate.name} failed: {gate.value:.3g} against {gate.limit:.3g}, {gate.text}."
+        for gate in result.gates
+        if not gate.passed
     )
 
 

@@ -9,13 +9,13 @@ from agent.execution.run_record import read_record
 from agent.files import write_all_atomically
 from agent.planning.job import Job
 from agent.reports.run_report import measured_positions
-from agent.results.estimation import EstimationResult, provenance
+from agent.results.estimation import EstimationResult, estimate_text, provenance
+from agent.results.gates import Gate, names_of_failed
 from agent.results.run_outcome import Outcome
 from agent.runs.guarded_run import RunProgress
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import format_side_file, format_table
 from twin.formats.ball_file import format_balls
-from twin.formats.estimate_file import format_estimate
 
 REPORT = "report.html"
 
@@ -31,7 +31,7 @@ def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Map
     texts = dict(report)
     if progress.estimation is not None:
         positions = measured_positions(read_record(state, outcome.run_id))
-        texts |= _results(job, outcome.run_id, progress.estimation, positions)
+        texts |= _results(job, outcome.run_id, progress.estimation, positions, progress.gates)
     if not texts:
         return outcome
     directory = state / outcome.run_id
@@ -39,10 +39,14 @@ def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Map
     return replace(outcome, report=directory / REPORT) if REPORT in report else outcome
 
 
-def _results(job: Job, run_id: str, estimation: EstimationResult, positions: Sequence[Position]) -> dict[str, str]:
+def _results(
+    job: Job, run_id: str, estimation: EstimationResult, positions: Sequence[Position], gates: Sequence[Gate]
+) -> dict[str, str]:
+    """Return the texts of the result files by file name. The table carries a mark if one of `gates` was not passed."""
+    table = replace(estimation.table, gates_not_passed=names_of_failed(gates))
     return {
         "balls.csv": format_balls(estimation.observations, positions, [job.settings.tool]),
-        "estimate.json": format_estimate(estimation.estimate, provenance(job, run_id)),
-        "table.csv": format_table(estimation.table),
-        "table.json": format_side_file(estimation.table),
+        "estimate.json": estimate_text(estimation, provenance(job, run_id)),
+        "table.csv": format_table(table),
+        "table.json": format_side_file(table),
     }

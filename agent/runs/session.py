@@ -273,6 +273,8 @@ class RunSession:
             parameters=None if estimation is None else estimation.estimate.model.size,
             estimated_ve_um=None if estimation is None else estimation.volumetric.before_aligned.value_um,
             predicted_vce_um=None if estimation is None else estimation.volumetric.after_aligned.value_um,
+            estimated_ve_limits_um=None if estimation is None else estimation.volumetric.before_aligned.limits_um,
+            predicted_vce_limits_um=None if estimation is None else estimation.volumetric.after_aligned.limits_um,
             thermometer=None if estimation is None else thermometer_facts(estimation, settings.temperature),
             travel=None if estimation is None else estimation.travel,
             chi2_normalised=None if estimation is None else estimation.estimate.chi2_normalised,

@@ -194,7 +194,7 @@ class GateSettings(StrictModel):
     says so.
 
     A run takes the limits from its settings file. `volcal identify` takes them from the settings file that it is given
-    or, without a settings file, uses these defaults.
+    or, without a settings file, uses these defaults with `allow_extrapolation = true`.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {

@@ -86,7 +86,9 @@ class TestGoodInput:
         assert before.aligned_um == pytest.approx(said["estimated_ve_um"], rel=0.25)
 
     def test_people_read_a_table(self, measured: tuple, tmp_path: Path) -> None:
-        done = run(*arguments(measured[0], tmp_path / "out"), "--formulation", "distances", "--weights", "unit")
+        done = run(
+            *arguments(measured[0], tmp_path / "out"), "--formulation", "distances", "--weights", "unit", "--even-so"
+        )
         assert done.returncode == 0, done.stderr
         assert "predicted after compensation" in done.stdout
         assert str(tmp_path / "out" / "report.html") in done.stdout.replace("\n", "")
@@ -103,10 +105,13 @@ class TestGoodInput:
         (tmp_path / "volcal.toml").write_text(re.sub(r"\[gates\]\n(?:[^\[\n].*)?\n", strict + "\n", text))
         config = ("--config", tmp_path / "volcal.toml")
         done = run(*arguments(measured[0], tmp_path / "out"), *config, "--order", "2", "--json")
-        assert done.returncode == 0, done.stderr
+        assert done.returncode == 4, done.stderr
         gates = json.loads(done.stdout)["gates"]
         assert not gates["redundancy"]
         assert not gates["correction"]
+        assert "gate redundancy: " in done.stderr
+        assert "gate correction: " in done.stderr
+        assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["estimate.json", "report.html"]
 
     def test_a_wrong_ball_is_found_and_named(self, tmp_path: Path) -> None:
         rng = np.random.default_rng(11)
@@ -117,7 +122,7 @@ class TestGoodInput:
         assert [int(rows[100]["position"]), int(rows[100]["ball"]), 0] in json.loads(done.stdout)["rejected"]
 
     def test_without_the_family_it_still_ends_well(self, measured: tuple, tmp_path: Path) -> None:
-        done = run(*arguments(measured[0], tmp_path / "out"), "--prior", "off", "--json")
+        done = run(*arguments(measured[0], tmp_path / "out"), "--prior", "off", "--even-so", "--json")
         assert done.returncode == 0, done.stderr
         assert np.isfinite(json.loads(done.stdout)["predicted_vce_um"])
 

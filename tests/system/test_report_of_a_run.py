@@ -90,7 +90,7 @@ class TestRebuilt:
         assert np.array_equal(found.estimate.parameters, stored.parameters)
         grid = evaluation_grid(stored.model.ranges_mm)
         form = QuadraticForm.build(stored.model, grid, stored.tool_offsets[0])
-        assert found.volumetric.before_aligned.value_um == pytest.approx(form.value(stored.parameters).aligned_um)
+        assert found.volumetric.table_ve_um == pytest.approx(form.value(stored.parameters).aligned_um)
         assert len(found.residuals_mm) == outcome.balls == found.observations.size
 
     def test_it_does_not_need_the_files_any_more(self, season: Season, tmp_path: Path) -> None:

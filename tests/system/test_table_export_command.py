@@ -36,7 +36,7 @@ def export(run: Path, out: Path, name: str, *more: str | Path) -> Result:
 @pytest.fixture(scope="module")
 def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, HiddenMachine]:
     folder = tmp_path_factory.mktemp("identified")
-    machine = ball_file(folder / "balls.csv", expression="S1", stations=2)
+    machine = ball_file(folder / "balls.csv", expression="S3", stations=4)
     files = ("--machine", MACHINE_FILE, "--artefact", ARTEFACT_FILE, "--out", folder / "run", "--order", "5")
     done = volcal("identify", folder / "balls.csv", *files)
     assert done.exit_code == 0, done.output

@@ -57,8 +57,10 @@ class CompensationTable:
     corrections in mm, which are ADDED to the commanded axis position. The table is valid only for the tool offset
     `tool_offset` (3,) in mm (vector from the reference point of the ram to the stylus centre). `anchor` contains the
     six constraints that fix the rigid motion contained in the corrections. `extrapolated` (nx, ny, nz) is True for
-    nodes outside the region in which the machine was measured. Raises DataError if an array has the wrong shape, if
-    node positions are not in ascending order or if a value is not finite.
+    nodes outside the region in which the machine was measured. `gates_not_passed` contains the names of the
+    gates (limits of the estimate and the table) that did not pass: such a table is marked, and is used only by consent.
+    Raises DataError if an array has the wrong shape, if node positions are not in ascending order or if a value is not
+    finite.
     """
 
     x: Array
@@ -68,6 +70,7 @@ class CompensationTable:
     tool_offset: Array
     anchor: Anchor
     extrapolated: np.ndarray[Any, np.dtype[np.bool_]]
+    gates_not_passed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for axis, nodes in zip(AXES, self.nodes, strict=True):

@@ -48,7 +48,8 @@ class SideFile(StrictModel):
     """JSON side file of a compensation table.
 
     `extrapolated_nodes` contains the indices of the nodes outside the region in which the machine was measured. Nodes
-    are counted from 0 in the order of the rows of the table's CSV file.
+    are counted from 0 in the order of the rows of the table's CSV file. `gates_not_passed` contains the names of the
+    gates (limits of the estimate and the table) that the table did not pass; the key is absent if all were passed.
     """
 
     format: Literal["volcal compensation table 1"]
@@ -58,6 +59,7 @@ class SideFile(StrictModel):
     tool_offset_mm: Triple
     anchor: AnchorSection
     extrapolated_nodes: tuple[int, ...]
+    gates_not_passed: tuple[str, ...] = ()
 
 
 def format_table(table: CompensationTable) -> str:
@@ -87,6 +89,8 @@ def format_side_file(table: CompensationTable) -> str:
         },
         "extrapolated_nodes": np.flatnonzero(table.extrapolated.reshape(-1)).tolist(),
     }
+    if table.gates_not_passed:
+        document["gates_not_passed"] = list(table.gates_not_passed)
     return json.dumps(document, indent=2) + "\n"
 
 
@@ -120,6 +124,7 @@ def parse_table(text: str, side_text: str, source: str, side_source: str) -> Com
             tool_offset=np.array(side.tool_offset_mm),
             anchor=Anchor(np.array(side.anchor.point_mm), side.anchor.primary, side.anchor.secondary),
             extrapolated=_mask(side.extrapolated_nodes, shape, side_source),
+            gates_not_passed=side.gates_not_passed,
         )
     except (DataError, ModelError) as error:
         raise FormatError(error.message, hint=error.hint, file=side_source, **error.where) from None

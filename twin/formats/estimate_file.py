@@ -25,7 +25,7 @@ from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
 from twin.units import MM_PER_UM, UM_PER_MM
 
-FORMAT = "volcal estimate 2"
+FORMAT = "volcal estimate 3"
 _ASYMMETRY = 1e-9
 _INDEFINITE = 1e-6
 
@@ -100,8 +100,24 @@ class CertificateSection(StrictModel):
     apparent_error_um: Triple
 
 
+class VolumetricSection(StrictModel):
+    """Volumetric errors over the workspace in µm for the tool of the table, after removal of the best-fitting rigid
+    motion.
+
+    `estimated_ve_um` is that of the machine without compensation, and `predicted_vce_um` is expected with compensation.
+    The limits are those of the equal-tailed 95 % intervals; they are None if they were not computed.
+    """
+
+    estimated_ve_um: float
+    estimated_ve_limits_um: Pair | None
+    predicted_vce_um: float
+    predicted_vce_limits_um: Pair | None
+
+
 class EstimateFile(StrictModel):
-    format: Literal["volcal estimate 2"]
+    """Content of an estimate file. A file of the format `volcal estimate 2` has no section `volumetric`."""
+
+    format: Literal["volcal estimate 2", "volcal estimate 3"]
     provenance: dict[str, str]
     formulation: Literal["centres", "distances"]
     model: EstimatedModelSection
@@ -119,6 +135,7 @@ class EstimateFile(StrictModel):
     order_evidence: tuple[OrderSection, ...]
     rejected: tuple[RejectedBallSection, ...]
     certificate: tuple[CertificateSection, ...] = ()
+    volumetric: VolumetricSection | None = None
     carried_over: CarriedOverSection
 
 
@@ -153,11 +170,14 @@ class StoredEstimate:
         return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, scales, factor, freedom)
 
 
-def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
+def format_estimate(
+    estimate: Estimate, provenance: Mapping[str, str], volumetric: VolumetricSection | None = None
+) -> str:
     """Return the text (JSON) of an estimate file.
 
     `provenance` contains the software version, the time, and the names and checksums of the input files. All entries of
-    `provenance` are stored unchanged.
+    `provenance` are stored unchanged. `volumetric` contains the volumetric errors for the tool of the table; the file
+    has null in its place if it is None.
     """
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -189,6 +209,7 @@ def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
         ],
         "rejected": [{"position": k, "ball": ball, "tool": tool} for k, ball, tool in estimate.rejected],
         "certificate": certificate_document(estimate.certificate_check),
+        "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(
             estimate.unknowns, estimate.z, estimate.z_covariance, estimate.drift_factor
         ),

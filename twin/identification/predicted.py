@@ -41,9 +41,14 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
     (errors that the model cannot represent).
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    return expected_vce(estimate, field_forms(estimate, grid, offset))
+
+
+def expected_vce(estimate: FieldKnowledge, forms: tuple[Array, Array]) -> VolumetricRms:
+    """Return the error that `predicted_vce` returns, from the two quadratic forms that `field_forms` returns."""
     moments = _second_moments(estimate)
     beside = 3.0 * unresolved_variance(estimate)
-    raw, left = (float(np.vdot(form, moments)) + beside for form in field_forms(estimate, grid, offset))
+    raw, left = (float(np.vdot(form, moments)) + beside for form in forms)
     return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(left, 0.0))))
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from twin.arrays import as_points, as_vector
+from twin.arrays import Array
 from twin.identification import Estimate
-from twin.identification.predicted import field_forms
+from twin.identification.predicted import expected_vce
 from twin.machine.volumetric import VolumetricRms
 
 
@@ -33,17 +32,14 @@ class ThermometerEffect:
     without: VolumetricRms
 
 
-def thermometer_effect(
-    estimate: Estimate, vce: VolumetricRms, points: ArrayLike, tool_offset: ArrayLike
-) -> ThermometerEffect:
-    """Return the effect of the thermometer on `vce`, the VCE that is predicted from `estimate` over axis positions (n,
-    3) in mm for a tool offset (3,) in mm.
+def thermometer_effect(estimate: Estimate, forms: tuple[Array, Array]) -> ThermometerEffect:
+    """Return the effect of the thermometer on the VCE that is predicted from `estimate`. `forms` are the two quadratic
+    forms of the error field over the workspace that `twin.identification.predicted.field_forms` returns.
 
     With the covariance C of all unknowns and the column c of the thermometer's error, whose variance is v, knowledge of
     this error would reduce C by c c' / v. The form Q of the mean square over the workspace makes this c' Q c / v.
     """
-    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
-    unknowns = estimate.unknowns
+    vce, unknowns = expected_vce(estimate, forms), estimate.unknowns
     artefact, blocks = unknowns.artefact, unknowns.blocks
     if "thermometer" not in artefact.strain_names:
         return ThermometerEffect(0.0, 0.0, VolumetricRms(0.0, 0.0), vce)
@@ -51,7 +47,7 @@ def thermometer_effect(
     column = estimate.z_covariance[:, index]
     misfit = column[blocks.misfit] if estimate.misfit is not None else np.zeros(0)
     moved = np.concatenate((unknowns.scale * column[blocks.parameters], misfit)) / np.sqrt(column[index])
-    raw, aligned = (float(moved @ form @ moved) for form in field_forms(estimate, grid, offset))
+    raw, aligned = (float(moved @ form @ moved) for form in forms)
     return ThermometerEffect(
         standard_uncertainty_k=artefact.thermometer_standard_uncertainty_k,
         strain=artefact.cte_per_k * artefact.thermometer_standard_uncertainty_k,

@@ -223,9 +223,7 @@ class ReportData:
     """Complete data of a report.
 
     `tool_offset` (3,) is the vector in mm from the ram's reference point to the stylus centre (tool offset), to which
-    the table and all volumetric errors refer. `identification` is None if the run has no estimate. `gates_enforced` is
-    False if the gates (limits for the estimate and the table) are shown for information only and do not decide whether
-    a table is written.
+    the table and all volumetric errors refer. `identification` is None if the run has no estimate.
     """
 
     header: Header
@@ -235,6 +233,5 @@ class ReportData:
     tool_offset: tuple[float, float, float]
     identification: IdentificationData | None = None
     gates: tuple[Gate, ...] = ()
-    gates_enforced: bool = True
     warnings: tuple[str, ...] = ()
     run: RunFacts = RunFacts()

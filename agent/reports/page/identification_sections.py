@@ -17,7 +17,6 @@ def summary_table(data: ReportData, identification: IdentificationData, t: Texts
     summary, proof = identification.volumetric, data.run.verification
     rows: list[tuple[str, Quantity | None, Quantity | None]] = [
         (t["ve_aligned"], summary.before_aligned, summary.after_aligned),
-        (t["ve_raw"], summary.before_raw, summary.after_raw),
     ]
     if proof is not None:
         rows.append((t["held_out"], proof.before, proof.after))

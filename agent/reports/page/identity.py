@@ -39,11 +39,17 @@ def _of_estimate(data: ReportData, identification: IdentificationData, t: Texts)
         else (t["tile_held_out"], micrometres(proof.after))
     )
     return [
-        (t["tile_before"], micrometres(identification.volumetric.before_aligned)),
-        (t["tile_after"], micrometres(identification.volumetric.after_aligned)),
+        _with_limits(t["tile_before"], identification.volumetric.before_aligned),
+        _with_limits(t["tile_after"], identification.volumetric.after_aligned),
         third,
         (t["tile_seen"], t["of_value"].format(value=estimate.rank, all=estimate.model.size)),
     ]
+
+
+def _with_limits(text: str, quantity: Quantity) -> tuple[str, str]:
+    """Return the text and the value of a tile. The limits stand in the small print, because the value is set large."""
+    value, _, limits = micrometres(quantity).partition(", ")
+    return f"{text}; {limits}" if limits else text, value
 
 
 def _of_run(data: ReportData, t: Texts) -> list[tuple[str, str]]:

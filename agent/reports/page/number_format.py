@@ -49,12 +49,15 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def micrometres(quantity: Quantity | None) -> str:
-    """Return a text such as `12.3 ± 0.8 µm`, in which the second number is the expanded uncertainty (k = 2). The text
-    is a dash if `quantity` is None."""
+    """Return a text such as `12.3 µm, 95 % limits 11.6 to 13.4 µm` or, if the limits are not known, `12.3 ± 0.8 µm`,
+    in which the second number is the expanded uncertainty (k = 2). The text is a dash if `quantity` is None."""
     if quantity is None:
         return "–"
     decimals = 1 if quantity.value_um >= 10.0 else 2
     value = fixed(quantity.value_um, decimals)
+    if quantity.limits_um is not None:
+        lower, upper = (fixed(limit, decimals) for limit in quantity.limits_um)
+        return f"{value} µm, 95 % limits {lower} to {upper} µm"
     if quantity.standard_uncertainty_um is None:
         return f"{value} µm"
     return f"{value} ± {fixed(COVERAGE * quantity.standard_uncertainty_um, decimals)} µm"

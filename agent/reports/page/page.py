@@ -17,7 +17,7 @@ GOOD_STATES = ("complete", "idle", "held")
 
 def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
     """Return all values that the template uses, except the figures."""
-    failed = [gate for gate in data.gates if not gate.passed] if data.gates_enforced else []
+    failed = [gate for gate in data.gates if not gate.passed]
     proof, night, header = data.run.verification, data.run.night, data.header
     good = header.state in GOOD_STATES and not failed and (proof is None or proof.accepted)
     state = header.state
@@ -39,7 +39,6 @@ def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
         "probe": data.run.probe.rows if data.run.probe else (),
         "temperature_note": run_sections.temperature_note(data.artefact, _temperatures(data)),
         "gates": run_sections.gates(data),
-        "gate_note": "" if data.gates_enforced else t["gates_informative"],
         "consents": run_sections.consents(data, t),
         "inputs": run_sections.inputs(data.run.provenance, t),
         "events": run_sections.events(data, t),

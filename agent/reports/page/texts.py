@@ -102,7 +102,6 @@ ENGLISH: Texts = {
     ),
     "parameters_note": "Legendre coefficients on the axis ranges normalised to [-1, 1]; σ is the standard uncertainty.",
     "inputs_note": "SHA-256 of the files at the start of the run.",
-    "gates_informative": "For information only: no machine is affected by this identification.",
     "no_estimate": (
         "The run did not reach an estimate. The measurements up to then are stored in the journal. The table that "
         "was active before the run is still active, unless an event below states otherwise."
@@ -140,7 +139,6 @@ ENGLISH: Texts = {
     "signature": "signature",
     # rows
     "ve_aligned": "VE estimated, VCE predicted; aligned",
-    "ve_raw": "the same, not aligned",
     "travel": "part of the travel",
     "travel_measured": "inside the measured region ({share} %)",
     "travel_unmeasured": "outside the measured region ({share} %)",

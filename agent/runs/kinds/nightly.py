@@ -289,7 +289,7 @@ class NightlyRun(CalibrationRun):
 
     def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:
         limits = self._job.gate_limits
-        gates = estimate_gates(estimation.estimate, estimation.volumetric.after, estimation.volumetric.before, limits)
+        gates = estimate_gates(estimation.estimate, estimation.volumetric, limits)
         prior = self._judge.prior if self._fit is None else self._fit.prior
         change = change_since(self._job, self._judge.reference, self._nights, estimation.estimate, prior)
         return (*gates, change_gate(change.found_um, change.expected_um, limits))

@@ -279,16 +279,17 @@ class TestCurves:
 
 class TestNumbers:
     def test_squareness_alone_by_hand(self, offline: ReportData) -> None:
-        """d = (0, -A0Z z, 0): raw rms A0Z sqrt(mean z²); the uncertainty scales with A0Z's own."""
+        """d = (0, -A0Z z, 0); a turn w about X leaves (A0Z - w)² var z + w² var y, which is least for
+        w = A0Z var z / (var y + var z). The uncertainty scales with A0Z's own."""
         values, covariance = np.zeros(MODEL.size), np.zeros((MODEL.size, MODEL.size))
         place = MODEL.index("A0Z")
         values[place], covariance[place, place] = 20e-6, (2e-6) ** 2
         estimate: Estimate = replace(estimate_of(offline), parameters=values, covariance=covariance)
         summary = volumetric_summary(estimate, OFFSET)
-        z = np.linspace(0.0, 500.0, 20)
-        by_hand = 20e-3 * np.sqrt(np.mean(z**2))
-        assert summary.before_raw.value_um == pytest.approx(by_hand, rel=1e-9)
-        assert summary.before_raw.standard_uncertainty_um == pytest.approx(0.1 * by_hand, rel=1e-9)
+        yy, zz = np.var(np.linspace(0.0, 600.0, 20)), np.var(np.linspace(0.0, 500.0, 20))
+        by_hand = 20e-3 * np.sqrt(yy * zz / (yy + zz))
+        assert summary.table_ve_um == pytest.approx(by_hand, rel=1e-9)
+        assert summary.before_aligned.standard_uncertainty_um == pytest.approx(0.1 * by_hand, rel=1e-9)
 
     def test_the_map_is_the_aligned_field(self, offline: ReportData) -> None:
         """The planes, put under the standard grid and aligned with it, point by point."""

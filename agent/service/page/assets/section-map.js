@@ -26,7 +26,8 @@ export async function parts({ run, again }) {
   ];
 }
 
-const um = ({ value_um, standard_uncertainty_um }) =>
+const um = ({ value_um, standard_uncertainty_um, limits_um }) =>
+  limits_um ? say("unit.um_limits", { value: number(value_um, 1), lower: number(limits_um[0], 1), upper: number(limits_um[1], 1) }) :
   say(standard_uncertainty_um === null ? "unit.um" : "unit.um_sigma", { value: number(value_um, 1), sigma: number(standard_uncertainty_um, 1) });
 
 function figure(plane, top) {

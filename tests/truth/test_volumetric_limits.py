@@ -1,0 +1,57 @@
+"""The limits that every identification states, against the exact distributions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from foreign_artefact import S1, S3, STATIONS_MM, measure, tilted_bar
+from foreign_machine import RANGES, TOOL, foreign_machine
+from foreign_score import score
+from scipy import stats
+
+from twin.machine.volumetric import evaluation_grid
+from twin.uncertainty.quadratic_distribution import QuadraticDistribution
+from twin.uncertainty.volumetric_distribution import volumetric_distributions
+from twin.uncertainty.volumetric_limits import mixture_quantiles, volumetric_limits
+
+PROBABILITIES = (0.025, 0.25, 0.5, 0.975)
+
+
+@pytest.mark.parametrize("freedom", [2, 5, 90])
+@pytest.mark.parametrize("noncentral", [0.0, 2.5, 400.0])
+def test_quantiles_of_chi_square(freedom: int, noncentral: float) -> None:
+    shifts = np.zeros(freedom)
+    shifts[0] = np.sqrt(noncentral)
+    found = np.sqrt(mixture_quantiles([QuadraticDistribution(np.ones(freedom), shifts, 0.0)], PROBABILITIES))
+    tolerance = 0.02 if freedom == 2 else 0.005
+    assert found == pytest.approx(np.sqrt(stats.ncx2.ppf(PROBABILITIES, freedom, noncentral)), rel=tolerance)
+
+
+def test_a_mixture_of_very_different_parts() -> None:
+    parts = [QuadraticDistribution(np.full(20, weight), np.zeros(20), 0.0) for weight in (1e-6, 1.0, 2.0)]
+    at = mixture_quantiles(parts, PROBABILITIES)
+    known = np.mean([stats.chi2.cdf(at / part.weights[0], 20) for part in parts], axis=0)
+    assert known == pytest.approx(PROBABILITIES, abs=2e-3)
+
+
+def test_a_field_that_is_known_exactly_has_no_spread() -> None:
+    parts = [QuadraticDistribution(np.zeros(0), np.zeros(0), 4.0)]
+    assert mixture_quantiles(parts, (0.025, 0.975)) == pytest.approx([4.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("orientations", "stations", "worse"),
+    [(S3, STATIONS_MM, 1.0), (S3, STATIONS_MM, 0.1), (S1, STATIONS_MM, 10.0), (S3[:2], STATIONS_MM[1:2], 0.1)],
+)
+def test_limits_of_an_estimate(
+    orientations: Sequence[tuple[float, float]], stations: Sequence[Sequence[float]], worse: float
+) -> None:
+    rng = np.random.default_rng(3)
+    machine, bar = foreign_machine(rng, worse), tilted_bar(rng)
+    seen = measure(machine, bar, orientations, np.random.default_rng(103), stations=stations).seen
+    estimate, grid = score(machine, bar, seen).estimate, evaluation_grid(RANGES)
+    exact, found = volumetric_distributions(estimate, grid, TOOL), volumetric_limits(estimate, grid, TOOL)
+    for part, limits_um in ((exact.ve, found.ve_um), (exact.vce, found.vce_um)):
+        assert limits_um == pytest.approx([1e3 * np.sqrt(part.aligned.quantile(p)) for p in (0.025, 0.975)], rel=0.01)
