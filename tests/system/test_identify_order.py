@@ -31,7 +31,7 @@ def nights(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def run(balls: Path, out: Path, *more: str | Path, machine: Path = MACHINE_FILE) -> Result:
-    arguments = [balls, "--machine", machine, "--artefact", ARTEFACT_FILE, "--out", out, *more, "--json"]
+    arguments = [balls, "--machine", machine, "--artefact", ARTEFACT_FILE, "--out", out, *more, "--even-so", "--json"]
     return CliRunner().invoke(identify, [str(argument) for argument in arguments], prog_name="volcal identify")
 
 

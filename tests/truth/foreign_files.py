@@ -52,7 +52,15 @@ class Folder:
         lines = [",".join(COLUMNS), *(",".join(row[name] for name in COLUMNS) for row in rows)]
         balls = self.path / "balls.csv"
         balls.write_text("\n".join(lines) + "\n")
-        files = ("--machine", self.path / "machine.toml", "--artefact", self.path / "bar.toml", "--out", self.out)
+        files = (
+            "--machine",
+            self.path / "machine.toml",
+            "--artefact",
+            self.path / "bar.toml",
+            "--out",
+            self.out,
+            "--even-so",
+        )
         arguments = [str(balls), *map(str, files), *options]
         return CliRunner().invoke(identify, arguments, prog_name="volcal identify")
 

@@ -78,7 +78,7 @@ def test_the_contribution_is_what_a_known_temperature_would_save(weights: Any) -
 
 
 class Desk:
-    """The real command on the files of one measurement; an unknown temperature fails gates, which decide nothing here."""
+    """The real command on the files of one measurement. It does not enforce the gates."""
 
     def __init__(self, folder: Path, drawn: Case, **kind: bool) -> None:
         self.folder, self.drawn = folder, drawn
