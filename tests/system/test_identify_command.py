@@ -39,7 +39,8 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 def arguments(balls: Path, out: Path, machine: Path = MACHINE_FILE, artefact: Path = ARTEFACT_FILE) -> list[str]:
-    return [str(balls), "--machine", str(machine), "--artefact", str(artefact), "--out", str(out)]
+    files = [str(balls), "--machine", str(machine), "--artefact", str(artefact), "--out", str(out)]
+    return [*files, "--temperature-uncertainty", "0.1"]
 
 
 @pytest.fixture(scope="module")

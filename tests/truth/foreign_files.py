@@ -52,16 +52,8 @@ class Folder:
         lines = [",".join(COLUMNS), *(",".join(row[name] for name in COLUMNS) for row in rows)]
         balls = self.path / "balls.csv"
         balls.write_text("\n".join(lines) + "\n")
-        files = (
-            "--machine",
-            self.path / "machine.toml",
-            "--artefact",
-            self.path / "bar.toml",
-            "--out",
-            self.out,
-            "--even-so",
-        )
-        arguments = [str(balls), *map(str, files), *options]
+        files = ("--machine", self.path / "machine.toml", "--artefact", self.path / "bar.toml", "--out", self.out)
+        arguments = [str(balls), *map(str, files), "--even-so", *options]
         return CliRunner().invoke(identify, arguments, prog_name="volcal identify")
 
 
