@@ -194,7 +194,8 @@ def test_least_known_positions_are_those_whose_balls_are_expected_to_be_worst():
     form[-1], form[:, -1] = 0.0, 0.0
     balls = np.arange(3, 3 + made.count)
     candidates = replace(made, balls=balls, form=Criterion(form, form))
-    chosen, expected = [2, 5], []
+    chosen = [2, 5]
+    expected: list[int] = []
     for _ in range(3):
         errors = plain_errors(candidates, [*chosen, *expected])
         left = [index for index in range(candidates.count) if index not in (*chosen, *expected, 7)]
