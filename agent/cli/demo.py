@@ -140,7 +140,32 @@ def _document(ended: RunResult, truth: Truth) -> dict[str, object]:
         "true_ve_before_um": truth.before_um,
         "true_ve_after_um": truth.after_um,
         "collisions": truth.collisions,
+        "figures": _figures(ended, truth),
     }
+
+
+def _figures(ended: RunResult, truth: Truth) -> list[dict[str, object]]:
+    """Return the stated figures whose true values the simulator knows, each with its truth and its 95 % limits.
+
+    The error after compensation is compared only if the new table passed its proof and is active.
+    """
+    outcome = ended.outcome
+    proved = outcome.proof is not None and outcome.proof.accepted
+    figures = (
+        ("ve_before", truth.before_um, outcome.estimated_ve_um, outcome.estimated_ve_limits_um),
+        ("vce_after", truth.after_um if proved else None, outcome.predicted_vce_um, outcome.predicted_vce_limits_um),
+    )
+    return [
+        {
+            "figure": name,
+            "true_um": true_um,
+            "stated_um": stated_um,
+            "limits_um": list(limits_um),
+            "inside": limits_um[0] <= true_um <= limits_um[1],
+        }
+        for name, true_um, stated_um, limits_um in figures
+        if true_um is not None and limits_um is not None
+    ]
 
 
 def _show(ended: RunResult, truth: Truth) -> None:

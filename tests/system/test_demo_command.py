@@ -1,4 +1,4 @@
-"""`volcal demo` over its real links, as short as it can be: one station, what is proved let through."""
+"""`volcal demo` over its real links: S3 at one station, what is proved let through."""
 
 from __future__ import annotations
 
@@ -51,6 +51,9 @@ def bad_machine(directory: Path) -> Path:
 
 def demo(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "agent.cli.main", "demo", "--config", str(short_settings(directory))]
+    (directory / "two.csv").write_text(  # a set that can better the machine
+        "station,azimuth_deg,elevation_deg\n1,45,0\n1,-45,0\n1,0,45\n1,0,-45\n1,90,45\n1,90,-45\n"
+    )
     return subprocess.run(
         [*command, "--scenario", str(bad_machine(directory)), "--out", str(directory / "out"), *options],
         cwd=directory,
@@ -72,8 +75,16 @@ def test_demo_ends_with_one_json_object(tmp_path: Path) -> None:
     assert document["verified"] is True
     assert document["collisions"] == 0
     assert document["table_bank"] == 1
-    assert document["balls"] == 22
+    assert document["balls"] == 66
     assert document["true_ve_after_um"] < document["true_ve_before_um"]
+    before, after = document["figures"]
+    assert (before["figure"], after["figure"]) == ("ve_before", "vce_after")
+    assert (before["true_um"], after["true_um"]) == (document["true_ve_before_um"], document["true_ve_after_um"])
+    assert (before["stated_um"], after["stated_um"]) == (document["estimated_ve_um"], document["predicted_vce_um"])
+    for figure in (before, after):
+        low, high = figure["limits_um"]
+        assert figure["inside"] == (low <= figure["true_um"] <= high)
+        assert 0.9 * low < figure["true_um"] < 1.1 * high
     assert Path(document["report"]).is_file()
     assert "min left" in ended.stderr.replace("of machine time ", "")
     assert "127.0.0.1" in ended.stderr
