@@ -176,7 +176,9 @@ class TestGivenTwice:
         bar, rows = bars["tilted"]
         copied = [dict(row) for row in rows]
         copied[3].update({axis: copied[2][axis] for axis in AXES})
-        refused(folder, bar, copied, "position 1: ball 4 has the coordinates of ball 3 in row 4", "row 5, column ball")
+        wrong, real = copied[3]["ball"], copied[2]["ball"]
+        message = f"position 1: ball {wrong} has the coordinates of ball {real} in row 4"
+        refused(folder, bar, copied, message, "row 5, column ball")
 
     def test_balls_that_agree_by_chance_are_no_copy(self, bars: Bars, folder: Folder) -> None:
         """Two balls of two positions have the same coordinates; the others differ by the noise."""
