@@ -20,6 +20,7 @@ KEYS = [
     "elevation_rad",
     "tool_offsets",
     "course",
+    "azimuth_rad",
 ]
 
 
