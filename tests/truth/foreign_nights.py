@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from foreign_artefact import S3, STATIONS_MM, ForeignBar, measure, tilted_bar
-from foreign_machine import TOOL, ForeignMachine, aligned_rms_um, foreign_machine
+from foreign_machine import TOOL, ForeignMachine, Motion, Waves, aligned_rms_um, foreign_machine
 from foreign_score import GRID, family_of
 
 from twin.artefact.observations import Observations
@@ -19,7 +19,7 @@ from twin.monitoring.night_fit import NightFit, compare_with_nights_before
 
 NIGHTS, STEP_NIGHT, STATED_UM, SEED = 60, 20, 0.5, 7
 FAMILY = family_of(5)
-_STEP_MM, _SEASON_NIGHTS, _POSITIONS = 12e-3, 45.0, 5
+_STEP_MM, _SEASON_NIGHTS, _POSITIONS, _WAVES = 12e-3, 45.0, 5, 9
 _SLOPES_MM, _TURNS_RAD = np.array([30e-3, 18e-3, 21e-3]), 6e-6
 
 Change = Callable[[ForeignMachine, int, np.random.Generator], ForeignMachine]
@@ -32,9 +32,9 @@ def straightness_steps(machine: ForeignMachine, night: int, rng: np.random.Gener
     if night != STEP_NIGHT:
         return walked
     x, y, z = walked.motions
-    bent = x.amplitude.copy()
-    bent[1, 1] += _STEP_MM  # straightness of X along Y, about one wave over the travel
-    return replace(walked, motions=(replace(x, amplitude=bent), y, z))
+    bent = np.zeros((6, _WAVES))
+    bent[1, 1] = _STEP_MM  # straightness of X along Y, one wave over the travel
+    return replace(walked, motions=(_changed(x, bent, np.zeros(6)), y, z))
 
 
 def season(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
@@ -43,10 +43,10 @@ def season(machine: ForeignMachine, night: int, rng: np.random.Generator) -> For
     motions = []
     for axis, motion in enumerate(machine.motions):
         change = math.sin(phase * night + axis) - math.sin(phase * (night - 1) + axis)
-        slope = motion.slope.copy()
-        slope[axis] += _SLOPES_MM[axis] * change
-        slope[3:] += _TURNS_RAD * change * np.array([1.0, -0.6, 0.8])
-        motions.append(replace(motion, slope=slope))
+        slope = np.zeros(6)
+        slope[axis] = _SLOPES_MM[axis] * change
+        slope[3:] = _TURNS_RAD * change * np.array([1.0, -0.6, 0.8])
+        motions.append(_changed(motion, np.zeros((6, _WAVES)), slope))
     x, y, z = motions
     return replace(machine, motions=(x, y, z))
 
@@ -60,11 +60,32 @@ def _walked(machine: ForeignMachine, size: float, rng: np.random.Generator, axes
     unit = size * np.array([1e-3] * 3 + [0.8e-6] * 3)[:, None]
     motions = list(machine.motions)
     for axis in axes:
-        amplitude = motions[axis].amplitude
-        steps = rng.normal(size=amplitude.shape) / np.arange(1, amplitude.shape[1] + 1) ** 1.5
-        motions[axis] = replace(motions[axis], amplitude=amplitude + unit * steps)
+        steps = rng.normal(size=(6, _WAVES)) / np.arange(1, _WAVES + 1) ** 1.5
+        motions[axis] = _changed(motions[axis], unit * steps, np.zeros(6))
     x, y, z = motions
     return replace(machine, motions=(x, y, z))
+
+
+@dataclass(frozen=True)
+class _Drifted:
+    """Error motion of an axis at the start, and its change since then."""
+
+    start: Motion
+    change: Waves
+
+    def at(self, share: np.ndarray) -> np.ndarray:
+        found: np.ndarray = self.start.at(share) + self.change.at(share)
+        return found
+
+
+def _changed(motion: Motion, amplitude: np.ndarray, slope: np.ndarray) -> Motion:
+    """Return the error motion after a change by waves of these amplitudes (6, k) and by slopes (6,)."""
+    if not isinstance(motion, _Drifted):
+        still = np.zeros((6, _WAVES))
+        wave = np.tile(np.arange(1.0, _WAVES + 1.0), (6, 1))
+        motion = _Drifted(motion, Waves(still, wave, 0.7 * wave + np.arange(6.0)[:, None], np.zeros(6)))
+    before = motion.change
+    return replace(motion, change=replace(before, amplitude=before.amplitude + amplitude, slope=before.slope + slope))
 
 
 @dataclass(frozen=True)
