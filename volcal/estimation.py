@@ -16,7 +16,7 @@ from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import StoredEstimate
 from twin.identification import Estimate, Options, identify_by_evidence, predicted_vce, residual_covariance
 from twin.identification import identify as identify_model
-from twin.identification.measured_shape import check_shape
+from twin.identification.checks.measured_shape import check_shape
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid

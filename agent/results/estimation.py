@@ -39,7 +39,7 @@ from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
 from twin.formats.estimate_file import VolumetricSection, format_estimate
 from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
-from twin.identification.measured_shape import check_shape
+from twin.identification.checks.measured_shape import check_shape
 from twin.identification.predicted import field_forms
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import evaluation_grid

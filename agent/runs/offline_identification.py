@@ -41,8 +41,8 @@ from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import certificate_document, parse_estimate
 from twin.identification import Options, process_noise
+from twin.identification.checks.measured_shape import check_shape
 from twin.identification.identify import accepted_rows
-from twin.identification.measured_shape import check_shape
 from twin.machine.machine_description import MachineDescription
 from twin.monitoring.night_fit import NightFit, compare_with_nights_before
 from twin.units import MM_PER_UM, UM_PER_MM

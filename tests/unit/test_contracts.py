@@ -34,6 +34,7 @@ OFFENCES = (
     Offence("agent-rooms", "agent/settings/load.py", "agent.runs.session"),
     Offence("agent-rooms", "agent/unlisted_room.py", "json"),
     Offence("twin-rooms", "twin/arrays.py", "twin.machine"),
+    Offence("identification-checks", "twin/identification/checks/outliers.py", "twin.identification.estimate"),
     Offence("service-rooms", "agent/service/state/archive.py", "agent.service.owner"),
     Offence("endpoints", "agent/service/gateway/__init__.py", "agent.service.opcua"),
     Offence("mathematics", "twin/arrays.py", "time"),

@@ -1,6 +1,6 @@
 """Identification of the error model that is used for compensation, from measured ball centres."""
 
-from twin.identification.certificate_check import BallCheck
+from twin.identification.checks.certificate_check import BallCheck
 from twin.identification.drift import DriftEstimate, DriftPrior, MachineDrift
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array
 from twin.identification.alternatives import Alternative
-from twin.identification.certificate_check import BallCheck, check_certificate
+from twin.identification.checks.certificate_check import BallCheck, check_certificate
 from twin.identification.drift import DriftEstimate
 from twin.identification.evidence import OrderEvidence, scales_at_bounds
 from twin.identification.misfit import MisfitModes

@@ -12,20 +12,20 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError, PositionError, SingularSet
 from twin.identification.alternatives import Alternative
+from twin.identification.checks.outliers import contradicting_rows, studentised_residuals
+from twin.identification.checks.slipped_position import Slip, slip_in
+from twin.identification.checks.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
 from twin.identification.distances import DistanceEquations
 from twin.identification.drift import DriftEstimate
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import PRIOR
 from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
-from twin.identification.outliers import contradicting_rows, studentised_residuals
 from twin.identification.poses import Poses, rigid_poses
 from twin.identification.prior_from_estimate import DriftFactor
 from twin.identification.problem import IdentificationProblem
 from twin.identification.roll import build_measured_problem, restrict_measured_problem
-from twin.identification.slipped_position import Slip, slip_in
 from twin.identification.solution import Solution, average_over_scales, solve
-from twin.identification.wrong_balls import WrongBallSearch, is_isolated, with_free_balls
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_population import Family
 from twin.units import UM_PER_MM

@@ -20,6 +20,7 @@ from dataclasses import replace
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError
+from twin.identification.checks.wrong_balls import with_free_balls
 from twin.identification.estimate import Estimate
 from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import accepted_rows_and_free_balls, identify_accepted
@@ -27,7 +28,6 @@ from twin.identification.normal import Scales
 from twin.identification.options import Options
 from twin.identification.roll import build_measured_problem
 from twin.identification.solution import log_evidence_and_scales
-from twin.identification.wrong_balls import with_free_balls
 from twin.machine.machine_population import Family
 
 ORDERS = tuple(range(3, 10))

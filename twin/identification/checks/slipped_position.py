@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from twin.arrays import Array
-from twin.identification.outliers import Rows, WhitenedResiduals
+from twin.identification.checks.outliers import Rows, WhitenedResiduals
 
 _MIN_BALLS = 3  # on each side: a smaller part has no more freedom as a body than as single balls
 _BETTER_THAN_BALLS = 1.5  # gain of the slip over that of the two worst balls

@@ -12,7 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from twin.identification.certificate_check import agreeing_balls, max_free_balls, prior_with_free_balls, worst_ball
+from twin.identification.checks.certificate_check import (
+    agreeing_balls,
+    max_free_balls,
+    prior_with_free_balls,
+    worst_ball,
+)
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem
 from twin.identification.solution import Solution, log_evidence_and_scales, solve

@@ -14,7 +14,7 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError, PositionError
-from twin.identification.outliers import Rows
+from twin.identification.checks.outliers import Rows
 from twin.identification.poses import RowLayout, rigid_poses
 from twin.identification.straight_lines import StraightLines
 from twin.units import UM_PER_MM
