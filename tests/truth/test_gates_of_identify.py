@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
@@ -14,7 +15,7 @@ from agent.cli.main import main
 
 ESTIMATE_ONLY = ["estimate.json", "report.html"]
 ALL = ["estimate.json", "report.html", "table.csv", "table.json"]
-POOR = {
+POOR: dict[str, dict[str, Any]] = {
     "S1 alone": {"orientations": S1},
     "S2 alone": {"orientations": S2},
     "two positions": {"orientations": S3[:2], "stations": STATIONS_MM[1:2]},

@@ -26,7 +26,6 @@ from twin.identification import Estimate, identify
 SEEDS = range(3)
 END = 10
 Vector = tuple[float, float, float]
-NO_ERROR = (0.0, 0.0, 0.0)
 
 
 def wrong_bar(bar: ForeignBar, errors_um: dict[int, Vector]) -> ForeignBar:
