@@ -111,13 +111,24 @@ def test_two_wrong_balls_are_both_named() -> None:
     assert gate(found).text.count("contradicts") == 2
 
 
-def test_a_wrong_ball_on_a_straight_bar_is_named() -> None:
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize("error_um", [(20.0, 0.0, 0.0), (0.0, 20.0, 0.0), (0.0, 0.0, 20.0)])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_wrong_ball_on_a_straight_bar_is_named(seed: int, error_um: Vector) -> None:
+    """The other balls are 5 µm off the line: the wrong one shows the roll best, but not where its certificate says."""
+    rng = np.random.default_rng(seed)
     machine, bar = foreign_machine(rng), straight_bar(rng, 0.005)
-    seen = measure(machine, wrong_bar(bar, {4: (0.0, 20.0, 0.0)}), S1 + S2 + S3, np.random.default_rng(100)).seen
+    noise = np.random.default_rng(seed + 100)
+    seen = measure(machine, wrong_bar(bar, {4: error_um}), S1 + S2 + S3, noise).seen
     found = fixed_order(bar.artefact, seen)
     assert found.rejected == ()
     assert "ball 4 contradicts" in gate(found).text
+    assert 1e3 * np.array(found.certificate_check[4].apparent_error_mm) == pytest.approx(error_um, abs=4.0)
+
+
+def test_a_freed_ball_leaves_the_prior_of_the_machine_as_it_was() -> None:
+    right, found = estimated(0, {}), estimated(0, {END: (20.0, 0.0, 0.0)})
+    assert found.free_balls == (END,)
+    assert found.scales.values == pytest.approx(right.scales.values, rel=0.1)
 
 
 def test_a_gross_error_of_one_row_is_no_wrong_certificate() -> None:

@@ -103,7 +103,7 @@ def identify_accepted(
     whole = build_measured_problem(family, observations, artefact, options)
     chosen = accepted[whole.layout.order]
     problem = whole if chosen.all() else restrict_measured_problem(whole, chosen, options)
-    return _estimate(whole, _RowSelection(with_free_balls(problem, free), chosen, None, free), options)
+    return _estimate(whole, _RowSelection(with_free_balls(problem, free, options), chosen, None, free), options)
 
 
 def _check_set(observations: Observations) -> None:
@@ -152,7 +152,7 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
                 continue
             free = search.free
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
-            return _RowSelection(with_free_balls(problem, free), accepted, solution if same else None, free)
+            return _RowSelection(solution.equations.problem, accepted, solution if same else None, free)
         if _is_plausible(solution):
             _check_unmoved(whole, accepted, slip_in(worst, residuals, options.false_alarm))
         accepted = accepted.copy()

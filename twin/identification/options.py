@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification.drift import DriftPrior
+from twin.identification.normal import Scales
 from twin.identification.prior_from_estimate import CarriedOverPrior
 
 Formulation = Literal["centres", "distances"]
@@ -68,6 +69,12 @@ class Options:
     temperature_standard_uncertainty_k: float | None = None
     drift: DriftPrior | None = None
     state_regressors: Array | None = None
+
+    @property
+    def start_scales(self) -> Scales:
+        """Scales (factors on standard deviations) with which an estimation of the scales starts. They are those of a
+        carried-over estimate, but 1 for the noise; without one, all are 1."""
+        return Scales() if self.carried_over is None else replace(self.carried_over.scales, noise=1.0)
 
     def __post_init__(self) -> None:
         _check_word("formulation", self.formulation, ("centres", "distances"))

@@ -59,7 +59,7 @@ def identify_by_evidence(
     seen = observations.select(accepted)
     evidence = {
         order: log_evidence_and_scales(
-            with_free_balls(build_measured_problem(family_of(order), seen, artefact, judged), free), judged
+            with_free_balls(build_measured_problem(family_of(order), seen, artefact, judged), free, judged), judged
         )
         for order in sorted(candidates)
     }

@@ -4,7 +4,9 @@ The distances of the balls from the line form a pattern u of a few micrometres i
 changes the pattern to u cos φ + (n × u) sin φ, where n is the direction of the line. Its two coefficients are therefore
 linear unknowns, valid for every angle and without a start value, and they are projected out of the equations together
 with the shift and the two tilts of the position. The estimated coefficients give the roll. The derivatives with respect
-to the errors of the certificate depend on the roll, so the poses are rolled and the estimate is repeated.
+to the errors of the certificate depend on the roll, and the pattern depends on these errors: a ball without a
+certificate may be farther off the line than all others. So the poses are rolled, the estimated errors are added to the
+pattern, and the estimate is repeated (Gauss-Newton iteration for the product of both).
 
 The errors of the machine are estimated in the same equations. This separates a pattern of the artefact, which is the
 same in all positions, from the straightness errors of the machine, which are as large.
@@ -12,7 +14,6 @@ same in all positions, from the straightness errors of the machine, which are as
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ def build_measured_problem(
 
     Raise DataError for a ball that the artefact does not have, or for an invalid prior.
     """
-    return with_estimated_roll(build_problem(family, observations, artefact, options), _start_scales(options))
+    return with_estimated_roll(build_problem(family, observations, artefact, options), options.start_scales)
 
 
 def restrict_measured_problem(
@@ -49,12 +50,7 @@ def restrict_measured_problem(
 
     The roll of straight artefacts is estimated again: a single ball that is far off determines it alone.
     """
-    return with_estimated_roll(whole.with_rows(accepted), _start_scales(options))
-
-
-def _start_scales(options: Options) -> Scales:
-    carried = options.carried_over
-    return Scales() if carried is None else replace(carried.scales, noise=1.0)
+    return with_estimated_roll(whole.with_rows(accepted), options.start_scales)
 
 
 def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> IdentificationProblem:
@@ -66,9 +62,9 @@ def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> Ident
     lines = problem.arms.lines
     if lines is None:
         return problem
-    rolled = np.zeros(problem.layout.positions)
+    rolled, local = np.zeros(problem.layout.positions), problem.local
     for _ in range(_MAX_ITERATIONS):
-        vector = _roll_vector(problem, lines, scales)
+        vector, local = _roll_vector(problem, lines, local, scales)
         # mode of the likelihood of both coefficients times a von Mises prior at the mount's roll; a well-seen pattern
         # (5 standard deviations or more) leaves the prior no weight, so that the start does not matter
         concentration = np.exp(-0.5 * np.linalg.norm(vector, axis=1))
@@ -89,10 +85,14 @@ def _rolled(problem: IdentificationProblem, turns: Array) -> Poses:
     return Poses(rotation, poses.translation + ((poses.rotation - rotation) @ middle)[:, :, 0])
 
 
-def _roll_vector(problem: IdentificationProblem, lines: StraightLines, scales: Scales) -> Array:
-    """Return the coefficients (K, 2) of the pattern u and of n × u in each position, divided by their variance."""
+def _roll_vector(
+    problem: IdentificationProblem, lines: StraightLines, local: Array, scales: Scales
+) -> tuple[Array, Array]:
+    """Return the coefficients (K, 2) of the pattern u and of n × u in each position, divided by their variance, and the
+    estimated ball centres (n, 3) in mm in the artefact's frame. The pattern u is that of the centres `local` (n, 3) of
+    the previous estimate."""
     layout, poses = problem.layout, problem.poses
-    pattern, size = _patterns(problem, lines)
+    pattern, size = _patterns(problem, lines, local)
     jacobian = np.zeros((layout.positions, layout.width, 3, 7))
     jacobian[..., :3] = np.eye(3)
     jacobian[..., 3:5] = problem.arms.rotation_columns(layout, poses, problem.local)[..., 1:]
@@ -112,13 +112,15 @@ def _roll_vector(problem: IdentificationProblem, lines: StraightLines, scales: S
     coefficients[:, 0] += size
     # coefficients of u / |u| have the variance v, so those of u itself divided by theirs are |u| / v times as large
     weight = np.divide(size, variance, out=np.zeros_like(size), where=size > 0.0)
-    return np.asarray(coefficients * weight[:, None])
+    errors = problem.nuisance.displacement(problem.observations.ball, z[problem.blocks.certificate], np.zeros(0))
+    return np.asarray(coefficients * weight[:, None]), problem.local + errors
 
 
-def _patterns(problem: IdentificationProblem, lines: StraightLines) -> tuple[Array, Array]:
-    """Return u / |u| and n × u / |u| (K, width, 3, 2) of each position, and the sizes |u| (K,) in mm."""
+def _patterns(problem: IdentificationProblem, lines: StraightLines, local: Array) -> tuple[Array, Array]:
+    """Return u / |u| and n × u / |u| (K, width, 3, 2) of each position with the ball centres `local` (n, 3) in mm, and
+    the sizes |u| (K,) in mm."""
     layout, arms = problem.layout, problem.arms
-    offset = (layout.pad(problem.local) - arms.middle[:, None, :]) * layout.present[:, :, None]
+    offset = (layout.pad(local) - arms.middle[:, None, :]) * layout.present[:, :, None]
     inside = offset @ lines.frame  # along the line, and the two distances from it
     lateral = problem.poses.rotation @ lines.frame[:, :, 1:]
     one = np.einsum("kwj,kij->kwi", inside[:, :, 1:], lateral)

@@ -64,7 +64,7 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
     equations = _equations(problem, formulation, unit_weights=False)
     precision = _precision(problem, equations.matrix, options)
     start, poses, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
-    scales = _start_scales(options)
+    scales = options.start_scales
     if options.estimate_scales:
         scales = most_likely_scales(start, precision, scales)
     posterior = Posterior.of(equations.matrix, precision, scales)
@@ -103,7 +103,7 @@ def log_evidence_and_scales(problem: IdentificationProblem, options: Options) ->
     equations = _equations(problem, "centres", unit_weights=False)
     normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
     precision = _precision(problem, equations.matrix, options)
-    scales = _start_scales(options)
+    scales = options.start_scales
     if options.estimate_scales:
         scales = most_likely_scales(normal, precision, scales)
     return log_evidence(normal, precision, scales), scales
@@ -121,13 +121,6 @@ def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[NormalEquatio
     sides = equations.problem.sides(z)
     right, square, poses = equations.right_side(z, sides, poses)
     return NormalEquations(equations.matrix, right, square, equations.rows), poses, sides
-
-
-def _start_scales(options: Options) -> Scales:
-    """Return the initial scales. If an estimate is carried over, its scales are used, but the scale of the noise is 1.
-    Otherwise all scales are 1."""
-    carried = options.carried_over
-    return Scales() if carried is None else replace(carried.scales, noise=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +161,7 @@ def _precision(problem: IdentificationProblem, matrix: Array, options: Options) 
     zero."""
     if options.use_prior:
         unknowns = problem.unknowns
-        free = options.estimate_scales and problem.known is None
+        free = options.estimate_scales and options.carried_over is None
         series = SeriesPrior.of(unknowns.model, unknowns.scale) if free else None
         return PriorPrecision(problem.blocks, problem.known, series)
     block = problem.blocks.parameters

@@ -20,14 +20,19 @@ from twin.identification.checks.certificate_check import (
 )
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem
+from twin.identification.roll import with_estimated_roll
 from twin.identification.solution import Solution, log_evidence_and_scales, solve
 
 
-def with_free_balls(problem: IdentificationProblem, balls: Sequence[int]) -> IdentificationProblem:
-    """Return the problem in which the certified centres of `balls` are left free."""
+def with_free_balls(problem: IdentificationProblem, balls: Sequence[int], options: Options) -> IdentificationProblem:
+    """Return the problem in which the certified centres of `balls` are left free.
+
+    The roll of straight artefacts is estimated again: a wrong centre far off the line determines it alone.
+    """
     if not balls:
         return problem
-    return replace(problem, known=prior_with_free_balls(problem.unknowns, problem.known, balls))
+    freed = replace(problem, known=prior_with_free_balls(problem.unknowns, problem.known, balls))
+    return with_estimated_roll(freed, options.start_scales)
 
 
 def is_isolated(balls: np.ndarray[Any, np.dtype[np.int64]]) -> bool:
@@ -46,7 +51,7 @@ class WrongBallSearch:
     bound: tuple[int, ...] = ()
 
     def solve(self, problem: IdentificationProblem) -> Solution:
-        return solve(with_free_balls(problem, self.free), self.options, "centres")
+        return solve(with_free_balls(problem, self.free, self.options), self.options, "centres")
 
     def found_in(self, problem: IdentificationProblem, solution: Solution) -> bool:
         """Free the ball that contradicts its certificate most in `solution`. Return False if there is none.
@@ -61,7 +66,7 @@ class WrongBallSearch:
         if wrong is None or wrong in self.bound:
             return False
         free = (*self.free, wrong)
-        trial = solve(with_free_balls(problem, free), self.options, "centres")
+        trial = solve(with_free_balls(problem, free, self.options), self.options, "centres")
         if worst_ball(unknowns, trial.z, trial.covariance, free) is not None:
             # a gross error distorts the scales and with them the test, but not the evidence
             free = (*self.free, self._likeliest(problem, wrong))
@@ -78,10 +83,12 @@ class WrongBallSearch:
     def _likeliest(self, problem: IdentificationProblem, wrong: int) -> int:
         """Return the certified ball whose centre, if it is left free as well, gives the largest evidence; `wrong` if
         there is no ball to compare."""
+
+        def evidence(ball: int) -> float:
+            freed = with_free_balls(problem, (*self.free, ball), self.options)
+            return log_evidence_and_scales(freed, self.options)[0]
+
         artefact = problem.unknowns.artefact
         closed = (*self.free, *self.bound, *artefact.uncertified)
-        return max(
-            (ball for ball in range(len(artefact.balls)) if ball not in closed),
-            key=lambda ball: log_evidence_and_scales(with_free_balls(problem, (*self.free, ball)), self.options)[0],
-            default=wrong,
-        )
+        candidates = (ball for ball in range(len(artefact.balls)) if ball not in closed)
+        return max(candidates, key=evidence, default=wrong)
