@@ -210,7 +210,7 @@ class RunJournal:
 
     def estimate(self, record: str) -> None:
         """Store an estimate of the machine's errors. `record` is the JSON text of the estimate file."""
-        if not self._recorded.consume("estimates", comparable_estimate(record)):
+        if not self._recorded.consume("estimates", *comparable_estimate(record)):
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:

@@ -92,15 +92,16 @@ def read_replay_log(reader: JournalReader, run: int) -> ReplayLog:
     )
 
 
-def comparable_estimate(estimate: str) -> str:
-    """Return the JSON text of an estimate without the time at which the estimate was written.
+def comparable_estimate(estimate: str) -> tuple[str, str]:
+    """Return the format of the estimate with the JSON text `estimate`, and the text without the time at which it was
+    written.
 
     The texts of two estimates are then equal if the estimates differ only in this time.
     """
     document: dict[str, Any] = json.loads(estimate)
     provenance: Mapping[str, Any] = document.get("provenance", {})
     timeless = {name: value for name, value in provenance.items() if name != "time"}
-    return json.dumps({**document, "provenance": timeless}, sort_keys=True)
+    return str(document.get("format", "")), json.dumps({**document, "provenance": timeless}, sort_keys=True)
 
 
 def _recorded(step: StepRow) -> RecordedStep:
@@ -120,7 +121,7 @@ def _entries(reader: JournalReader, run: int) -> dict[str, deque[tuple[str, ...]
         "balls": deque((ball.key, ball.record_text) for ball in reader.balls(run)),
         "events": deque((one.kind, one.record_text) for one in events if one.kind not in _PROCESS_EVENTS),
         "decisions": deque((one.kind, one.record_text) for one in decisions if one.kind not in _UNREPLAYED_DECISIONS),
-        "estimates": deque((comparable_estimate(text),) for text in reader.estimates(run)),
+        "estimates": deque(comparable_estimate(text) for text in reader.estimates(run)),
         "tables": deque((one.role, str(one.bank), "" if one.crc32 is None else str(one.crc32)) for one in tables),
     }
 

@@ -6,13 +6,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.execution.run_record import RunRecord
 from agent.results.decision_kinds import IDENTIFIED, INPUTS, OUTCOME
+from twin.errors import FormatError
+from twin.formats.estimate_file import FORMER_FORMAT, parse_estimate
 from twin.units import MICRO_UNITS
 
 STORED_DECISIONS = frozenset(
@@ -52,7 +56,8 @@ def machine_name(settings: Mapping[str, Any]) -> str:
 
 def run_rows(record: RunRecord) -> RunRows:
     estimate = None if record.estimate is None else json.loads(record.estimate)
-    return RunRows(_run(record, estimate), _parameters(estimate), _temperatures(record), _decisions(record))
+    parameters = _parameters(estimate, record.estimate)
+    return RunRows(_run(record, estimate), parameters, _temperatures(record), _decisions(record))
 
 
 def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -116,9 +121,16 @@ def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _parameters(estimate: Mapping[str, Any] | None) -> tuple[Mapping[str, Any], ...]:
+def _parameters(estimate: Mapping[str, Any] | None, text: str | None) -> tuple[Mapping[str, Any], ...]:
+    """Return one row for each parameter of the estimate.
+
+    Parameters of an earlier format are converted to the present error model, so that their series has no step. If they
+    cannot be converted, there are no rows.
+    """
+    if estimate is None or text is None:
+        return ()
     rows = []
-    for place, parameter in enumerate(() if estimate is None else estimate["parameters"]):
+    for place, parameter in enumerate(_present_parameters(estimate, text)):
         unit, factor = MICRO_UNITS[parameter["unit"]]
         rows.append(
             {
@@ -130,6 +142,23 @@ def _parameters(estimate: Mapping[str, Any] | None) -> tuple[Mapping[str, Any], 
             }
         )
     return tuple(rows)
+
+
+def _present_parameters(estimate: Mapping[str, Any], text: str) -> Sequence[Mapping[str, Any]]:
+    stored: Sequence[Mapping[str, Any]] = estimate["parameters"]
+    if estimate.get("format") != FORMER_FORMAT:
+        return stored
+    try:
+        known = parse_estimate(text, "estimate")
+    except FormatError:
+        return ()
+    if known.conversion is None:
+        return stored
+    deviations = np.sqrt(np.maximum(np.diagonal(known.covariance), 0.0))
+    return [
+        {**parameter, "value": value, "standard_uncertainty": deviation}
+        for parameter, value, deviation in zip(stored, known.parameters.tolist(), deviations.tolist(), strict=True)
+    ]
 
 
 def _temperatures(record: RunRecord) -> tuple[Mapping[str, Any], ...]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from agent.execution.run_record import RunRecord
+from agent.files import translated
 from agent.reports.journal_estimate import journal_estimate
 from agent.reports.night_facts import night_facts
 from agent.reports.page import (
@@ -130,7 +131,8 @@ def measured_positions(record: RunRecord) -> tuple[Position, ...]:
 
 
 def _stored(record: RunRecord) -> StoredEstimate:
-    return parse_estimate(record.estimate or "", f"estimate of run {record.run_id}")
+    with translated(InputError):
+        return parse_estimate(record.estimate or "", f"estimate of run {record.run_id}")
 
 
 def _gates(record: RunRecord) -> tuple[Gate, ...]:

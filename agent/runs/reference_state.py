@@ -21,11 +21,12 @@ from agent.execution.journal import RunJournal
 from agent.execution.journal_reader import ANY_RUN, has_journal, open_journal
 from agent.execution.journal_rows import DecisionRow
 from agent.execution.journal_schema import FILE_NAME
-from agent.files import write_atomically
+from agent.files import translated, write_atomically
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import TableImage
 from twin.arrays import Array
+from twin.errors import FormatError
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 from twin.units import S_PER_DAY
 
@@ -115,16 +116,10 @@ def read_reference(directory: Path, before_run: int = ANY_RUN) -> ReferenceState
     """Return the estimate and the table of the last accepted night among the runs with numbers below `before_run`; None
     if there is no such night.
 
-    Raises InputError if the journal cannot be read.
+    Raises InputError if the journal or the estimate in it cannot be read.
     """
-    decision, estimate = _accepted(directory, before_run)
-    if decision is None:
-        return None
-    source = f"estimate of run {decision.run_id} in {directory / FILE_NAME}"
-    if estimate is None:
-        raise InputError("the accepted run has no estimate", file=str(directory / FILE_NAME), run=decision.run_id)
-    accepted = AcceptedTable(**{**decision.record, "written": np.array(decision.record["written"], dtype=np.float64)})
-    return ReferenceState(decision.run_id, decision.at, accepted, parse_estimate(estimate, source))
+    with translated(InputError):
+        return _reference(directory, before_run)
 
 
 def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCalibrationNeed | None:
@@ -144,8 +139,12 @@ def full_calibration_need(directory: Path, before_run: int = ANY_RUN) -> FullCal
 
 def reference_for(job: Job, before_run: int = ANY_RUN) -> ReferenceState | None:
     """Return the estimate and the table of the last accepted night. The result is None if there is no accepted night,
-    or if that night does not belong to the job's machine, artefact and tool."""
-    reference = read_reference(job.settings.state_directory, before_run)
+    if that night does not belong to the job's machine, artefact and tool, or if its estimate was stored by an earlier
+    version in a format that cannot be used any more."""
+    try:
+        reference = _reference(job.settings.state_directory, before_run)
+    except FormatError:
+        return None
     return None if reference is None or mismatch(job, reference) else reference
 
 
@@ -190,6 +189,19 @@ def mismatch(job: Job, reference: ReferenceState) -> str:
     if accepted.artefact != settings.artefact.name or not known.unknowns.artefact.matches(job.artefact):
         return f"it was measured with artefact {accepted.artefact} as certified then"
     return ""
+
+
+def _reference(directory: Path, before_run: int) -> ReferenceState | None:
+    decision, estimate = _accepted(directory, before_run)
+    if decision is None:
+        return None
+    source = f"estimate of run {decision.run_id} in {directory / FILE_NAME}"
+    if estimate is None:
+        raise InputError("the accepted run has no estimate", file=str(directory / FILE_NAME), run=decision.run_id)
+    known = parse_estimate(estimate, source)
+    written = known.present_parameters(np.array(decision.record["written"], dtype=np.float64))
+    accepted = AcceptedTable(**{**decision.record, "written": written})
+    return ReferenceState(decision.run_id, decision.at, accepted, known)
 
 
 def _accepted(directory: Path, before_run: int) -> tuple[DecisionRow | None, str | None]:

@@ -16,6 +16,7 @@ from pydantic import Field
 
 from twin.arrays import Array
 from twin.errors import FormatError, TwinError
+from twin.formats.former_levers import conversion_of, convert_unknowns
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
@@ -26,6 +27,8 @@ from twin.machine.kinematic_chain import parse_chain
 from twin.units import MM_PER_UM, UM_PER_MM
 
 FORMAT = "volcal estimate 3"
+FORMER_FORMAT = "volcal estimate 2"
+"""Format of earlier versions, whose lever arms begin at the zeros of the axes."""
 _ASYMMETRY = 1e-9
 _INDEFINITE = 1e-6
 
@@ -115,7 +118,8 @@ class VolumetricSection(StrictModel):
 
 
 class EstimateFile(StrictModel):
-    """Content of an estimate file. A file of the format `volcal estimate 2` has no section `volumetric`."""
+    """Content of an estimate file. A file of the format `volcal estimate 2` has no section `volumetric`, and its
+    parameters belong to lever arms that begin at the zeros of the axes."""
 
     format: Literal["volcal estimate 2", "volcal estimate 3"]
     provenance: dict[str, str]
@@ -142,7 +146,11 @@ class EstimateFile(StrictModel):
 @dataclass(frozen=True, eq=False)
 class StoredEstimate:
     """Estimate of the errors of a machine as stored in a file. Its content is sufficient for building a compensation
-    table, for comparing estimates, and for use as the prior of the next estimate."""
+    table, for comparing estimates, and for use as the prior of the next estimate.
+
+    All values are those of the present error model, except in `document`, the content of the file. `conversion` (p, p)
+    is the matrix that was applied to the p parameters of a file of an earlier format, or None if they are as stored.
+    """
 
     model: ErrorModel
     parameters: Array
@@ -152,6 +160,12 @@ class StoredEstimate:
     z: Array
     z_covariance: Array
     document: EstimateFile
+    conversion: Array | None = None
+
+    def present_parameters(self, stored: Array) -> Array:
+        """Return the parameters (p,) of the present error model from others that were stored by the same version of the
+        software as this estimate."""
+        return stored if self.conversion is None else np.asarray(self.conversion @ stored)
 
     @property
     def certificate_check(self) -> tuple[BallCheck, ...]:
@@ -244,8 +258,11 @@ def _text(value: object) -> str:
 
 
 def parse_estimate(text: str, source: str) -> StoredEstimate:
-    """Return the stored estimate given as JSON text. Raise FormatError, which names `source` and the key, if the text
-    is invalid."""
+    """Return the stored estimate given as JSON text. The parameters of a file of an earlier format are converted to the
+    present error model.
+
+    Raise FormatError, which names `source` and the key, if the text is invalid or the parameters cannot be converted.
+    """
     document = read_json(text, source, EstimateFile)
     try:
         chain = parse_chain(document.model.chain)
@@ -256,15 +273,24 @@ def parse_estimate(text: str, source: str) -> StoredEstimate:
     _check_names(document, model, source)
     unknowns = read_unknowns(document.carried_over, model, source)
     z, z_covariance = read_moments(document.carried_over, unknowns.blocks.size, source)
+    parameters = np.array([parameter.value for parameter in document.parameters])
+    covariance = _covariance(document, source)
+    tool_offsets = np.array(document.tool_offsets_mm, dtype=np.float64)
+    conversion = conversion_of(model, tool_offsets, source) if document.format == FORMER_FORMAT else None
+    if conversion is not None:
+        parameters, covariance = conversion @ parameters, conversion @ covariance @ conversion.T
+        covariance = 0.5 * (covariance + covariance.T)
+        unknowns, z, z_covariance = convert_unknowns(unknowns, z, z_covariance, conversion, source)
     return StoredEstimate(
         model=model,
-        parameters=np.array([parameter.value for parameter in document.parameters]),
-        covariance=_covariance(document, source),
-        tool_offsets=np.array(document.tool_offsets_mm, dtype=np.float64),
+        parameters=parameters,
+        covariance=covariance,
+        tool_offsets=tool_offsets,
         unknowns=unknowns,
         z=z,
         z_covariance=z_covariance,
         document=document,
+        conversion=conversion,
     )
 
 

@@ -20,7 +20,7 @@ correlation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 
@@ -90,6 +90,15 @@ class MisfitModes:
         for component in range(3):
             modes[:, component] += candidates @ self.mixing[component]
         return modes
+
+    def with_removed(self, removed: Array) -> MisfitModes:
+        """Return modes from which the parts `removed` (p, q) of the model parameters are subtracted, and then the
+        rigid motion that fits the rest best over the workspace."""
+        points, weights = _quadrature(self.model, self.degrees)
+        bare = replace(self, removed=removed, rigid=np.zeros_like(self.rigid)).at(points)
+        motions, roots = _motions(self.model.ranges_mm, points), np.sqrt(weights)[:, None, None]
+        left, right = ((roots * one).reshape(3 * len(points), -1) for one in (motions, bare))
+        return replace(self, removed=removed, rigid=np.asarray(np.linalg.lstsq(left, right, rcond=None)[0]))
 
 
 @lru_cache(maxsize=16)

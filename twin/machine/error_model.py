@@ -7,17 +7,18 @@ by construction: all constants (order 0) and the slope of a straightness (order 
 
 The sign of each squareness is defined only here. In A0Z, for example, Z is the axis whose direction of travel is
 rotated from its nominal direction, and A means that the rotation is about X (B about Y, C about Z). The rotation is
-right-handed. To first order, the deviation d at the axis position y or z is therefore
+right-handed. Let y0 and z0 be the lower ends of the ranges of Y and Z. To first order, the deviation d at the axis
+position y or z is therefore
 
-    A0Z  z-travel, about X:  d = (0, -A0Z z, 0)
-    B0Z  z-travel, about Y:  d = (B0Z z, 0, 0)
-    C0Y  y-travel, about Z:  d = (-C0Y y, 0, 0)
+    A0Z  z-travel, about X:  d = (0, -A0Z (z - z0), 0)
+    B0Z  z-travel, about Y:  d = (B0Z (z - z0), 0, 0)
+    C0Y  y-travel, about Z:  d = (-C0Y (y - y0), 0, 0)
 
-A squareness rotates only the direction of travel, not the parts that the carriage carries.
+A squareness rotates only the direction of travel, not the parts that the carriage carries. The lever arms of the
+rotations contain the travel from the lower ends of the ranges too, so no parameter depends on the zeros of the axes.
 
 The cross-effect of column and ram (the ram's weight bends the column) is added to EYZ and EAZ. Let v = (y - y0)/Ly and
-w = (z - z0)/Lz, where y0 and z0 are the lower ends and Ly and Lz the lengths of the ranges of Y and Z. The terms of the
-cross-effect are
+w = (z - z0)/Lz, where Ly and Lz are the lengths of the ranges of Y and Z. The terms of the cross-effect are
 
     E_YZ(y, z) = (b0 + b1 w + b2 w²) v     b in mm
     E_AZ(y, z) = (c0 + c1 w) v             c in rad

@@ -3,12 +3,13 @@
 The deviation is the vector from the nominal to the actual position of the tool centre point, relative to the workpiece,
 in mm along the machine axes. The nominal position is the sum of the axis positions and the tool offset.
 
-The exact model is a product of homogeneous transforms, in the order from the workpiece to the tool. Let q be the axis
-position of an axis, and u its direction of travel, rotated by the squareness. EX, EY, EZ and EA, EB, EC are the error
-motions of the axis. An axis on the tool side contributes `Trans(q u) Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA)`. An axis
-on the workpiece side carries the workpiece. The error motions of such an axis are also errors of the tool relative to
-the workpiece, but they apply in a frame that travels with the carriage. An axis on the workpiece side therefore
-contributes `Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA) Trans(q u)`: the lever arm of its rotations contains its own travel.
+The exact model is a product of homogeneous transforms, in the order from the workpiece to the tool. Let q be the travel
+of an axis from the lower end of its range, and u its direction of travel, rotated by the squareness. EX, EY, EZ and EA,
+EB, EC are the error motions of the axis. An axis on the tool side contributes `Trans(q u) Trans(EX, EY, EZ) Rz(EC)
+Ry(EB) Rx(EA)`. An axis on the workpiece side carries the workpiece. The error motions of such an axis are also errors
+of the tool relative to the workpiece, but they apply in a frame that travels with the carriage. An axis on the
+workpiece side therefore contributes `Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA) Trans(q u)`: the lever arm of its rotations
+contains its own travel.
 """
 
 from __future__ import annotations
