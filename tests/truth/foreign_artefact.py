@@ -108,7 +108,7 @@ def measure(
             temperature = hall_c + 0.8 * math.sin(0.2 * number)
             grown = bar.true * (1.0 + bar.cte_per_k * (temperature - 20.0))
             place = np.array(station) + rng.normal(0.0, 2.0, 3)
-            points = place + grown @ _orientation(azimuth, elevation, roll).T
+            points = place + grown @ turned_bar(azimuth, elevation, roll).T
             found = machine.axis_positions_at(points)
             inside = ((found > LOW + _MARGIN_MM) & (found < HIGH - _MARGIN_MM)).all(axis=1)
             for ball in np.flatnonzero(inside).tolist():
@@ -132,7 +132,7 @@ def measure(
     return Measured(seen, np.array(rolls))
 
 
-def _orientation(azimuth: float, elevation: float, roll: float) -> np.ndarray:
+def turned_bar(azimuth: float, elevation: float, roll: float) -> np.ndarray:
     """Return the rotation (3, 3): first a roll about X, then the elevation (X upwards), then the azimuth about Z."""
     ca, sa, ce, se = math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.sin(elevation)
     cr, sr = math.cos(roll), math.sin(roll)

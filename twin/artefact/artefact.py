@@ -83,11 +83,16 @@ class Artefact:
         """Return the ball centres (N, 3) in mm in the artefact frame at a given temperature and elevation of the mount.
         Thermal expansion and gravity sag are included.
         """
-        # thermal expansion p (1 + α ΔT); gravity acts across the bar with cos(elevation)
-        stretched = self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c))
+        stretched = self.without_sag(temperature_c)
         if self.sag_mm:
+            # gravity acts across the bar with cos(elevation)
             stretched[:, 2] -= math.cos(elevation_rad) * self.droop_mm
         return stretched
+
+    def without_sag(self, temperature_c: float) -> Array:
+        """Return the ball centres (N, 3) in mm in the artefact frame at a given temperature, without gravity."""
+        # thermal expansion p (1 + α ΔT)
+        return np.asarray(self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c)))
 
 
 def ball_bar(

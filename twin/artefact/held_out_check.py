@@ -5,6 +5,12 @@ is fitted rigidly to the measured ball centres, so the comparison does not depen
 residual of this fit is a deviation of the machine plus noise. The covariance of the residuals is the sum of the
 covariances of the estimate, the stated model misfit (the errors that the model cannot represent), the calibrated ball
 centres and the touches.
+
+The balls of a straight artefact are some micrometres off a line, so deviations of the machine of the same size turn the
+fitted artefact about this line by any angle. Let u be the pattern of the certified distances from the line, and n × u
+the pattern turned by a right angle about the direction n of the line. At every roll the pattern is a combination of
+both. The test leaves out both, and its result therefore does not depend on the roll. Gravity bends the artefact
+downwards at every roll.
 """
 
 from __future__ import annotations
@@ -17,6 +23,7 @@ from numpy.typing import NDArray
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
+from twin.artefact.straight_line import line_frames
 from twin.errors import DataError
 
 Indices = NDArray[np.intp]
@@ -60,11 +67,9 @@ def held_out_residuals(observations: Observations, tool_points: Array, artefact:
     placed = np.zeros((observations.size, 3))
     freedom = 0
     for rows in _by_position(observations):
-        balls = _balls(observations, artefact, rows)
         if len(rows) < 3:
             raise DataError(f"a position with {len(rows)} balls cannot be placed", hint="three are needed")
-        rotation = _rotation(balls, tool_points[rows])
-        placed[rows] = (balls - balls.mean(axis=0)) @ rotation.T + tool_points[rows].mean(axis=0)
+        placed[rows] = _placed(observations, artefact, rows, tool_points[rows])
         freedom += 3 * len(rows) - 6
     residuals = tool_points - placed
     return HeldOutResiduals(placed, residuals, float(np.sqrt(3.0 / freedom * np.sum(residuals**2))), freedom)
@@ -91,7 +96,8 @@ def held_out_test(
         for row in rows:
             ball = int(observations.ball[row])
             rotations[3 * row : 3 * row + 3, 3 * ball : 3 * ball + 3] = rotation
-        bases.append(_pose_free_basis(result.placed_mm[rows], rows, n))
+        pattern = _pattern(observations, artefact, rows, rotation)
+        bases.append(_pose_free_basis(_motions(result.placed_mm[rows], pattern), rows, n))
     # Residuals in the subspace free of the poses: r = Bᵀe, C = Bᵀ(field + touches + R C_cert Rᵀ)B, χ² = rᵀC⁻¹r
     basis = np.concatenate(bases, axis=1)
     covariance = basis.T @ (total + rotations @ artefact.covariance @ rotations.T) @ basis
@@ -103,6 +109,20 @@ def held_out_test(
 
 def _by_position(observations: Observations) -> list[Indices]:
     return [np.flatnonzero(observations.position == k) for k in np.unique(observations.position)]
+
+
+def _placed(observations: Observations, artefact: Artefact, rows: Indices, points: Array) -> Array:
+    """Return the calibrated centres (m, 3) in mm of the balls of one position, fitted rigidly to the measured `points`
+    (m, 3)."""
+    balls, sag = _balls(observations, artefact, rows), np.zeros_like(points)
+    if artefact.sag_mm and line_frames(artefact)[int(observations.ball[rows[0]])] is not None:
+        # the roll of a straight artefact is unknown, but not the direction of gravity: down, across the line
+        numbers = observations.ball[rows]
+        along = np.linalg.svd(points - points.mean(axis=0))[2][0]
+        balls = artefact.without_sag(float(observations.temperature_c[rows].mean()))[numbers]
+        sag = artefact.droop_mm[numbers, None] * (along * along[2] - [0.0, 0.0, 1.0])
+    stiff = points - sag
+    return np.asarray((balls - balls.mean(axis=0)) @ _rotation(balls, stiff).T + stiff.mean(axis=0) + sag)
 
 
 def _balls(observations: Observations, artefact: Artefact, rows: Indices) -> Array:
@@ -119,17 +139,45 @@ def _rotation(balls: Array, points: Array) -> Array:
     return rotation
 
 
-def _pose_free_basis(placed: Array, rows: Indices, count: int) -> Array:
-    """Return orthonormal columns (3n, 3m - 6) orthogonal to all small rigid motions of the m balls of one position.
+def _pattern(observations: Observations, artefact: Artefact, rows: Indices, rotation: Array) -> Array | None:
+    """Return the patterns u and n × u (m, 3, 2) in mm of the m balls of one position in the workpiece frame, at the
+    roll of `rotation`. Return None if the artefact is not straight."""
+    numbers = observations.ball[rows]
+    frame = line_frames(artefact)[int(numbers[0])]
+    if frame is None:
+        return None
+    certified = artefact.balls[numbers]
+    lateral = (certified - certified.mean(axis=0)) @ frame[:, 1:]
+    # n × turns the first lateral direction into the second one, and that into minus the first one
+    turned = np.stack((-lateral[:, 1], lateral[:, 0]), axis=1)
+    return np.asarray(np.einsum("ik,mkp->mip", rotation @ frame[:, 1:], np.stack((lateral, turned), axis=2)))
+
+
+def _motions(placed: Array, pattern: Array | None) -> Array:
+    """Return the displacements (m, 3, k) of the m `placed` balls (m, 3) that the pose takes up: six small rigid
+    motions, or five of a straight artefact and its patterns u and n × u, of unit size."""
+    arms = placed - placed.mean(axis=0)
+    axes = np.eye(3)
+    if pattern is not None:
+        axes = np.linalg.svd(arms)[2][1:]  # across the line
+    motions = np.zeros((len(placed), 3, 3 + len(axes)))
+    motions[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    for number, axis in enumerate(axes):
+        motions[:, :, 3 + number] = np.cross(axis, arms) / max(float(np.abs(arms).max()), 1e-9)
+    if pattern is None:
+        return motions
+    size = float(np.linalg.norm(pattern[:, :, 0]))
+    return motions if size == 0.0 else np.concatenate((motions, pattern / size), axis=2)
+
+
+def _pose_free_basis(motions: Array, rows: Indices, count: int) -> Array:
+    """Return orthonormal columns (3n, 3m - k) orthogonal to the displacements `motions` (m, 3, k) of the m balls of one
+    position.
 
     n (`count`) is the number of all observed balls; `rows` are those of the position.
     """
-    arms = placed - placed.mean(axis=0)
-    motions = np.zeros((len(rows), 3, 6))
-    motions[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    for axis in range(3):
-        motions[:, :, 3 + axis] = np.cross(np.eye(3)[axis], arms) / max(float(np.abs(arms).max()), 1e-9)
-    full, _ = np.linalg.qr(motions.reshape(-1, 6), mode="complete")
-    basis = np.zeros((3 * count, 3 * len(rows) - 6))
-    basis[(3 * rows[:, None] + np.arange(3)).reshape(-1)] = full[:, 6:]
+    size = motions.shape[2]
+    full, _ = np.linalg.qr(motions.reshape(-1, size), mode="complete")
+    basis = np.zeros((3 * count, 3 * len(rows) - size))
+    basis[(3 * rows[:, None] + np.arange(3)).reshape(-1)] = full[:, size:]
     return basis

@@ -1,9 +1,4 @@
-"""Straight artefacts: balls so close to one line that the roll about it is hardly seen.
-
-The decision is taken once, by the certificate, and not by the measured points of each position. Noise and machine
-errors of some micrometres are as large as the distances of the balls from the line, so the measured points of
-neighbouring positions would give different answers.
-"""
+"""Positions of a measured set that hold a straight artefact, whose roll about its line is hardly seen."""
 
 from __future__ import annotations
 
@@ -14,8 +9,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-
-_STRAIGHT = 1e-3  # second over first singular value of the certified centres: 0.5 mm off the line on a bar of 1.5 m
+from twin.artefact.straight_line import line_frames
 
 Positions = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -35,9 +29,8 @@ class StraightLines:
     def of(cls, artefact: Artefact, balls: list[Positions]) -> StraightLines | None:
         """Return the straight positions, or None if there are none. `balls` contains the ball numbers of each
         position."""
-        members = np.array(artefact.members or (0,) * artefact.count)
-        frames = {int(member): _line_frame(artefact.balls[members == member]) for member in np.unique(members)}
-        found = [frames[int(members[numbers[0]])] for numbers in balls]
+        frames = line_frames(artefact)
+        found = [frames[int(numbers[0])] for numbers in balls]
         straight = np.array([frame is not None for frame in found])
         if not straight.any():
             return None
@@ -53,15 +46,3 @@ class StraightLines:
         other artefacts are the axes of the workpiece frame.
         """
         return np.where(self.straight[:, None, None], rotation @ self.frame, np.eye(3))
-
-
-def _line_frame(balls: Array) -> Array | None:
-    """Return the frame (3, 3) of the line on which the balls (N, 3) stand, or None if they do not stand on a line."""
-    offset = balls - balls.mean(axis=0)
-    weights, axes = np.linalg.svd(offset)[1:]
-    if len(weights) > 1 and weights[1] > _STRAIGHT * weights[0]:
-        return None
-    line = axes[0] * np.sign(axes[0, np.abs(axes[0]).argmax()])
-    lateral = np.cross(np.eye(3)[np.abs(line).argmin()], line)
-    lateral /= np.linalg.norm(lateral)
-    return np.column_stack((line, lateral, np.cross(line, lateral)))
