@@ -164,7 +164,7 @@ class IdentificationResult:
             "table_bank": None,
             "report": str(self.report),
             "chi2_normalised": estimate.chi2_normalised,
-            "rejected": [list(row) for row in estimate.rejected],
+            "rejected": [list(row) for row in self.material.balls.as_numbered(estimate.rejected)],
             "certificate": certificate_document(estimate.certificate_check),
             "gates": {gate.name: gate.passed for gate in self.gates},
             "night": None if self.material.night is None else night_document(self.material.night),
@@ -314,8 +314,10 @@ def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict
 
     marked = replace(result.estimation.table, gates_not_passed=result.failed)
     table = format_table(marked)
+    estimate = result.estimation.estimate
+    numbered = replace(estimate, rejected=result.material.balls.as_numbered(estimate.rejected))
     texts = {
-        "estimate.json": estimate_text(result.estimation, _provenance(result, request)),
+        "estimate.json": estimate_text(replace(result.estimation, estimate=numbered), _provenance(result, request)),
         "report.html": render_report(_report_data(result, request, checksum(table) if result.has_table else "")),
     }
     return texts | dict(zip(TABLE_FILES, (table, format_side_file(marked)), strict=True)) if result.has_table else texts
@@ -375,6 +377,7 @@ def _report_data(result: IdentificationResult, request: IdentificationRequest, c
             TableFacts.of(estimation.table, crc32) if result.has_table else None,
             result.thermometer,
             estimation.travel,
+            material.balls.numbers,
         ),
         gates=result.gates,
         warnings=(*_gate_notes(result), *_warnings(result, options)),

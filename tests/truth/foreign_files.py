@@ -38,16 +38,20 @@ def rows_of(seen: Observations, first_position: int = 1) -> list[Row]:
 
 @dataclass(frozen=True)
 class Folder:
-    """Folder with the files of a measurement; `run` writes the ball file and identifies."""
+    """Folder with the files of a measurement; `run` writes the ball file and identifies.
+
+    `low_mm` contains the lower ends of the axis ranges.
+    """
 
     path: Path
+    low_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def out(self) -> Path:
         return self.path / "out"
 
     def run(self, bar: ForeignBar, rows: list[Row], *options: str) -> Result:
-        (self.path / "machine.toml").write_text(machine_text())
+        (self.path / "machine.toml").write_text(machine_text(self.low_mm))
         (self.path / "bar.toml").write_text(bar_text(bar))
         lines = [",".join(COLUMNS), *(",".join(row[name] for name in COLUMNS) for row in rows)]
         balls = self.path / "balls.csv"
@@ -57,10 +61,10 @@ class Folder:
         return CliRunner().invoke(identify, arguments, prog_name="volcal identify")
 
 
-def machine_text() -> str:
+def machine_text(low_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> str:
     lines = ['name = "foreign"', f'chain = "{CHAIN}"']
-    for axis, (low, high) in zip("XYZ", RANGES, strict=True):
-        lines += [f"[axes.{axis}]", f"range_mm = [{low}, {high}]"]
+    for axis, (low, high), moved in zip("XYZ", RANGES, low_mm, strict=True):
+        lines += [f"[axes.{axis}]", f"range_mm = [{low + moved}, {high + moved}]"]
         lines += ["rapid_mm_per_min = 20000.0", "acceleration_mm_per_s2 = 500.0"]
     lines += ["[tools.probe]", f"offset_mm = {TOOL.tolist()}", "[model.family]"]
     return "\n".join(lines + [f"{name} = {value}" for name, value in AMPLITUDES.items()]) + "\n"

@@ -6,7 +6,7 @@ The columns x, y and z are axis positions; the tool offset is not added to them.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -65,6 +65,12 @@ class BallFile:
             yield
         except TwinError as error:
             raise self._renumbered(error) from None
+
+    def as_numbered(self, balls: Iterable[tuple[int, int, int]]) -> tuple[tuple[int, int, int], ...]:
+        """Return balls, each given by the index of its position, its ball number and the index of its tool, with the
+        position number in the file instead of the index."""
+        named = self.numbers or range(len(self.positions))
+        return tuple((named[position], ball, tool) for position, ball, tool in balls)
 
     def _renumbered(self, error: TwinError) -> TwinError:
         if self.numbers and isinstance(error, PositionError):

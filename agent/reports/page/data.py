@@ -191,7 +191,8 @@ class IdentificationData:
     `positions` is the list of positions to which the indices in `observations.position` refer. `residuals_mm` (n, 3)
     holds the residuals of the n observations, in the order of the observations. `thermometer` is the effect of the
     artefact's thermometer on the result, and `travel` the volumetric error inside and outside the measured region. Both
-    are None in a report on the journal of an earlier version.
+    are None in a report on the journal of an earlier version. `numbers` contains the number of each position in the
+    file of the ball centres; it is empty if they were not read from a file.
     """
 
     observations: Observations
@@ -202,6 +203,7 @@ class IdentificationData:
     table: TableFacts | None = None
     thermometer: ThermometerFacts | None = None
     travel: TravelParts | None = None
+    numbers: tuple[int, ...] = ()
 
     @classmethod
     def of(
@@ -213,9 +215,10 @@ class IdentificationData:
         table: TableFacts | None = None,
         thermometer: ThermometerFacts | None = None,
         travel: TravelParts | None = None,
+        numbers: tuple[int, ...] = (),
     ) -> Self:
         residuals = estimate.residuals_mm
-        return cls(observations, estimate, residuals, tuple(positions), volumetric, table, thermometer, travel)
+        return cls(observations, estimate, residuals, tuple(positions), volumetric, table, thermometer, travel, numbers)
 
 
 @dataclass(frozen=True)

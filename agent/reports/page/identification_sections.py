@@ -74,7 +74,8 @@ def rejected(identification: IdentificationData) -> Table | None:
         place = identification.positions[position]
         where = f"station {place.station}, azimuth {place.azimuth_deg:g}°, elevation {place.elevation_deg:g}°"
         residual = _residual_of(identification, position, ball, tool)
-        rows.append((str(position), where, str(ball), f"{residual:.1f}"))
+        number = identification.numbers[position] if identification.numbers else position
+        rows.append((str(number), where, str(ball), f"{residual:.1f}"))
     heads = ("position", "orientation", "ball", "residual / µm")
     return Table(heads, tuple(rows), ("position", "ball", "residual / µm"))
 
