@@ -48,7 +48,8 @@ def proof(
     points += field + rng.normal(0.0, NOISE_MM, points.shape)
     seen = observed(points, 30.0)
     result = held_out_residuals(seen, points, artefact)
-    return artefact, points, result, held_out_test(seen, result, artefact, np.kron(shapes @ shapes.T, np.eye(3)))
+    covariance = np.asarray(np.kron(shapes @ shapes.T, np.eye(3)), dtype=np.float64)
+    return artefact, points, result, held_out_test(seen, result, artefact, covariance)
 
 
 @pytest.mark.parametrize("sag_mm", [0.0, 0.010])
