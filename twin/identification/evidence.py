@@ -166,12 +166,9 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     variance = scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.information_vector
-    z = posterior.solve(right)
-    prior = precision.matrix(scales) if precision.known is not None else None
-    weighted_z = prior @ z if prior is not None else precision.diagonal(scales) * z
-    variances = posterior.variances if prior is None else np.diagonal(posterior.covariance)
+    z, variances = posterior.solve(right), posterior.variances
     diagonal = precision.diagonal(scales)
-    trace = float((variances * diagonal).sum()) if prior is None else float((prior * posterior.covariance).sum())
+    weighted_z, trace = diagonal * z, float(variances @ diagonal)
     # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
     value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
@@ -184,20 +181,25 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
 
 def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tuple[NormalEquations, PriorPrecision]:
     """Return the same equations and prior for unknowns in the principal axes of the stationary part of the error
-    motions, in which the prior precision is diagonal."""
-    series = precision.series
-    if series is None:
+    motions and of the joint prior, in which the prior precision is diagonal."""
+    series, known = precision.series, precision.known
+    if series is None and known is None:
         return normal, precision
     size = precision.blocks.size
-    rotation = series.rotation(size)
+    rotation, stationary = np.eye(size), precision.stationary
+    if series is not None:
+        rotation, stationary = series.rotation(size), series.principal_variances(size)
+    if known is not None:
+        known, axes = known.in_principal_axes()
+        rotation[:, known.members] = rotation[:, known.members] @ axes
     turned = replace(normal, matrix=rotation.T @ normal.matrix @ rotation, right=rotation.T @ normal.right)
-    return turned, replace(precision, series=None, stationary=series.principal_variances(size))
+    return turned, replace(precision, series=None, stationary=stationary, known=known)
 
 
 def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
     """Return the log determinant of the prior precision. The constant part that belongs to a carried-over prior is left
     out."""
-    diagonal = np.log(precision.diagonal(scales))
+    diagonal = precision.diagonal(scales)
     if precision.known is not None:
-        diagonal[precision.known.members] = 0.0
-    return float(diagonal.sum())
+        diagonal = diagonal[~precision.known.members]
+    return float(np.log(diagonal).sum())

@@ -91,6 +91,16 @@ class JointPrior:
         full[blocks.parameters, blocks.parameters] = precision
         return cls(members, full, np.zeros(blocks.size))
 
+    def in_principal_axes(self) -> tuple[JointPrior, Array]:
+        """Return the same prior for its m members in principal axes, in which the precision is diagonal, and these axes
+        as the columns of a rotation (m, m)."""
+        inside = np.ix_(self.members, self.members)
+        values, axes = np.linalg.eigh(self.precision[inside])
+        precision, information_vector = np.zeros_like(self.precision), np.zeros_like(self.information_vector)
+        precision[inside] = np.diag(np.maximum(values, 0.0))
+        information_vector[self.members] = axes.T @ self.information_vector[self.members]
+        return JointPrior(self.members, precision, information_vector), axes
+
 
 @dataclass(frozen=True, eq=False)
 class PriorPrecision:
@@ -137,8 +147,8 @@ class PriorPrecision:
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
-        """Return the diagonal (P,) of the prior precision as it would be for the given scales (factors on the prior
-        standard deviations) if no unknown had a joint prior."""
+        """Return the diagonal (P,) of the prior precision for the given scales (factors on the prior standard
+        deviations), without the stationary part unless the unknowns are in principal axes."""
         diagonal = np.ones(self.blocks.size)
         if self.stationary is None:
             diagonal[self.blocks.parameters] = scales.prior**-2
@@ -146,6 +156,8 @@ class PriorPrecision:
             diagonal /= np.where(self.is_parameter, scales.prior**2, 1.0) + scales.stationary**2 * self.stationary
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
             diagonal[kind] = scale**-2
+        if self.known is not None:
+            diagonal[self.known.members] = np.diagonal(self.known.precision)[self.known.members]
         return diagonal
 
     def times(self, matrix: Array, scales: Scales) -> Array:

@@ -94,16 +94,19 @@ def average_over_scales(solution: Solution) -> Solution:
     return replace(solution, z=z, covariance=covariance, poses=poses, sides=sides, chi2=chi2, alternatives=found)
 
 
-def log_evidence_and_scales(problem: IdentificationProblem, options: Options) -> tuple[float, Scales]:
+def log_evidence_and_scales(
+    problem: IdentificationProblem, options: Options, start: Scales | None = None
+) -> tuple[float, Scales]:
     """Return the log evidence (marginal likelihood) of the model in `problem` and the likeliest scales (factors on the
     standard deviations of noise, prior and misfit). Both are computed from ball centres weighted by their covariances.
 
-    Terms of the log evidence that depend only on the measured rows are omitted.
+    The estimation of the scales starts with `start` if it is given. Terms of the log evidence that depend only on the
+    measured rows are omitted.
     """
     equations = _equations(problem, "centres", unit_weights=False)
     normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
     precision = _precision(problem, equations.matrix, options)
-    scales = options.start_scales
+    scales = start or options.start_scales
     if options.estimate_scales:
         scales = most_likely_scales(normal, precision, scales)
     return log_evidence(normal, precision, scales), scales

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from twin.identification.evidence import most_likely_scales, negative_log_likelihood
+from twin.identification.evidence import in_principal_axes, most_likely_scales, negative_log_likelihood
 from twin.identification.normal import JointPrior, NormalEquations, PriorPrecision, Scales
 from twin.identification.unknowns import UnknownBlocks
 
@@ -52,10 +52,11 @@ def test_with_a_known_mean_and_covariance_too() -> None:
         total = noise**2 * np.eye(len(y)) + design @ spread @ design.T
         return -2.0 * float(multivariate_normal.logpdf(y, design[:, taken] @ mean, total))
 
-    ours = [negative_log_likelihood(normal, precision, Scales(noise, 2.0, 3.0))[0] for noise in (1.3, 0.8)]
+    turned = in_principal_axes(normal, precision)
+    ours = [negative_log_likelihood(*turned, Scales(noise, 2.0, 3.0))[0] for noise in (1.3, 0.8)]
     assert ours[0] - ours[1] == pytest.approx(dense(1.3) - dense(0.8), rel=1e-9)
-    gradient = negative_log_likelihood(normal, precision, Scales(1.3))[1][0]
-    up, down = (negative_log_likelihood(normal, precision, Scales(1.3 * np.exp(s)))[0] for s in (1e-5, -1e-5))
+    gradient = negative_log_likelihood(*turned, Scales(1.3))[1][0]
+    up, down = (negative_log_likelihood(*turned, Scales(1.3 * np.exp(s)))[0] for s in (1e-5, -1e-5))
     assert gradient == pytest.approx((up - down) / 2e-5, rel=1e-5)
     found = most_likely_scales(normal, precision, Scales(1.0, 2.0, 3.0))
     assert (found.prior, found.mixed) == (2.0, 3.0)
@@ -65,14 +66,13 @@ def test_with_a_known_mean_and_covariance_too() -> None:
 def test_gradient_is_that_of_differences(given: np.ndarray | None) -> None:
     _, _, normal = equations(2)
     precision = PriorPrecision(BLOCKS, None if given is None else JointPrior.at_zero(BLOCKS, given))
+    turned = in_principal_axes(normal, precision)
     at = np.log([1.3, 1.0 if given is not None else 0.7, 1.9, 0.6])
-    gradient = negative_log_likelihood(normal, precision, Scales(*np.exp(at)))[1]
+    gradient = negative_log_likelihood(*turned, Scales(*np.exp(at)))[1]
     for k in range(4) if given is None else (0, 2, 3):
         step = np.zeros(4)
         step[k] = 1e-5
-        up, down = (
-            negative_log_likelihood(normal, precision, Scales(*np.exp(at + sign * step)))[0] for sign in (1.0, -1.0)
-        )
+        up, down = (negative_log_likelihood(*turned, Scales(*np.exp(at + sign * step)))[0] for sign in (1.0, -1.0))
         assert gradient[k] == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-5)
 
 

@@ -18,6 +18,7 @@ from twin.identification.checks.certificate_check import (
     prior_with_free_balls,
     worst_ball,
 )
+from twin.identification.normal import Scales
 from twin.identification.options import Options
 from twin.identification.problem import IdentificationProblem
 from twin.identification.roll import with_estimated_roll
@@ -44,14 +45,22 @@ def is_isolated(balls: np.ndarray[Any, np.dtype[np.int64]]) -> bool:
 @dataclass
 class WrongBallSearch:
     """Search of one rejection of outliers. `free` contains the balls whose centres are left free so far; a ball in
-    `bound` was freed in vain and is not freed again."""
+    `bound` was freed in vain and is not freed again. `_last` is the solution that was computed last, with its problem
+    and its free balls."""
 
     options: Options
     free: tuple[int, ...] = ()
     bound: tuple[int, ...] = ()
+    _last: tuple[IdentificationProblem, tuple[int, ...], Solution] | None = None
 
     def solve(self, problem: IdentificationProblem) -> Solution:
-        return solve(with_free_balls(problem, self.free, self.options), self.options, "centres")
+        return self._solve(problem, self.free)
+
+    def _solve(self, problem: IdentificationProblem, free: tuple[int, ...]) -> Solution:
+        if self._last is None or self._last[0] is not problem or self._last[1] != free:
+            found = solve(with_free_balls(problem, free, self.options), self.options, "centres")
+            self._last = problem, free, found
+        return self._last[2]
 
     def found_in(self, problem: IdentificationProblem, solution: Solution) -> bool:
         """Free the ball that contradicts its certificate most in `solution`. Return False if there is none.
@@ -66,10 +75,10 @@ class WrongBallSearch:
         if wrong is None or wrong in self.bound:
             return False
         free = (*self.free, wrong)
-        trial = solve(with_free_balls(problem, free, self.options), self.options, "centres")
+        trial = self._solve(problem, free)
         if worst_ball(unknowns, trial.z, trial.covariance, free) is not None:
             # a gross error distorts the scales and with them the test, but not the evidence
-            free = (*self.free, self._likeliest(problem, wrong))
+            free = (*self.free, self._likeliest(problem, wrong, trial.scales))
         self.free = free
         return True
 
@@ -80,13 +89,13 @@ class WrongBallSearch:
         self.free = tuple(ball for ball in self.free if ball not in agreeing)
         return bool(agreeing)
 
-    def _likeliest(self, problem: IdentificationProblem, wrong: int) -> int:
+    def _likeliest(self, problem: IdentificationProblem, wrong: int, scales: Scales) -> int:
         """Return the certified ball whose centre, if it is left free as well, gives the largest evidence; `wrong` if
-        there is no ball to compare."""
+        there is no ball to compare. The estimation of the scales starts with `scales`, those of a similar problem."""
 
         def evidence(ball: int) -> float:
             freed = with_free_balls(problem, (*self.free, ball), self.options)
-            return log_evidence_and_scales(freed, self.options)[0]
+            return log_evidence_and_scales(freed, self.options, scales)[0]
 
         artefact = problem.unknowns.artefact
         closed = (*self.free, *self.bound, *artefact.uncertified)
