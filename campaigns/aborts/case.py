@@ -29,7 +29,7 @@ FORMER_TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full
 """Constant correction, active before the run. It must be active again afterwards. Its bank is not 0, because bank 0
 means no table.
 """
-POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
+POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n1,90,45\n"
 SCALE = 4.0
 """Scale of the machine's errors.
 
@@ -38,12 +38,12 @@ The new table then reduces the errors so much, and the gates are so wide, that e
 
 
 def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
-    """Return a job (prepared calibration) with two measured positions at one station and one held-out position, whose
+    """Return a job (prepared calibration) with three measured positions at one station and one held-out position, whose
     measurement tests the result.
 
     The settings do not say at which station the artefact stands, so the run asks the operator for it.
     """
-    listed = directory / "two-positions.csv"
+    listed = directory / "three-positions.csv"
     listed.write_text(POSITIONS)
     document = load_settings(CASE_STUDY).model_dump()
     changes: dict[str, dict[str, Any]] = {

@@ -44,8 +44,6 @@ at ``durable`` its result is durable.
 STATE = Path("state")
 """State directory. The path is relative, so that a process resumes a copied state by changing the working directory."""
 
-BALLS = (0, 2, 5, 8, 10)
-
 
 class Killed(BaseException):
     """Error raised by every operation that a killed process would no longer execute."""
@@ -198,28 +196,25 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
     """Write the files of a small case to `directory`, which must be the working directory; return the settings and the
     simulated machine.
 
-    The case has five balls, two measured positions and one held-out position. The machine's errors are so large and the
+    The case has three measured positions and one held-out position. The machine's errors are so large and the
     limits (gates) for a new compensation table so wide that the table is always written and verified.
     """
-    artefact = (SHIPPED_CONFIGURATION / "artefacts" / "ball-bar-1500.toml").read_text()
-    head, rows = artefact.split("balls = [\n")
-    lines = rows.splitlines()
-    (directory / "bar.toml").write_text(head + "balls = [\n" + "\n".join(lines[ball] for ball in BALLS) + "\n]\n")
-    (directory / "positions.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n")
+    (directory / "positions.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n1,90,45\n")
     machine = str(SHIPPED_CONFIGURATION / "machines" / "case-study.toml")
+    artefact = str(SHIPPED_CONFIGURATION / "artefacts" / "ball-bar-1500.toml")
     scenario = {
         "machine": machine,
-        "artefact": "bar.toml",
+        "artefact": artefact,
         "noise_by_step": True,
         "stations_mm": [[700.0, 1000.0, 750.0]],
         "mount": {"shaft_mm": 120.0},
-        "truth": {"scale": 12.0},
+        "truth": {"scale": 10.0},
         "temperatures": {"artefact_c": 20.5, "machine_c": 21.0, "ambient_c": 20.8},
     }
     roles = ("machine", "probe", "store", "thermometer", "operator", "mount")
     document = {
         "machine": machine,
-        "artefact": str(directory / "bar.toml"),
+        "artefact": artefact,
         "state_directory": str(STATE),
         "devices": {"twin": {"driver": "simulated", "options": scenario}},
         "roles": dict.fromkeys(roles, "twin"),
@@ -238,6 +233,7 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
             "max_chi2": 1e3,
             "allow_extrapolation": True,
         },
+        "identification": {"order": 4},
         "table": {"step_mm": [500.0, 325.0, 500.0]},
     }
     world = World(build_scenario(ScenarioDocument.model_validate(scenario), directory))

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from simulated import SHORT_SET
+
 from agent.execution.device_assembly import Devices, assemble
 from agent.execution.rig import Rig
 from agent.execution.run_state import Announcement
@@ -30,7 +32,6 @@ from simulators.world.world import World
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENARIO = CONFIG / "simulators" / "case-study.toml"
 PLACES_MM = [[700.0, 1000.0, 750.0], [1567.0, 1000.0, 750.0], [2433.0, 1000.0, 750.0], [3300.0, 1000.0, 750.0]]
-SHORT_SET = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 
 
 def document(state: Path, **sections: Any) -> dict[str, Any]:
@@ -57,8 +58,8 @@ def document(state: Path, **sections: Any) -> dict[str, Any]:
 
 
 def short_document(state: Path, **sections: Any) -> dict[str, Any]:
-    """Two positions at one station and one held out; a machine so bad, gates so wide, that all is let through."""
-    listed = state.parent / "two-positions.csv"
+    """Three positions at one station and one held out; a machine so bad, gates so wide, that all is let through."""
+    listed = state.parent / "three-positions.csv"
     listed.write_text(SHORT_SET)
     scenario = tomllib.loads(SCENARIO.read_text())
     scenario |= {name: str(SCENARIO.parent / scenario[name]) for name in ("machine", "artefact")}

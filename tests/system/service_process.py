@@ -16,11 +16,10 @@ from queue import SimpleQueue
 from typing import Any
 
 import httpx
-from simulated import COMMAND, CONFIG, PATIENCE_S, SCENARIO, configured, simulated, wait_for
+from simulated import COMMAND, CONFIG, PATIENCE_S, SCENARIO, SHORT_SET, configured, simulated, wait_for
 
-TWO_POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 SHORT = {
-    'position_set = "S3"': 'position_set = "two.csv"\nstations = [1]',
+    'position_set = "S3"': 'position_set = "short.csv"\nstations = [1]',
     "[verification]\nstations = [1, 4]": (
         "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3"
     ),
@@ -40,14 +39,14 @@ def simulator(directory: Path) -> Iterator[tuple[subprocess.Popen[bytes], dict[s
 
 
 def short_settings(ready: dict[str, Any], directory: Path, service: str = AT_ONCE) -> Path:
-    """Two positions and one held out at one station, gates open: a whole run is a few seconds."""
+    """Three positions and one held out at one station, gates open: a whole run is a few seconds."""
     path = configured(ready, directory)
     text = path.read_text()
     for former, now in SHORT.items():
         assert former in text
         text = text.replace(former, now)
     path.write_text(text + service)
-    (directory / "two.csv").write_text(TWO_POSITIONS)
+    (directory / "short.csv").write_text(SHORT_SET)
     return path
 
 

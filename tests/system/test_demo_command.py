@@ -1,4 +1,4 @@
-"""`volcal demo` over its real links: S3 at one station, what is proved let through."""
+"""`volcal demo` over its real links: a short set at one station, what is proved let through."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from simulated import SHORT_SET
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
@@ -20,13 +21,13 @@ KEYS = {
 
 
 def short_settings(directory: Path, shipped: str = "case-study.toml", more: Sequence[tuple[str, str]] = ()) -> Path:
-    """The shipped settings with three positions at one station, one of them held out; `more` is replaced besides."""
+    """The shipped settings with three positions at one station and one held out; `more` is replaced besides."""
     text = (CONFIG / shipped).read_text()
-    (directory / "two.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n")
+    (directory / "short.csv").write_text(SHORT_SET)
     for former, now in (
         ('"machines/', f'"{CONFIG}/machines/'),
         ('"artefacts/', f'"{CONFIG}/artefacts/'),
-        ('position_set = "S3"', f'position_set = "{directory / "two.csv"}"\nstations = [1]'),
+        ('position_set = "S3"', f'position_set = "{directory / "short.csv"}"\nstations = [1]'),
         ("[verification]\nstations = [1, 4]", "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
          "max_remaining_fraction = 1.0\nmax_chi2 = 1000.0"),
         ("[gates]", "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_chi2 = 1000.0"),
@@ -40,7 +41,7 @@ def short_settings(directory: Path, shipped: str = "case-study.toml", more: Sequ
 
 
 def bad_machine(directory: Path) -> Path:
-    """Four times the errors of the family: something that two positions can already better."""
+    """Four times the errors of the family: something that three positions can already better."""
     text = (CONFIG / "simulators" / "case-study.toml").read_text()
     for former, now in (("../machines/", f"{CONFIG}/machines/"), ("../artefacts/", f"{CONFIG}/artefacts/")):
         text = text.replace(former, now)
@@ -51,9 +52,6 @@ def bad_machine(directory: Path) -> Path:
 
 def demo(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "agent.cli.main", "demo", "--config", str(short_settings(directory))]
-    (directory / "two.csv").write_text(  # a set that can better the machine
-        "station,azimuth_deg,elevation_deg\n1,45,0\n1,-45,0\n1,0,45\n1,0,-45\n1,90,45\n1,90,-45\n"
-    )
     return subprocess.run(
         [*command, "--scenario", str(bad_machine(directory)), "--out", str(directory / "out"), *options],
         cwd=directory,
@@ -75,7 +73,7 @@ def test_demo_ends_with_one_json_object(tmp_path: Path) -> None:
     assert document["verified"] is True
     assert document["collisions"] == 0
     assert document["table_bank"] == 1
-    assert document["balls"] == 66
+    assert document["balls"] == 33
     assert document["true_ve_after_um"] < document["true_ve_before_um"]
     before, after = document["figures"]
     assert (before["figure"], after["figure"]) == ("ve_before", "vce_after")

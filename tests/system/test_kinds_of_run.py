@@ -32,7 +32,7 @@ from twin.formats.estimate_file import parse_estimate
 pytestmark = pytest.mark.timeout(300)
 
 COLLISION = {"night": 1, "collision_night": 1, "collision": {"B0Z": 120.0}}
-WIDE = {"slot_minutes": 30.0, "check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}
+NIGHTLY = {"slot_minutes": 30.0, "check_positions": 1}
 
 
 @dataclass
@@ -52,7 +52,7 @@ class Calibrated:
 def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Calibrated]:
     with memory_directory() as directory:
         state = Path(directory) / "state"
-        settings = short_document(state, nightly=WIDE, identification={"order": 4})
+        settings = short_document(state, nightly=NIGHTLY, identification={"order": 4})
         night = Night()
         first = night.run(settings, files=False)
         assert first.outcome.state is RunState.COMPLETE

@@ -38,7 +38,7 @@ from drivers.errors import InputError, LinkLost, NotActiveYet
 from drivers.roles import Activation, Permission, StoreLimits
 
 IN_A_BALL = ("touch_towards", 150)
-IN_THE_PROOF = ("touch_towards", 290)
+IN_THE_PROOF = ("touch_towards", 350)
 
 
 STATE = Path("state")
@@ -147,7 +147,7 @@ def test_measured_balls_are_not_measured_again(measuring: Broken) -> None:
 
 
 def test_a_file_that_has_changed_is_refused_by_name(lost_measuring, measuring: Broken) -> None:
-    positions = lost_measuring[0] / "two-positions.csv"
+    positions = lost_measuring[0] / "three-positions.csv"
     former = positions.read_text()
     positions.write_text(f"{former}1,90,0\n")
     try:
@@ -155,7 +155,7 @@ def test_a_file_that_has_changed_is_refused_by_name(lost_measuring, measuring: B
             measuring.resume()
     finally:
         positions.write_text(former)
-    assert refused.value.where["file"].endswith("two-positions.csv")
+    assert refused.value.where["file"].endswith("three-positions.csv")
     assert unfinished_run(STATE) is not None
 
 

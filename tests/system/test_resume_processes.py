@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from simulated import CONFIG, SCENARIO, balls_in, configured, simulated, wait_until
+from simulated import CONFIG, SCENARIO, SHORT_SET, balls_in, configured, simulated, wait_until
 from stored_run import stored_run
 
 BALLS_BEFORE_THE_KILL = 5
-POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 
 
 def short_case(directory: Path) -> tuple[Path, str]:
@@ -25,12 +24,12 @@ def short_case(directory: Path) -> tuple[Path, str]:
     assert tomllib.loads(text)["noise_by_step"] is True
     path = directory / "scenario.toml"
     path.write_text(text.replace("[truth]", "[truth]\nscale = 6.0"))
-    (directory / "positions.csv").write_text(POSITIONS)
+    (directory / "positions.csv").write_text(SHORT_SET)
     return path, str(directory / "positions.csv")
 
 
 def shortened(config: Path, positions: str) -> Path:
-    """The settings with two positions, one held out, and gates so wide that the table is written and proved."""
+    """The settings with three positions, one held out, and gates so wide that the table is written and proved."""
     text = config.read_text()
     for former, now in (
         ('position_set = "S3"', f'position_set = "{positions}"\nstations = [1]'),

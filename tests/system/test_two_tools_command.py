@@ -30,7 +30,7 @@ class Measured:
         balls = self.folder / f"{out}.csv"
         balls.write_text(as_csv(rows))
         files = ["--machine", self.folder / "m.toml", "--artefact", ARTEFACT_FILE, "--out", self.folder / out]
-        options = ["--order", "5", "--even-so", "--json", *more]
+        options = ["--order", "5", "--temperature-uncertainty", "0.1", "--json", *more]
         result = CliRunner().invoke(main, ["identify", str(balls), *map(str, files), *options])
         assert result.exit_code == 0, result.stderr
         return json.loads(result.stdout)

@@ -23,7 +23,7 @@ from drivers.roles import TableImage
 FORMER = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
 """A constant correction: what acted before must act afterwards, and it is not bank 0."""
 
-# Counted over the whole run: 64 touches prepare the probe, the set has 185, the proof another 60.
+# Counted over the whole run: 64 touches prepare the probe, the set has 245, the proof another 60.
 PLACES = [
     ("position", 2),
     ("active_bank", 1),
@@ -41,12 +41,12 @@ PLACES = [
     ("read_table", 2),
     ("activate", 1),
     ("active_bank", 2),
-    ("orient_to", 5),
-    ("touch_towards", 265),
-    ("touch_towards", 300),
+    ("orient_to", 6),
+    ("touch_towards", 325),
+    ("touch_towards", 360),
 ]
-FEW = [place for place in PLACES if place[0] in ("position", "stage", "activate") or place[1] in (2, 30, 265)]
-AFTER_ACTIVATION = {("active_bank", 2), ("orient_to", 5), ("touch_towards", 265), ("touch_towards", 300)}
+FEW = [place for place in PLACES if place[0] in ("position", "stage", "activate") or place[1] in (2, 30, 325)]
+AFTER_ACTIVATION = {("active_bank", 2), ("orient_to", 6), ("touch_towards", 325), ("touch_towards", 360)}
 
 
 class Tripwire:
@@ -227,7 +227,7 @@ def test_table_that_reads_back_differently_is_never_activated(broken: Broken, mo
     assert night.active == 0
 
 
-@pytest.mark.parametrize("place", [("touch_towards", 30), ("activate", 1), ("touch_towards", 265)], ids=place_name)
+@pytest.mark.parametrize("place", [("touch_towards", 30), ("activate", 1), ("touch_towards", 325)], ids=place_name)
 def test_full_disk_stops_the_run_and_the_table_is_as_it_was_all_the_same(
     broken: Broken, monkeypatch, place: tuple[str, int]
 ) -> None:
@@ -254,7 +254,7 @@ def test_door_that_opened_during_the_proof_does_not_keep_the_new_table(broken: B
         assert world is not None
         world.controller.fail("door opened")
 
-    ended = broken.run(Tripwire, ("touch_towards", 265), open_door)
+    ended = broken.run(Tripwire, ("touch_towards", 325), open_door)
     assert ended.outcome.state is RunState.FAULTED
     assert (broken.night.active, broken.former_acts) == (1, True)
     assert "restore/reset" in [step.key for step in stored_run(broken.state).steps]
