@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from foreign_artefact import STATIONS_MM, ForeignBar, Measured, measure, tilted_bar
-from foreign_machine import CHAIN, RANGES, TOOL, ForeignMachine, aligned_rms_um, foreign_machine, grid
-from foreign_score import AMPLITUDES
 from scipy.interpolate import RegularGridInterpolator
+
+from campaigns.foreign.artefact import STATIONS_MM, ForeignBar, Measured, measure, tilted_bar
+from campaigns.foreign.machine import CHAIN, RANGES, TOOL, ForeignMachine, aligned_rms_um, foreign_machine, grid
+from campaigns.foreign.score import AMPLITUDES
 
 HEADS = "position,station,azimuth_deg,elevation_deg,tool,ball,x_mm,y_mm,z_mm,sigma_um,temperature_c"
 

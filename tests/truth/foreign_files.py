@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from click.testing import CliRunner, Result
-from foreign_artefact import CERTIFICATE_MM, CTE_PER_K, CTE_UNCERTAINTY_PER_K, ForeignBar
-from foreign_machine import CHAIN, RANGES, TOOL
-from foreign_score import AMPLITUDES
 
 from agent.cli.identify import identify
+from campaigns.foreign.artefact import CERTIFICATE_MM, CTE_PER_K, CTE_UNCERTAINTY_PER_K, ForeignBar
+from campaigns.foreign.machine import CHAIN, RANGES, TOOL
+from campaigns.foreign.score import AMPLITUDES
 from twin.artefact.observations import Observations
 
 COLUMNS = (

@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-from foreign_artefact import CERTIFICATE_MM, CTE_PER_K, CTE_UNCERTAINTY_PER_K, NOISE_MM, ForeignBar
 
+from campaigns.foreign.artefact import CERTIFICATE_MM, CTE_PER_K, CTE_UNCERTAINTY_PER_K, NOISE_MM, ForeignBar
 from twin.artefact.observations import Observations
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -13,7 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from foreign_nights import (
+from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text
+
+from agent.cli.identify import identify
+from campaigns.foreign.nights import (
     NIGHTS,
     STATED_UM,
     STEP_NIGHT,
@@ -26,9 +29,6 @@ from foreign_nights import (
     season,
     straightness_steps,
 )
-from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text
-
-from agent.cli.identify import identify
 from twin.formats.estimate_file import format_estimate, parse_estimate
 
 WINDOW = 10

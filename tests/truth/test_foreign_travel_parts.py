@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from foreign_artefact import S3, measure, tilted_bar
-from foreign_machine import TOOL, foreign_machine
-from foreign_score import family_of
 
 from agent.results.travel_parts import TravelPart, TravelParts
 from agent.results.travel_summary import travel_parts
+from campaigns.foreign.artefact import S3, measure, tilted_bar
+from campaigns.foreign.machine import TOOL, foreign_machine
+from campaigns.foreign.score import family_of
 from twin.compensation.table import MeasuredRegion
 from twin.identification import Options, identify_by_evidence, predicted_vce
 from twin.machine.forward_model import exact_deviation

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
-from foreign_artefact import S1, S2, S3, STATIONS_MM
 from foreign_case_files import Case, written_case
 
 from agent.cli.main import main
+from campaigns.foreign.artefact import S1, S2, S3, STATIONS_MM
 
 ESTIMATE_ONLY = ["estimate.json", "report.html"]
 ALL = ["estimate.json", "report.html", "table.csv", "table.json"]

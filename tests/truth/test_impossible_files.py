@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
 from foreign_files import Folder, Row, rows_of
-from foreign_machine import TOOL, foreign_machine
+
+from campaigns.foreign.artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.machine import TOOL, foreign_machine
 
 Bars = dict[str, tuple[ForeignBar, list[Row]]]
 MAKERS: dict[str, Callable[[np.random.Generator], ForeignBar]] = {

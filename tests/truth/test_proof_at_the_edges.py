@@ -9,11 +9,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from foreign_artefact import S3, measure, tilted_bar
-from foreign_machine import TOOL, ForeignMachine, foreign_machine
-from foreign_score import family_of
 
 from agent.planning.case_file import CASE_STUDY, load_case
+from campaigns.foreign.artefact import S3, measure, tilted_bar
+from campaigns.foreign.machine import TOOL, ForeignMachine, foreign_machine
+from campaigns.foreign.score import family_of
 from twin.artefact.held_out_check import HeldOutTest, held_out_residuals, held_out_test
 from twin.artefact.position_set import Position
 from twin.identification import identify_by_evidence, residual_covariance

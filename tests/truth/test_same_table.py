@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_artefact import S3, ForeignBar, measure, tilted_bar
+from campaigns.foreign.artefact import S3, ForeignBar, measure, tilted_bar
 from foreign_files import Folder, Row, rows_of
-from foreign_machine import foreign_machine
+from campaigns.foreign.machine import foreign_machine
 
 from twin.machine.rigid_motion import rigid_fields
 

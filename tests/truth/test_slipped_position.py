@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
 from foreign_files import Folder, rows_of
-from foreign_machine import foreign_machine
-from foreign_score import family_of
 
+from campaigns.foreign.artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.machine import foreign_machine
+from campaigns.foreign.score import family_of
 from twin.artefact.observations import Observations
 from twin.errors import PositionError, TwinError
 from twin.identification import Options

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from foreign_artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar, turned_bar
-from foreign_machine import foreign_machine
-from foreign_score import Score, family_of, score
 
+from campaigns.foreign.artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar, turned_bar
+from campaigns.foreign.machine import foreign_machine
+from campaigns.foreign.score import Score, family_of, score
 from twin.identification import Options
 from twin.identification.roll import build_measured_problem
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from foreign_artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
-from foreign_machine import TOOL, ForeignMachine, aligned_rms_um, foreign_machine
-from foreign_score import GRID, score
 from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text, settings_text
 
 from agent.cli.identify import identify
+from campaigns.foreign.artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.machine import ForeignMachine, GRID, TOOL, aligned_rms_um, foreign_machine
+from campaigns.foreign.score import score
 from twin.artefact.observations import Observations
 from twin.formats.estimate_file import parse_estimate
 from twin.identification import Options, predicted_vce

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from foreign_artefact import S1, S3, STATIONS_MM, measure, tilted_bar
-from foreign_machine import RANGES, TOOL, foreign_machine
-from foreign_score import score
 from scipy import stats
 
+from campaigns.foreign.artefact import S1, S3, STATIONS_MM, measure, tilted_bar
+from campaigns.foreign.machine import RANGES, TOOL, foreign_machine
+from campaigns.foreign.score import score
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 from twin.uncertainty.volumetric_distribution import volumetric_distributions

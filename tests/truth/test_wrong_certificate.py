@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from foreign_artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
-from foreign_machine import foreign_machine
-from foreign_score import Score, family_of, score
 from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text
 
 from agent.cli.main import main
 from agent.results.gates import Gate, certificate_gate
 from agent.settings.schema import GateSettings
+from campaigns.foreign.artefact import S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.machine import foreign_machine
+from campaigns.foreign.score import Score, family_of, score
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.formats.artefact_file import parse_artefact

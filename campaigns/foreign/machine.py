@@ -165,6 +165,9 @@ def grid(counts: tuple[int, int, int] = (20, 10, 10)) -> np.ndarray:
     return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+GRID = grid()
+
+
 def aligned_rms_um(points: np.ndarray, field: np.ndarray) -> float:
     """Return the rms in µm of the length of vectors (n, 3) in mm, after the best small rigid motion is removed."""
     arms = (points - points.mean(axis=0)) / 1000.0

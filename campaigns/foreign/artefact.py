@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from foreign_machine import HIGH, LOW, TOOL, ForeignMachine
 
+from campaigns.foreign.machine import HIGH, LOW, TOOL, ForeignMachine
 from twin.artefact.artefact import Artefact
 from twin.artefact.certificate import with_uncertified
 from twin.artefact.observations import Observations
@@ -92,20 +92,44 @@ def measure(
     thermometer_error_k: float = 0.0,
     stations: Sequence[Sequence[float]] = STATIONS_MM,
 ) -> Measured:
-    """Measure the bar at each station in each orientation (azimuth, elevation) in degrees.
+    """Measure the bar at each station in each orientation (azimuth, elevation) in degrees, as `measure_at` does."""
+    places = [(station, orientations) for station in stations]
+    conditions = Conditions(clamping_roll_rad, hall_c, thermometer_error_k)
+    return measure_at(machine, bar, places, rng, conditions)
 
-    The roll of the bar in its clamp is drawn at each station, unless `clamping_roll_rad` gives it. The mount misses
-    every angle by some tenths of a degree and every place by some millimetres. The bar is within 0.8 K of `hall_c`.
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions of a measurement: the roll of the bar in its clamp, drawn at each station if it is None, the
+    temperature of the hall in °C, and the error of the thermometer in K."""
+
+    clamping_roll_rad: float | None = None
+    hall_c: float = 20.0
+    thermometer_error_k: float = 0.0
+
+
+def measure_at(
+    machine: ForeignMachine,
+    bar: ForeignBar,
+    places: Sequence[tuple[Sequence[float], Sequence[tuple[float, float]]]],
+    rng: np.random.Generator,
+    conditions: Conditions = Conditions(),
+) -> Measured:
+    """Measure the bar at each of `places`: a station (3,) in mm, and its orientations (azimuth, elevation) in degrees.
+
+    The mount misses every angle by some tenths of a degree and every place by some millimetres. The bar is within 0.8 K
+    of the temperature of the hall.
     """
     rows: list[tuple[float, ...]] = []
     rolls: list[float] = []
-    for station in stations:
-        clamped = rng.uniform(-np.pi, np.pi) if clamping_roll_rad is None else clamping_roll_rad
+    for station, orientations in places:
+        given = conditions.clamping_roll_rad
+        clamped = rng.uniform(-np.pi, np.pi) if given is None else given
         for azimuth_deg, elevation_deg in orientations:
             number = len(rolls)
             roll = clamped + rng.normal(0.0, 0.005)
             azimuth, elevation = np.radians([azimuth_deg, elevation_deg]) + rng.normal(0.0, 0.003, 2)
-            temperature = hall_c + 0.8 * math.sin(0.2 * number)
+            temperature = conditions.hall_c + 0.8 * math.sin(0.2 * number)
             grown = bar.true * (1.0 + bar.cte_per_k * (temperature - 20.0))
             place = np.array(station) + rng.normal(0.0, 2.0, 3)
             points = place + grown @ turned_bar(azimuth, elevation, roll).T
@@ -113,7 +137,7 @@ def measure(
             inside = ((found > LOW + _MARGIN_MM) & (found < HIGH - _MARGIN_MM)).all(axis=1)
             for ball in np.flatnonzero(inside).tolist():
                 touched = found[ball] + rng.normal(0.0, NOISE_MM, 3)
-                read = temperature + thermometer_error_k
+                read = temperature + conditions.thermometer_error_k
                 rows.append((number, ball, *np.radians([azimuth_deg, elevation_deg]), read, *touched))
             rolls.append(roll)
     table = np.array(rows)

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from foreign_artefact import S3, STATIONS_MM, ForeignBar, measure, tilted_bar
-from foreign_machine import TOOL, ForeignMachine, Motion, Waves, aligned_rms_um, foreign_machine
-from foreign_score import GRID, family_of
 
+from campaigns.foreign.artefact import S3, STATIONS_MM, ForeignBar, measure, tilted_bar
+from campaigns.foreign.machine import ForeignMachine, GRID, Motion, TOOL, Waves, aligned_rms_um, foreign_machine
+from campaigns.foreign.score import family_of
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify, predicted_vce, process_noise
 from twin.identification.identify import accepted_rows

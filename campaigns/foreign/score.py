@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from foreign_artefact import ForeignBar
-from foreign_machine import CHAIN, RANGES, TOOL, ForeignMachine, aligned_rms_um, grid
 
+from campaigns.foreign.artefact import ForeignBar
+from campaigns.foreign.machine import CHAIN, GRID, RANGES, TOOL, ForeignMachine, aligned_rms_um
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify_by_evidence, predicted_vce
@@ -24,7 +24,6 @@ AMPLITUDES: dict[str, float | list[float]] = {
     "cross_displacement_um": 4.5,
     "cross_rotation_urad": 3.0,
 }
-GRID = grid()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,69 @@
+"""One foreign machine, measured and identified, and its true errors compared with what the program states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, aligned_rms_um
+from twin.identification import Estimate
+from twin.machine.forward_model import exact_deviation
+from twin.uncertainty.coverage import FieldError
+from twin.uncertainty.volumetric_distribution import volumetric_distributions
+from twin.uncertainty.volumetric_limits import volumetric_limits
+
+NOMINAL = 0.95
+_POINTS, _JOINT = 100, 12
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """True errors of a machine, and the statements of the program about them.
+
+    `before_um` is the true volumetric error (VE), `after_um` the true volumetric error with compensation (VCE), and
+    `predicted_um` the predicted one, all after the best rigid motion is removed. `ve_held` and `vce_held` are True if
+    the stated 95 % limits contain the true value. `ve_rank` and `vce_rank` are the probabilities of a smaller value
+    than the true one, according to the program. `field_held` is the share of the components of the error at 100 random
+    points that their 95 % intervals contain, and `joint_held` is True if the joint 95 % region of 12 of these points
+    contains all their components.
+    """
+
+    before_um: float
+    after_um: float
+    predicted_um: float
+    ve_held: bool
+    vce_held: bool
+    ve_rank: float
+    vce_rank: float
+    field_held: float
+    joint_held: bool
+
+    @property
+    def ratio(self) -> float:
+        """True over predicted error with compensation."""
+        return self.after_um / self.predicted_um
+
+
+def judge(machine: ForeignMachine, estimate: Estimate, rng: np.random.Generator) -> Judgement:
+    """Compare `estimate` with the truth over the whole travel of the machine."""
+    truth = machine.deviation(GRID)
+    left = truth - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
+    before_um, after_um = aligned_rms_um(GRID + TOOL, truth), aligned_rms_um(GRID + TOOL, left)
+    limits = volumetric_limits(estimate, GRID, TOOL)
+    stated = volumetric_distributions(estimate, GRID, TOOL)
+    low, high = np.array(machine.ranges).T
+    points = rng.uniform(low, high, (_POINTS, 3))
+    levels = FieldError.of(estimate, machine, points).pointwise_levels()
+    joint = FieldError.of(estimate, machine, points[:_JOINT]).joint_level()
+    return Judgement(
+        before_um=before_um,
+        after_um=after_um,
+        predicted_um=limits.expected_vce_um,
+        ve_held=limits.ve_um[0] <= before_um <= limits.ve_um[1],
+        vce_held=limits.vce_um[0] <= after_um <= limits.vce_um[1],
+        ve_rank=stated.ve.aligned.at_most((1e-3 * before_um) ** 2),
+        vce_rank=stated.vce.aligned.at_most((1e-3 * after_um) ** 2),
+        field_held=float((levels <= NOMINAL).mean()),
+        joint_held=joint <= NOMINAL,
+    )
