@@ -60,7 +60,7 @@ def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEs
         chi2_normalised=document.chi2_normalised,
         degrees_of_freedom=document.degrees_of_freedom,
         rejected=tuple((row.position, row.ball, row.tool) for row in document.rejected),
-        scales=Scales(**document.scales.model_dump()),
+        scales=document.scales.scales,
         rank=document.rank,
         conditioning=document.conditioning,
         null_summary=document.null_summary,

@@ -163,4 +163,4 @@ def turned_bar(azimuth: float, elevation: float, roll: float) -> np.ndarray:
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     about_y = np.array([[ce, 0.0, -se], [0.0, 1.0, 0.0], [se, 0.0, ce]])
     about_z = np.array([[ca, -sa, 0.0], [sa, ca, 0.0], [0.0, 0.0, 1.0]])
-    return about_z @ about_y @ about_x
+    return np.asarray(about_z @ about_y @ about_x)

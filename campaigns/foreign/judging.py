@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, aligned_rms_um
-from twin.identification import Estimate
+from twin.identification import Estimate, predicted_vce
 from twin.machine.forward_model import exact_deviation
 from twin.uncertainty.coverage import FieldError
 from twin.uncertainty.volumetric_distribution import volumetric_distributions
@@ -59,7 +59,7 @@ def judge(machine: ForeignMachine, estimate: Estimate, rng: np.random.Generator)
     return Judgement(
         before_um=before_um,
         after_um=after_um,
-        predicted_um=limits.expected_vce_um,
+        predicted_um=predicted_vce(estimate, GRID, TOOL).aligned_um,
         ve_held=limits.ve_um[0] <= before_um <= limits.ve_um[1],
         vce_held=limits.vce_um[0] <= after_um <= limits.vce_um[1],
         ve_rank=stated.ve.aligned.at_most((1e-3 * before_um) ** 2),

@@ -20,6 +20,8 @@ LOW, HIGH = np.array(RANGES).T
 _TERMS = 9
 _JOINTS = 7
 KINDS = (0.15, 0.15, 0.15, 0.55)
+"""Probabilities of waves, power series, rails and Legendre series."""
+KIND_NAMES = ("waves", "powers", "rails", "polynomials")
 _LINEAR_MM, _ANGULAR_RAD, _SQUARE_RAD = 6.0e-3, 5.0e-6, 7.0e-6
 
 
@@ -43,7 +45,8 @@ class Waves:
 
     def at(self, share: np.ndarray) -> np.ndarray:
         angle = np.pi * self.wave[None] * share[:, None, None] + self.phase[None]
-        return (self.amplitude[None] * np.sin(angle)).sum(axis=2) + self.slope * (share[:, None] - 0.5)
+        found: np.ndarray = (self.amplitude[None] * np.sin(angle)).sum(axis=2) + self.slope * (share[:, None] - 0.5)
+        return found
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,8 @@ class Polynomials:
 
     def at(self, share: np.ndarray) -> np.ndarray:
         constant = np.zeros((6, 1))
-        return np.polynomial.legendre.legval(2.0 * share - 1.0, np.hstack((constant, self.coefficients)).T).T
+        series = np.hstack((constant, self.coefficients)).T
+        return np.asarray(np.polynomial.legendre.legval(2.0 * share - 1.0, series)).T
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ class Powers:
     def at(self, share: np.ndarray) -> np.ndarray:
         argument = (share - self.centre) / max(self.centre, 1.0 - self.centre)
         powers = argument[:, None] ** np.arange(1, self.coefficients.shape[1] + 1)
-        return powers @ self.coefficients.T
+        return np.asarray(powers @ self.coefficients.T)
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,14 @@ class ForeignMachine:
     bending: np.ndarray
     ranges: tuple[tuple[float, float], ...] = RANGES
     worse: float = 1.0
+    motion_kinds: tuple[str, str, str] = ("", "", "")
 
-    def deviation(self, axis_positions: np.ndarray) -> np.ndarray:
+    @property
+    def tool_offset(self) -> np.ndarray:
+        """Vector (3,) in mm from the reference point of the ram to the tool centre point."""
+        return TOOL
+
+    def deviation(self, axis_positions: np.ndarray, /) -> np.ndarray:
         """Return the position of the tool point minus the nominal one, (n, 3) in mm."""
         low, high = np.array(self.ranges).T
         share = (axis_positions - low) / (high - low)
@@ -107,7 +117,7 @@ class ForeignMachine:
             travel = axis_positions[:, axis, None] - low[axis]
             point = _turned(found[:, 3:], point) + travel * directions[axis] + found[:, :3]
         nominal = axis_positions - low + TOOL
-        return point - nominal + self.worse * self._bent(share)
+        return np.asarray(point - nominal + self.worse * self._bent(share))
 
     def _bent(self, share: np.ndarray) -> np.ndarray:
         """Return the deflection (n, 3) in mm of ram and column."""
@@ -120,7 +130,7 @@ class ForeignMachine:
 
     def axis_positions_at(self, points: np.ndarray) -> np.ndarray:
         """Return the axis positions (n, 3) at which the real tool point stands at workpiece points (n, 3)."""
-        found = points - TOOL
+        found: np.ndarray = points - TOOL
         for _ in range(8):
             found = points - TOOL - self.deviation(found)
         return found
@@ -128,10 +138,10 @@ class ForeignMachine:
 
 def foreign_machine(rng: np.random.Generator, worse: float = 1.0) -> ForeignMachine:
     """Draw a machine. Its error field is multiplied by `worse`."""
-    motions = tuple(_motion(rng) for _ in range(3))
-    x, y, z = motions
+    x, y, z = (_motion(rng) for _ in range(3))
     bending = np.array([rng.uniform(3.0, 9.0), rng.uniform(1.4, 3.0), *rng.normal(0.0, [5.0, 4.0, 3.0, 1.5])])
-    return ForeignMachine((x, y, z), rng.normal(0.0, _SQUARE_RAD, 3), bending, worse=worse)
+    kinds = (type(x).__name__.lower(), type(y).__name__.lower(), type(z).__name__.lower())
+    return ForeignMachine((x, y, z), rng.normal(0.0, _SQUARE_RAD, 3), bending, worse=worse, motion_kinds=kinds)
 
 
 def _motion(rng: np.random.Generator) -> Motion:

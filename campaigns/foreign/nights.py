@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from campaigns.foreign.artefact import S3, STATIONS_MM, ForeignBar, measure, tilted_bar
-from campaigns.foreign.machine import ForeignMachine, GRID, Motion, TOOL, Waves, aligned_rms_um, foreign_machine
+from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, Motion, Waves, aligned_rms_um, foreign_machine
 from campaigns.foreign.score import family_of
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify, predicted_vce, process_noise
@@ -35,6 +35,11 @@ def straightness_steps(machine: ForeignMachine, night: int, rng: np.random.Gener
     bent = np.zeros((6, _WAVES))
     bent[1, 1] = _STEP_MM  # straightness of X along Y, one wave over the travel
     return replace(walked, motions=(_changed(x, bent, np.zeros(6)), y, z))
+
+
+def walk(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
+    """Let the error motions of all axes walk, by 0.5 µm a night."""
+    return _walked(machine, 0.5, rng, (0, 1, 2))
 
 
 def season(machine: ForeignMachine, night: int, rng: np.random.Generator) -> ForeignMachine:
@@ -90,10 +95,11 @@ def _changed(motion: Motion, amplitude: np.ndarray, slope: np.ndarray) -> Motion
 
 @dataclass(frozen=True)
 class NightScore:
-    """One night: its estimate, its comparison with the nights before, and the true and the predicted error in µm that
-    the estimate leaves after the best rigid motion is removed."""
+    """One night: the machine of this night, its estimate, its comparison with the nights before, and the true and the
+    predicted error in µm that the estimate leaves after the best rigid motion is removed."""
 
     number: int
+    machine: ForeignMachine
     estimate: Estimate
     fit: NightFit
     true_um: float
@@ -125,9 +131,11 @@ def measured_nights(change: Change, count: int, seed: int = SEED) -> Iterator[Me
         yield MeasuredNight(machine, bar, measure(machine, bar, orientations, rng, stations=stations).seen)
 
 
-def fused_nights(change: Change, count: int = NIGHTS, stated_um: float = STATED_UM) -> list[NightScore]:
+def fused_nights(
+    change: Change, count: int = NIGHTS, stated_um: float = STATED_UM, seed: int = SEED
+) -> list[NightScore]:
     """Fuse each night with those before, as the program does, and compare every estimate with the truth."""
-    nights = measured_nights(change, count)
+    nights = measured_nights(change, count, seed)
     first = next(nights)
     estimate = identify(FAMILY.model, first.seen, first.bar.artefact, FAMILY)
     noise = process_noise(FAMILY, 1e-3 * stated_um, TOOL)
@@ -137,7 +145,8 @@ def fused_nights(change: Change, count: int = NIGHTS, stated_um: float = STATED_
         accepted = seen.select(accepted_rows(FAMILY, seen, artefact, Options()))
         fit = compare_with_nights_before(FAMILY, accepted, artefact, estimate.carried_over(), noise)
         estimate = identify(FAMILY.model, seen, artefact, FAMILY, Options(carried_over=fit.prior))
-        scores.append(NightScore(number, estimate, fit, true_error_um(night.machine, estimate), predicted_um(estimate)))
+        true_um = true_error_um(night.machine, estimate)
+        scores.append(NightScore(number, night.machine, estimate, fit, true_um, predicted_um(estimate)))
     return scores
 
 

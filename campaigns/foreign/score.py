@@ -72,4 +72,4 @@ def score(
 def turned_about_the_bar(points: np.ndarray, angle_rad: float) -> np.ndarray:
     """Return points (n, 3) turned about the X axis."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return points @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+    return np.asarray(points @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]))

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns.foreign.artefact import S3, ForeignBar, measure, tilted_bar
 from foreign_files import Folder, Row, rows_of
-from campaigns.foreign.machine import foreign_machine
 
+from campaigns.foreign.artefact import S3, ForeignBar, measure, tilted_bar
+from campaigns.foreign.machine import foreign_machine
 from twin.machine.rigid_motion import rigid_fields
 
 COORDINATES = ("x_mm", "y_mm", "z_mm")

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from campaigns.foreign.artefact import NOISE_MM, straight_bar, turned_bar
 
+from campaigns.foreign.artefact import NOISE_MM, straight_bar, turned_bar
 from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals, held_out_test
 from twin.artefact.observations import Observations

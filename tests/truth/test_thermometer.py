@@ -14,7 +14,7 @@ from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text, se
 
 from agent.cli.identify import identify
 from campaigns.foreign.artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
-from campaigns.foreign.machine import ForeignMachine, GRID, TOOL, aligned_rms_um, foreign_machine
+from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, aligned_rms_um, foreign_machine
 from campaigns.foreign.score import score
 from twin.artefact.observations import Observations
 from twin.formats.estimate_file import parse_estimate

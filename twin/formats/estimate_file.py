@@ -62,6 +62,9 @@ class NullDirectionSection(StrictModel):
 
 
 class ScalesSection(StrictModel):
+    """Estimated scales. In files of older versions, `prior` also applies to the error motions and `independent` is
+    absent."""
+
     noise: float
     prior: float
     mixed: float
@@ -69,6 +72,12 @@ class ScalesSection(StrictModel):
     waves_y: float
     waves_z: float
     stationary: float = 1.0
+    independent: float | None = None
+
+    @property
+    def scales(self) -> Scales:
+        values = self.model_dump()
+        return Scales(**{**values, "independent": self.prior if self.independent is None else self.independent})
 
 
 class RejectedBallSection(StrictModel):
@@ -178,7 +187,7 @@ class StoredEstimate:
     def carried_over(self) -> CarriedOverPrior:
         """Return this estimate as the prior of a later estimate, without process noise: the machine is assumed not to
         have changed in between. Raise DataError if the covariance is singular."""
-        scales = Scales(**self.document.scales.model_dump())
+        scales = self.document.scales.scales
         factor = DriftFactor(**self.document.carried_over.drift_factor.model_dump())
         freedom = self.document.degrees_of_freedom
         return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, scales, factor, freedom)

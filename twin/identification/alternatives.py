@@ -25,6 +25,8 @@ from twin.arrays import Array
 from twin.identification.evidence import SCALE_PRIORS, free_scales, log_scale_precision
 from twin.identification.normal import Posterior, PriorPrecision, Scales
 
+_STATIONARY = 6  # number of the scale of the stationary part in `Scales.values`
+
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
@@ -72,7 +74,7 @@ def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
 
 
 def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Scales, rows: int) -> Array:
-    """Return the covariance (7, 7) of the log scales. A scale that applies to no unknown has its prior variance."""
+    """Return the covariance (8, 8) of the log scales. A scale that applies to no unknown has its prior variance."""
     # D C: share of each unknown that comes from the prior; AᵀV⁻¹A = D - D C D; σ² AᵀV⁻²A = D C D - D C D C D
     kept = precision.times(posterior.covariance, scales)
     measured = precision.times(np.eye(len(kept)) - kept.T, scales)
@@ -88,10 +90,12 @@ def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Sca
         change = 2.0 * scales.stationary**2 * series.kernel
         through = np.zeros_like(measured)
         series.put_product(change, measured, through)
-        information[0, 6] = information[6, 0] = 0.5 * float(np.vdot(series.parts(noisy), change))
-        information[6, 6] = 0.25 * float(np.vdot(through.T, through))
+        information[0, _STATIONARY] = information[_STATIONARY, 0] = 0.5 * float(np.vdot(series.parts(noisy), change))
+        information[_STATIONARY, _STATIONARY] = 0.25 * float(np.vdot(through.T, through))
         # diagonal of G ∂Σ G for the symmetric G = D - D C D
-        information[1:6, 6] = information[6, 1:6] = 0.25 * changes[:5] @ np.einsum("ij,ij->j", measured, through)
+        others = np.flatnonzero(np.arange(len(changes)) != _STATIONARY - 1)
+        both = 0.25 * changes[others] @ np.einsum("ij,ij->j", measured, through)
+        information[others + 1, _STATIONARY] = information[_STATIONARY, others + 1] = both
     return np.asarray(np.linalg.inv(2.0 * information + log_scale_precision()))
 
 

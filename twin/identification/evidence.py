@@ -65,11 +65,12 @@ class ScalePrior:
 NOISE = ScalePrior(3.0, 0.3, 10.0)
 PRIOR = ScalePrior(30.0, 0.01, 100.0)  # nearly flat: a machine may be ten times better or worse than its family
 MISFIT = ScalePrior(3.0, 0.003, 300.0)
-STATIONARY = ScalePrior(3.0, 0.003, 300.0)
-SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS), STATIONARY)
+MOTION = ScalePrior(3.0, 0.003, 300.0)
+SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS), MOTION, MOTION)
 """Priors of the scales, in the order of `Scales.values`. The median is 1 for noise and parameter prior. For a kind of
-misfit it is the scale of the parameter prior: a machine that is ten times worse also bends ten times as much."""
-_NAMES = ("touch noise", "family prior", *MISFIT_KINDS, "stationary errors")
+misfit and for both parts of the error motions it is the scale of the parameter prior: a machine that is ten times worse
+also bends ten times as much."""
+_NAMES = ("touch noise", "family prior", *MISFIT_KINDS, "stationary errors", "independent errors")
 _BOUND_TOLERANCE = 1e-3  # distance of a log scale from its bound below which it counts as reached
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 
@@ -120,8 +121,8 @@ def free_scales(precision: PriorPrecision) -> list[bool]:
     scale or if the scale applies to no unknown, and True otherwise."""
     kinds = [precision.has_free_scale(block) for block in precision.blocks.kinds]
     kinds += [False] * (len(MISFIT_KINDS) - len(kinds))
-    stationary = precision.series is not None or precision.stationary is not None
-    return [True, precision.has_free_scale(precision.blocks.parameters), *kinds, stationary]
+    series = precision.series is not None or precision.principal is not None
+    return [True, precision.has_free_scale(precision.blocks.parameters), *kinds, series, series]
 
 
 def _scales(logs: Array, free: list[bool], others: Scales) -> Scales:
@@ -146,20 +147,21 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
 
 @cache
 def log_scale_precision() -> Array:
-    """Return the precision (7, 7) of the joint normal prior of the log scales, whose mean is zero.
+    """Return the precision (8, 8) of the joint normal prior of the log scales, whose mean is zero.
 
-    The log scale of each kind of misfit is distributed about that of the parameter prior.
+    The log scales of the kinds of misfit and of both parts of the error motions are distributed about that of the
+    parameter prior.
     """
     rows = np.eye(len(SCALE_PRIORS))
-    rows[2:, 1] = -1.0  # kinds of misfit and stationary part
+    rows[2:, 1] = -1.0  # kinds of misfit, parts of the error motions
     rows /= np.array([prior.log_deviation for prior in SCALE_PRIORS])[:, None]
     return np.asarray(rows.T @ rows)
 
 
 def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:
-    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (7,) with respect to the
+    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives (8,) with respect to the
     logarithms of the scales: the factors on the standard deviations of the touch noise, of the parameter prior, of the
-    four kinds of misfit and of the stationary part of the error motions.
+    four kinds of misfit, of the stationary part of the error motions and of their independent coefficients.
 
     The prior precision must be diagonal: see `in_principal_axes`.
     """
@@ -186,14 +188,14 @@ def in_principal_axes(normal: NormalEquations, precision: PriorPrecision) -> tup
     if series is None and known is None:
         return normal, precision
     size = precision.blocks.size
-    rotation, stationary = np.eye(size), precision.stationary
+    rotation, principal = np.eye(size), precision.principal
     if series is not None:
-        rotation, stationary = series.rotation(size), series.principal_variances(size)
+        rotation, principal = series.rotation(size), series.in_principal_axes(size)
     if known is not None:
         known, axes = known.in_principal_axes()
         rotation[:, known.members] = rotation[:, known.members] @ axes
     turned = replace(normal, matrix=rotation.T @ normal.matrix @ rotation, right=rotation.T @ normal.right)
-    return turned, replace(precision, series=None, stationary=stationary, known=known)
+    return turned, replace(precision, series=None, principal=principal, known=known)
 
 
 def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:

@@ -8,8 +8,9 @@ of another axis.
 
 The mixed terms and the waves along each of the three axes are the four kinds of misfit. Each kind has its own scale
 (estimated factor on its prior standard deviation), because a machine that bends strongly need not have wavy rails, and
-one bad rail does not make the other rails bad. Within a kind, the prior standard deviations fall with increasing order,
-as the prior standard deviations of the model parameters do.
+one bad rail does not make the other rails bad. The prior standard deviations of the mixed terms fall with increasing
+order, as those of the model parameters do. The waves are the high orders of errors that are stationary along the axis
+(`stationary_kernel`): their coefficients are correlated, and the waves are no larger at the ends than in the middle.
 
 The part of the misfit that the model or a rigid motion can represent is removed by least squares over the workspace. An
 error that the model can explain is therefore not also explained by the misfit. The rest is condensed to its leading
@@ -19,7 +20,7 @@ correlation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -27,6 +28,7 @@ from itertools import product
 import numpy as np
 
 from twin.arrays import Array
+from twin.identification.stationary_kernel import projected_kernel
 from twin.machine.error_model import ErrorModel, Ranges
 from twin.machine.forward_model import deviation_basis
 from twin.machine.legendre import legendre_values, normalise_positions
@@ -38,7 +40,7 @@ MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1
 _MIXED_DEGREE = 6
 _ORDERS_BEYOND = 8
 _MIXED_DECAY = 0.75  # factor on the prior standard deviation per degree
-_WAVE_DECAY = 0.85  # factor on the prior standard deviation per order; rail waves decay more slowly than the series
+_WAVE_LENGTH = 1.0  # correlation length of the waves on the axis normalised to [-1, 1], as for the error motions
 _LEVER_AMPLITUDE = 0.4  # amplitude of a wave with a lever relative to one without
 _MAX_MODES = (17, 12, 12, 12)  # by kind; the remainder is small enough to be treated as uncorrelated
 _CHUNK = 1000  # points whose basis is held in memory at a time
@@ -46,7 +48,6 @@ _EQUAL = 1e-6  # relative difference of eigenvalues that counts as none
 _DEPENDENT = 1e-10  # of the largest eigenvalue: combinations of parameters that do not change the field
 
 Degrees = tuple[int, int, int]
-Weights = dict[Degrees, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,13 +108,13 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
     model can represent for a tool with the offset `tool_offset` in mm is removed."""
     offset = np.array(tool_offset)
     kinds = _kinds(model)
-    degrees = tuple(degree for kind in kinds for degree in kind)
-    deviations = np.array([weight for kind in kinds for weight in kind.values()])
+    degrees = tuple(degree for kind in kinds for degree in kind.degrees)
     represented = _Represented.build(model, offset, degrees)
     parts, at = [], 0
     for kind, share, most in zip(kinds, MISFIT_KINDS.values(), _MAX_MODES, strict=True):
-        parts.append(_condense(represented, slice(at, at + len(kind)), deviations, share, most))
-        at += len(kind)
+        chosen = slice(at, at + len(kind.degrees))
+        parts.append(_condense(represented, chosen, kind.factor, share, most))
+        at = chosen.stop
     mixing = np.concatenate([part.mixing for part in parts], axis=2)
     removed = represented.share(mixing)
     return MisfitModes(
@@ -165,13 +166,13 @@ class _Represented:
         contained = np.tensordot(self.common, mixing, axes=((0, 2), (0, 1)))
         return np.asarray(self.inverse @ contained)
 
-    def left(self, chosen: slice, deviations: Array) -> Array:
-        """Return the Gram matrix (3m, 3m) of the m `chosen` candidates, multiplied by `deviations` (m,), after the
-        represented part has been removed."""
-        common = np.concatenate([part[:, chosen] * deviations for part in self.common], axis=1)
-        own = np.tile(self.squares[chosen] * deviations**2, 3)
+    def left(self, chosen: slice, factor: Array) -> Array:
+        """Return the Gram matrix (3m, 3m) of the m combinations of the `chosen` candidates that are the columns of
+        `factor` (m, m), after the represented part has been removed."""
+        common = np.concatenate([part[:, chosen] @ factor for part in self.common], axis=1)
+        own = factor.T @ (self.squares[chosen, None] * factor)
         # residual of a least-squares projection on the known fields G: CᵀC - CᵀG (GᵀG)⁻¹ GᵀC
-        return np.asarray(np.diag(own) - common.T @ self.inverse @ common)
+        return np.asarray(np.kron(np.eye(3), own) - common.T @ self.inverse @ common)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,46 +187,55 @@ class _KindModes:
     left_out: float
 
 
-def _condense(represented: _Represented, chosen: slice, deviations: Array, share: float, most: int) -> _KindModes:
-    own = deviations[chosen]
-    rising, vectors = np.linalg.eigh(represented.left(chosen, own))
+def _condense(represented: _Represented, chosen: slice, factor: Array, share: float, most: int) -> _KindModes:
+    rising, vectors = np.linalg.eigh(represented.left(chosen, factor))
     values, vectors = rising[::-1], vectors[:, ::-1]
     # equal modes are kept or left out together: their choice among themselves would be one of rounding
     while most < len(values) and values[most] > (1.0 - _EQUAL) * values[most - 1]:
         most -= 1
     # Karhunen-Loève: leading eigenvectors of the prior covariance, scaled to the kind's share of the variance
     size = np.sqrt(share / values.sum())
-    mixing = np.zeros((3, len(deviations), most))
-    mixing[:, chosen] = size * vectors[:, :most].reshape(3, len(own), most) * own[:, None]
+    mixing = np.zeros((3, len(represented.squares), most))
+    mixing[:, chosen] = size * factor @ vectors[:, :most].reshape(3, len(factor), most)
     return _KindModes(mixing, float(size**2 * values[most:].sum()) / 3.0)
 
 
-def _kinds(model: ErrorModel) -> Sequence[Weights]:
-    """Return the candidates of each kind of misfit: their Legendre degrees in x, y, z and their relative prior standard
-    deviations."""
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """Candidates of one kind of misfit: their Legendre degrees in x, y, z, and a matrix L (m, m) whose product L Lᵀ is
+    their prior covariance up to a factor."""
+
+    degrees: tuple[Degrees, ...]
+    factor: Array
+
+
+def _kinds(model: ErrorModel) -> Sequence[_Kind]:
     waves = [_waves(axis, highest) for axis, highest in enumerate(model.highest_order)]
-    mixed = {degrees: weight for degrees, weight in _mixed().items() if not any(degrees in wave for wave in waves)}
-    return mixed, *waves
+    return _mixed({degrees for wave in waves for degrees in wave.degrees}), *waves
 
 
-def _mixed() -> Weights:
+def _mixed(others: Set[Degrees]) -> _Kind:
     every = range(_MIXED_DEGREE + 1)
-    return {
+    found = {
         (i, j, k): _MIXED_DECAY ** (i + j + k - 2)
         for i, j, k in product(every, every, every)
-        if i + j + k <= _MIXED_DEGREE and sum(degree > 0 for degree in (i, j, k)) > 1
+        if i + j + k <= _MIXED_DEGREE and sum(degree > 0 for degree in (i, j, k)) > 1 and (i, j, k) not in others
     }
+    return _Kind(tuple(found), np.diag(list(found.values())))
 
 
-def _waves(axis: int, highest: int) -> Weights:
-    found: Weights = {}
-    for beyond in range(_ORDERS_BEYOND):
+def _waves(axis: int, highest: int) -> _Kind:
+    """Return the waves along an axis: the part of a stationary error that has a higher order than the model."""
+    degrees = []
+    for order in range(highest + 1, highest + 1 + _ORDERS_BEYOND):
         for lever in range(3):
             degree = [0, 0, 0]
             degree[lever] = 1
-            degree[axis] = highest + 1 + beyond
-            found[degree[0], degree[1], degree[2]] = _WAVE_DECAY**beyond * (1.0 if lever == axis else _LEVER_AMPLITUDE)
-    return found
+            degree[axis] = order
+            degrees.append((degree[0], degree[1], degree[2]))
+    beyond = projected_kernel(highest + 1 + _ORDERS_BEYOND, _WAVE_LENGTH)[highest + 1 :, highest + 1 :]
+    levers = np.where(np.arange(3) == axis, 1.0, _LEVER_AMPLITUDE)
+    return _Kind(tuple(degrees), np.kron(np.linalg.cholesky(beyond), np.diag(levers)))
 
 
 def _quadrature(model: ErrorModel, degrees: tuple[Degrees, ...]) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 from twin.arrays import Array
 from twin.errors import SingularSet
 from twin.identification.misfit import MISFIT_KINDS
-from twin.identification.series_prior import SeriesPrior
+from twin.identification.series_prior import Mask, PrincipalSeries, SeriesPrior
 from twin.identification.unknowns import UnknownBlocks
 
 
@@ -41,7 +41,11 @@ class NormalEquations:
 @dataclass(frozen=True)
 class Scales:
     """Scales: factors on the standard deviations of the touch noise, of the parameter prior and of each kind of misfit
-    (errors that the model cannot represent)."""
+    (errors that the model cannot represent).
+
+    The Legendre series of the error motions have two scales of their own: `stationary` for their stationary part, and
+    `independent` for their independent coefficients. The scale `prior` then applies to all other parameters.
+    """
 
     noise: float = 1.0
     prior: float = 1.0
@@ -50,12 +54,13 @@ class Scales:
     waves_y: float = 1.0
     waves_z: float = 1.0
     stationary: float = 1.0
+    independent: float = 1.0
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Scales (factors on the standard deviations) of the noise, the parameter prior and each kind of misfit, in
-        this order."""
-        return self.noise, self.prior, *self.kinds, self.stationary
+        """Scales (factors on the standard deviations) of the noise, the parameter prior, each kind of misfit, the
+        stationary part of the error motions and their independent coefficients, in this order."""
+        return self.noise, self.prior, *self.kinds, self.stationary, self.independent
 
     @property
     def kinds(self) -> tuple[float, float, float, float]:
@@ -106,13 +111,15 @@ class JointPrior:
 class PriorPrecision:
     """Prior precision of the unknowns z, given for prior standard deviations as stated (all scales equal to 1).
 
-    Some unknowns may have the joint prior `known`. All others have mean zero and the unit matrix as precision.
+    Some unknowns may have the joint prior `known`. All others have mean zero and the unit matrix as precision, except
+    the coefficients of the error motions if they have the prior `series`. If the unknowns have been turned to the
+    principal axes of this prior, `principal` replaces `series`, and the prior precision is diagonal.
     """
 
     blocks: UnknownBlocks
     known: JointPrior | None = None
     series: SeriesPrior | None = None
-    stationary: Array | None = None
+    principal: PrincipalSeries | None = None
 
     def has_free_scale(self, block: slice) -> bool:
         """Return True if the scale (factor on the prior standard deviation) of the unknowns in `block` can be
@@ -143,17 +150,17 @@ class PriorPrecision:
             diagonal[series.index[series.used]] = 0.0
             inside = series.used[:, :, None] & series.used[:, None, :]
             rows, columns = np.broadcast_arrays(series.index[:, :, None], series.index[:, None, :])
-            matrix[rows[inside], columns[inside]] += series.precision(scales.prior, scales.stationary)[inside]
+            matrix[rows[inside], columns[inside]] += series.precision(scales.independent, scales.stationary)[inside]
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
         """Return the diagonal (P,) of the prior precision for the given scales (factors on the prior standard
         deviations), without the stationary part unless the unknowns are in principal axes."""
         diagonal = np.ones(self.blocks.size)
-        if self.stationary is None:
-            diagonal[self.blocks.parameters] = scales.prior**-2
-        else:
-            diagonal /= np.where(self.is_parameter, scales.prior**2, 1.0) + scales.stationary**2 * self.stationary
+        diagonal[self.blocks.parameters] = scales.prior**-2
+        if self.principal is not None:
+            own, stationary = self.principal.members, self.principal.stationary
+            diagonal[own] = 1.0 / (scales.independent**2 + scales.stationary**2 * stationary[own])
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
             diagonal[kind] = scale**-2
         if self.known is not None:
@@ -166,28 +173,32 @@ class PriorPrecision:
             return np.asarray(self.matrix(scales) @ matrix)
         product: Array = self.diagonal(scales)[:, None] * matrix
         if self.series is not None:
-            self.series.put_product(self.series.precision(scales.prior, scales.stationary), matrix, product)
+            self.series.put_product(self.series.precision(scales.independent, scales.stationary), matrix, product)
         return product
 
-    @property
-    def is_parameter(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Mask (P,) of the model parameters."""
-        numbers = np.arange(self.blocks.size)
-        return np.asarray((numbers >= self.blocks.parameters.start) & (numbers < self.blocks.parameters.stop))
-
     def variance_changes(self, scales: Scales) -> Array:
-        """Return the derivatives (6, P) of the prior variances of all unknowns with respect to the logarithms of the
+        """Return the derivatives (7, P) of the prior variances of all unknowns with respect to the logarithms of the
         scales without that of the noise.
 
-        The last row, that of the stationary part, is zero unless the unknowns are in principal axes.
+        The row of the stationary part is zero unless the unknowns are in principal axes.
         """
-        changes = np.zeros((6, self.blocks.size))
+        changes = np.zeros((7, self.blocks.size))
         changes[0, self.blocks.parameters] = 2.0 * scales.prior**2
+        changes[0, self._in_series] = 0.0
+        changes[6, self._in_series] = 2.0 * scales.independent**2
         for row, (block, scale) in enumerate(zip(self.blocks.kinds, scales.kinds, strict=False), start=1):
             changes[row, block] = 2.0 * scale**2
-        if self.stationary is not None:
-            changes[5] = 2.0 * scales.stationary**2 * self.stationary
+        if self.principal is not None:
+            changes[5] = 2.0 * scales.stationary**2 * self.principal.stationary
         return changes
+
+    @cached_property
+    def _in_series(self) -> Mask:
+        """Mask (P,) of the coefficients of error motions that have the prior `series` or `principal`."""
+        if self.principal is not None:
+            return self.principal.members
+        none = np.zeros(self.blocks.size, dtype=bool)
+        return none if self.series is None else self.series.members(self.blocks.size)
 
 
 @dataclass(frozen=True, eq=False)

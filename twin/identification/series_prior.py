@@ -5,25 +5,36 @@ Independent coefficients describe errors that grow towards the ends of the trave
 1 or -1 there. The errors of a rail made of several pieces, or of a screw, do not grow: they are stationary along the
 travel. Their Legendre coefficients are correlated, which keeps the ends as small as the middle. The covariance of a
 series is therefore a sum of both parts, each with a scale of its own, which the measurements determine.
-
-The stationary part has a Matérn covariance with the exponent 3/2 (Rasmussen and Williams 2006, 4.2), projected onto the
-Legendre polynomials of the series.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from twin.arrays import Array
+from twin.identification.stationary_kernel import projected_kernel
 from twin.machine.error_model import ErrorModel, series_orders
 
-_LENGTH = 0.6  # correlation length of the stationary part on the axis normalised to [-1, 1]: three tenths of the travel
-_NODES = 60
+_LENGTH = 1.0  # correlation length of the stationary part on the axis normalised to [-1, 1]: half of the travel
 _SHARE = 0.5  # rms of the stationary part at scale 1, relative to the independent part
+
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+@dataclass(frozen=True, eq=False)
+class PrincipalSeries:
+    """Prior of the error motions for P unknowns in the principal axes of its stationary part.
+
+    The mask `members` (P,) marks the coefficients of error motions. `stationary` (P,) contains the variances of the
+    stationary part at scale 1, and zero for all other unknowns.
+    """
+
+    members: Mask
+    stationary: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +46,7 @@ class SeriesPrior:
     """
 
     index: np.ndarray[Any, np.dtype[np.int64]]
-    used: np.ndarray[Any, np.dtype[np.bool_]]
+    used: Mask
     kernel: Array
 
     @classmethod
@@ -56,7 +67,7 @@ class SeriesPrior:
         for row, (block, orders) in enumerate(series):
             count = len(orders)
             index[row, :count], used[row, :count] = np.arange(block.start, block.stop), True
-            projected = _projected_kernel(max(orders) + 1)[np.ix_(orders, orders)]
+            projected = projected_kernel(max(orders) + 1, _LENGTH)[np.ix_(orders, orders)]
             mean_square = 1.0 / (2.0 * np.array(orders) + 1.0)  # of a Legendre polynomial over the travel
             size = _SHARE**2 * float(mean_square @ scale[block] ** 2) / float(mean_square @ np.diagonal(projected))
             kernel[row, :count, :count] = size * projected / np.multiply.outer(scale[block], scale[block])
@@ -74,10 +85,16 @@ class SeriesPrior:
         values, axes = self.principal
         return np.asarray((axes / (independent**2 + stationary**2 * values)[:, None, :]) @ axes.transpose(0, 2, 1))
 
-    def principal_variances(self, size: int) -> Array:
-        """Return the variances (size,) of the stationary part of all unknowns in principal axes, at scale 1."""
+    def in_principal_axes(self, size: int) -> PrincipalSeries:
+        """Return the same prior for `size` unknowns that have been turned to the principal axes."""
         found = np.zeros(size)
         found[self._numbers] = self.principal[0][self._used_axes]
+        return PrincipalSeries(self.members(size), found)
+
+    def members(self, size: int) -> Mask:
+        """Return the mask (size,) of the unknowns that belong to a series."""
+        found = np.zeros(size, dtype=bool)
+        found[self._numbers] = True
         return found
 
     def rotation(self, size: int) -> Array:
@@ -88,7 +105,7 @@ class SeriesPrior:
         return rotation
 
     @cached_property
-    def _used_axes(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    def _used_axes(self) -> Mask:
         """Mask (B, n) of the principal axes that are not those of padding."""
         padding = np.where(self.used, 0.0, 1.0)
         return np.asarray(np.einsum("bi,bij->bj", padding, self.principal[1] ** 2) < 0.5)
@@ -108,16 +125,3 @@ class SeriesPrior:
         """Return the blocks (B, n, n) of a matrix (P, P) that belong to the series."""
         blocks = matrix[self.index[:, :, None], self.index[:, None, :]]
         return np.asarray(blocks * (self.used[:, :, None] & self.used[:, None, :]))
-
-
-@lru_cache(maxsize=32)
-def _projected_kernel(terms: int) -> Array:
-    """Return the covariance (terms, terms) of the Legendre coefficients of the orders 0 to terms - 1 of a stationary
-    error with unit variance."""
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    distance = np.sqrt(3.0) * np.abs(nodes[:, None] - nodes) / _LENGTH
-    kernel = (1.0 + distance) * np.exp(-distance)
-    # coefficient k of f is (2k + 1)/2 times the integral of f P_k
-    projection = np.polynomial.legendre.legvander(nodes, terms - 1).T * weights
-    projection *= (np.arange(terms) + 0.5)[:, None]
-    return np.asarray(projection @ kernel @ projection.T)

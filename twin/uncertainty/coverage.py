@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.special import chdtr, ndtr
@@ -24,12 +25,24 @@ from twin.identification.problem import IdentificationProblem, build_problem
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_population import Family
 from twin.machine.rigid_motion import rigid_fields
-from twin.machine.true_machine import TrueMachine
 from twin.machine.volumetric import volumetric_error
 from twin.uncertainty.volumetric_distribution import volumetric_distributions
 
 _MIN_VARIANCE = 1e-9  # of the largest variance: directions below were removed with the rigid motion
 _RESAMPLES = 2000
+
+
+class TrueField(Protocol):
+    """Machine whose true error field is known."""
+
+    @property
+    def tool_offset(self) -> Array:
+        """Vector (3,) in mm from the reference point of the ram to the tool centre point."""
+        ...
+
+    def deviation(self, axis_positions: Array, /) -> Array:
+        """Return the true deviation (n, 3) in mm of the tool centre point at axis positions (n, 3) in mm."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -71,7 +84,7 @@ class FieldError:
     covariance: Array
 
     @classmethod
-    def of(cls, estimate: Estimate, truth: TrueMachine, axis_positions: Array) -> FieldError:
+    def of(cls, estimate: Estimate, truth: TrueField, axis_positions: Array) -> FieldError:
         """Return the error of the field that `estimate` predicts at n axis positions, shape (n, 3), in mm.
 
         The error is computed for the tool of the true machine `truth`.
@@ -130,13 +143,13 @@ def joint_level(error: Array, covariance: Array) -> float:
 def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) -> Array:
     """Return the level of one uncertainty interval for each parameter that the measurement has determined.
 
-    A parameter counts as determined if its standard uncertainty is below `share_of_prior` times its prior standard
-    deviation. Each interval is symmetric about the estimated value and ends exactly at the true value. `truth`, shape
-    (p,), contains the true values of the p parameters. The levels are meaningful only for a machine that the model can
-    represent.
+    A parameter counts as determined if its standard uncertainty is below `share_of_prior` times its stated prior
+    standard deviation. Each interval is symmetric about the estimated value and ends exactly at the true value.
+    `truth`, shape (p,), contains the true values of the p parameters. The levels are meaningful only for a machine that
+    the model can represent.
     """
     sigma = estimate.standard_uncertainty
-    known = sigma < share_of_prior * estimate.scales.prior * estimate.prior_scale
+    known = sigma < share_of_prior * estimate.prior_scale
     return two_sided_level((truth - estimate.parameters)[known] / sigma[known])
 
 
@@ -155,7 +168,7 @@ class VolumetricComparison:
 
 
 def volumetric_comparisons(
-    estimate: Estimate, truth: TrueMachine, grid: Array
+    estimate: Estimate, truth: TrueField, grid: Array
 ) -> tuple[VolumetricComparison, VolumetricComparison]:
     """Compare the true volumetric errors of the machine `truth` with their distributions according to `estimate`.
 

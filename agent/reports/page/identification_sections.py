@@ -96,7 +96,11 @@ def fit(identification: IdentificationData) -> Rows:
         ("Normalised χ²", fixed(estimate.chi2_normalised, 3)),
         ("Degrees of freedom", fixed(estimate.degrees_of_freedom, 0)),
         ("Touch noise", f"{fixed(estimate.scales.noise, 2)} times as stated"),
-        ("Machine family", f"{fixed(estimate.scales.prior, 2)} times as wide as stated"),
+        (
+            "Machine family",
+            f"{fixed(estimate.scales.prior, 2)} times as wide as stated; "
+            f"error motions {fixed(estimate.scales.independent, 2)} times",
+        ),
         ("Model misfit", misfit),
         ("Conditioning", number(estimate.conditioning, 3)),
         ("Rank", f"{estimate.rank} of {estimate.model.size}"),

@@ -1,0 +1,124 @@
+"""Statements of the identification about foreign machines, compared with the truth.
+
+Machines are drawn, measured and identified. For each, the true volumetric errors (VE without and VCE with
+compensation) are compared with the prediction and with the stated 95 % limits. The field of errors is compared with its
+intervals at single points, and at twelve points jointly.
+
+There are three trials. `S3` measures the six positions of S3 at four stations, `designed` the 20 positions of
+`designed.csv`, which `volcal design --positions 20 --grid-deg 45` chose for the case study with a bar of 11 balls
+tilted by 8°. `nights` fuses ten nights of five positions with a first full night, while the machine walks.
+
+    python -m campaigns.foreign --machines 500 [--trial S3] [--csv foreign.csv]
+
+The output ends with one line of JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from functools import partial
+from importlib.resources import files
+from itertools import groupby
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
+
+import numpy as np
+
+from benchmarks.places import write_csv
+from campaigns.foreign.artefact import S3, STATIONS_MM, measure_at, tilted_bar
+from campaigns.foreign.judging import Judgement, judge
+from campaigns.foreign.machine import KIND_NAMES, ForeignMachine, foreign_machine
+from campaigns.foreign.nights import fused_nights, walk
+from campaigns.foreign.score import family_of
+from twin.identification import identify_by_evidence
+
+TRIALS = ("S3", "designed", "nights")
+_NIGHTS = 10
+_SEED = 11
+
+Places = Sequence[tuple[Sequence[float], Sequence[tuple[float, float]]]]
+
+
+def places_of(trial: str) -> Places:
+    """Return the stations in mm of a trial, each with its orientations (azimuth, elevation) in degrees."""
+    if trial == "S3":
+        return [(station, S3) for station in STATIONS_MM]
+    text = files("campaigns.foreign").joinpath("designed.csv").read_text(encoding="utf-8")
+    by_station = groupby(csv.DictReader(text.splitlines()), key=lambda row: int(row["station"]))
+    return [
+        (STATIONS_MM[number - 1], [(float(row["azimuth_deg"]), float(row["elevation_deg"])) for row in rows])
+        for number, rows in by_station
+    ]
+
+
+def one_machine(trial: str, number: int) -> tuple[str, Judgement]:
+    """Return the kinds of error motions of machine `number`, and the judgement of its estimate."""
+    rng = np.random.default_rng([number, _SEED])
+    if trial == "nights":
+        *_, last = fused_nights(walk, _NIGHTS, seed=int(rng.integers(2**31)))
+        return kinds_of(last.machine), judge(last.machine, last.estimate, rng)
+    machine, bar = foreign_machine(rng), tilted_bar(rng)
+    seen = measure_at(machine, bar, places_of(trial), rng).seen
+    return kinds_of(machine), judge(machine, identify_by_evidence(family_of, seen, bar.artefact), rng)
+
+
+def kinds_of(machine: ForeignMachine) -> str:
+    """Return the kinds of the error motions of the axes X, Y and Z."""
+    return " ".join(machine.motion_kinds)
+
+
+def summary(judged: Sequence[Judgement]) -> dict[str, float]:
+    """Return the means over the machines, and the shares of the true values that the stated limits hold in per cent."""
+    ratios = np.array([one.ratio for one in judged])
+    shares: dict[str, list[float]] = {
+        "ve": [one.ve_held for one in judged],
+        "vce": [one.vce_held for one in judged],
+        "vce_better_than_limits": [one.vce_rank < 0.025 for one in judged],
+        "vce_worse_than_limits": [one.vce_rank > 0.975 for one in judged],
+        "field_ball_by_ball": [one.field_held for one in judged],
+        "field_jointly": [one.joint_held for one in judged],
+    }
+    return {
+        "machines": len(judged),
+        "true_before_um": round(float(np.mean([one.before_um for one in judged])), 2),
+        "true_after_um": round(float(np.mean([one.after_um for one in judged])), 2),
+        "predicted_um": round(float(np.mean([one.predicted_um for one in judged])), 2),
+        "ratio": round(float(ratios.mean()), 3),
+        "ratio_sd": round(float(ratios.std()), 3),
+        **{f"{name}_percent": round(100.0 * float(np.mean(held)), 1) for name, held in shares.items()},
+    }
+
+
+def run_trial(trial: str, machines: int) -> tuple[list[dict[str, object]], dict[str, float]]:
+    """Return one row for each machine of a trial, and the summary of the trial."""
+    with ProcessPoolExecutor() as workers:
+        found = list(workers.map(partial(one_machine, trial), range(machines), chunksize=4))
+    rows = [{"trial": trial, "machine": n, "kinds": kinds, **asdict(one)} for n, (kinds, one) in enumerate(found)]
+    for kind in KIND_NAMES:
+        of_kind = [one for kinds, one in found if kind in kinds.split()]
+        if of_kind:
+            print(f"{trial}, at least one axis with {kind}: {json.dumps(summary(of_kind))}", flush=True)
+    whole = summary([one for _, one in found])
+    print(f"{trial}: {json.dumps(whole)}", flush=True)
+    return rows, whole
+
+
+def main() -> int:
+    """Carry out the trials of the command line."""
+    parser = argparse.ArgumentParser(prog="python -m campaigns.foreign", description="Identify foreign machines.")
+    parser.add_argument("--machines", type=int, default=500, help="machines of each trial")
+    parser.add_argument("--trial", choices=TRIALS, action="append", help="one of the trials; all if not given")
+    parser.add_argument("--csv", type=Path, help="file for one row for each machine")
+    given = parser.parse_args()
+    trials = {trial: run_trial(trial, given.machines) for trial in given.trial or TRIALS}
+    if given.csv is not None:
+        write_csv([row for rows, _ in trials.values() for row in rows], given.csv)
+    print(json.dumps({trial: whole for trial, (_, whole) in trials.items()}))
+    return 0
