@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import pytest
 
 from agent.planning.case_file import CASE_STUDY, load_case
 from campaigns.foreign.artefact import S3, measure, tilted_bar
@@ -20,7 +19,7 @@ from twin.identification import identify_by_evidence, residual_covariance
 from twin.machine.forward_model import exact_deviation
 
 IN_THE_MIDDLE = tuple(Position(station, angle, angle) for station in (1, 4) for angle in (30.0, -30.0))
-SEEDS = (2, 5)
+SEEDS = (1, 2, 3, 4, 5, 6)
 REACHED_MM, BENT_MM = (230.0, 1270.0), 0.06
 
 
@@ -73,8 +72,7 @@ def proofs(seed: int) -> tuple[HeldOutTest, HeldOutTest]:
     return proof(IN_THE_MIDDLE), proof(job.held_out)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_chosen_positions_find_what_the_middle_does_not(seed: int) -> None:
-    middle, chosen = proofs(seed)
-    assert middle.chi2_normalised < 2.0
-    assert chosen.chi2_normalised > 2.0
+def test_the_chosen_positions_find_what_the_middle_does_not() -> None:
+    middle, chosen = zip(*(proofs(seed) for seed in SEEDS), strict=True)
+    assert all(test.chi2_normalised < 2.0 for test in middle)
+    assert sum(test.chi2_normalised > 2.0 for test in chosen) >= 5

@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 from twin.arrays import Array
 from twin.errors import SingularSet
 from twin.identification.misfit import MISFIT_KINDS
-from twin.identification.series_prior import Mask, PrincipalSeries, SeriesPrior
+from twin.identification.series_prior import STATIONARY_SHARE, Mask, PrincipalSeries, SeriesPrior
 from twin.identification.unknowns import UnknownBlocks
 
 
@@ -67,6 +67,11 @@ class Scales:
         """Scales of the kinds of misfit, in the order of `MISFIT_KINDS`: mixed terms, waves along X, waves along Y,
         waves along Z."""
         return self.mixed, self.waves_x, self.waves_y, self.waves_z
+
+    @property
+    def motions(self) -> float:
+        """Scale (factor) on the prior rms of both parts of the error motions combined."""
+        return math.hypot(self.independent, STATIONARY_SHARE * self.stationary)
 
     @property
     def misfit(self) -> float:

@@ -122,7 +122,7 @@ class CarriedOverPrior:
         free = scale > 0.0
         walk = np.zeros(blocks.size)
         walk[blocks.parameters][free] = noise[free] / scale[free]
-        share = float(np.median(walk[blocks.parameters][free])) / self.scales.prior if free.any() else 0.0
+        share = float(np.median(walk[blocks.parameters][free])) / self.scales.motions if free.any() else 0.0
         for kind, deviation in zip(blocks.kinds, self.scales.kinds, strict=False):
             walk[kind] = share * deviation
         return np.asarray(walk**2 * nights)

@@ -20,7 +20,8 @@ from twin.identification.stationary_kernel import projected_kernel
 from twin.machine.error_model import ErrorModel, series_orders
 
 _LENGTH = 1.0  # correlation length of the stationary part on the axis normalised to [-1, 1]: half of the travel
-_SHARE = 0.5  # rms of the stationary part at scale 1, relative to the independent part
+STATIONARY_SHARE = 0.5
+"""Rms of the stationary part relative to the independent part, both at scale 1."""
 
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
@@ -69,7 +70,11 @@ class SeriesPrior:
             index[row, :count], used[row, :count] = np.arange(block.start, block.stop), True
             projected = projected_kernel(max(orders) + 1, _LENGTH)[np.ix_(orders, orders)]
             mean_square = 1.0 / (2.0 * np.array(orders) + 1.0)  # of a Legendre polynomial over the travel
-            size = _SHARE**2 * float(mean_square @ scale[block] ** 2) / float(mean_square @ np.diagonal(projected))
+            size = (
+                STATIONARY_SHARE**2
+                * float(mean_square @ scale[block] ** 2)
+                / float(mean_square @ np.diagonal(projected))
+            )
             kernel[row, :count, :count] = size * projected / np.multiply.outer(scale[block], scale[block])
         return cls(index, used, kernel)
 
