@@ -41,7 +41,7 @@ def stationary_columns(family: Family, seen: Observations) -> np.ndarray:
     The integrals of the Matérn kernel with the Legendre polynomials are taken by the midpoint rule.
     """
     u = (np.arange(600) + 0.5) / 300.0 - 1.0
-    distance = np.sqrt(3.0) * np.abs(u[:, None] - u) / 0.6
+    distance = np.sqrt(3.0) * np.abs(u[:, None] - u) / 1.0
     kernel = (1.0 + distance) * np.exp(-distance)
     basis, sd = deviation_basis(family.model, seen.axis_positions, TOOL), family.prior_standard_deviation
     found = []

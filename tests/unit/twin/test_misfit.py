@@ -52,4 +52,4 @@ def test_a_wave_above_the_order_of_the_model_is_in_the_modes() -> None:
         return rms(wave - fitted.reshape(-1, 3))
 
     assert left_by(model) > 0.8 * rms(wave)
-    assert left_by(np.hstack((model, MODES.at(grid).reshape(-1, MODES.size)))) < 0.1 * rms(wave)
+    assert left_by(np.hstack((model, MODES.at(grid).reshape(-1, MODES.size)))) < 0.3 * rms(wave)
