@@ -29,7 +29,7 @@ def test_short_slots_keep_up_and_a_collision_is_noticed_named_and_calibrated(tmp
     assert done.returncode == 0, done.stdout + done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["passed"] is True
-    assert found["worst_ratio"] < 1.5
+    assert found["worst_ratio"] < 1.1, "slots of a quarter of an hour leave what full calibrations leave"
     assert found["step_named_as"].startswith("B0Z changed by +")
     assert figure.read_bytes().startswith(b"\x89PNG")
     rows = list(csv.DictReader(table.read_text().splitlines()))
@@ -38,5 +38,5 @@ def test_short_slots_keep_up_and_a_collision_is_noticed_named_and_calibrated(tmp
     for row in rows[:5]:
         assert float(row["true_after"]) < 0.5 * before
         assert float(row["minutes"]) <= (15.0 if row["night"] != "0" else 120.0)
-    # the drift is worth the slots: without them the first night's table falls behind
-    assert float(rows[4]["untouched"]) > float(rows[4]["true_after"]) + 0.3
+    # the table of the first night, left alone, falls behind with the blow
+    assert float(rows[6]["untouched"]) > 2.0 * float(rows[6]["true_after"])
