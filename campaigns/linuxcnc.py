@@ -185,6 +185,8 @@ SHORT_CHANGES = {
     "stations = [1, 4]": "stations = [1]\npositions_deg = [[30.0, 30.0]]",
     "limit_um = 3.5": "limit_um = 5.0",
     "[probe_check]": "[reversal]\nenabled = false\n\n[probe_check]",
+    # the other three quarters of the travel remain uncertain
+    "[gates]": "[gates]\nmax_remaining_fraction = 0.8",
 }
 """Changes of the settings that make the run short enough to be repeated after every change of the source."""
 SHORT_SCENARIO = {

@@ -6,17 +6,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from agent.execution.run_record import RunRecord
 from agent.results.decision_kinds import IDENTIFIED, INPUTS, OUTCOME
-from twin.errors import FormatError
-from twin.formats.estimate_file import FORMER_FORMAT, parse_estimate
 from twin.units import MICRO_UNITS
 
 STORED_DECISIONS = frozenset(
@@ -25,6 +22,8 @@ STORED_DECISIONS = frozenset(
 )
 """Kinds of decisions stored in the history. The large records of a run are only in its journal."""
 _TOO_BIG = ("written",)
+_CONVERTED_FORMAT = "volcal estimate 2"
+"""Format of the estimates whose parameters are converted. The module that reads them is imported for them alone."""
 
 
 @dataclass(frozen=True)
@@ -146,18 +145,21 @@ def _parameters(estimate: Mapping[str, Any] | None, text: str | None) -> tuple[M
 
 def _present_parameters(estimate: Mapping[str, Any], text: str) -> Sequence[Mapping[str, Any]]:
     stored: Sequence[Mapping[str, Any]] = estimate["parameters"]
-    if estimate.get("format") != FORMER_FORMAT:
+    if estimate.get("format") != _CONVERTED_FORMAT:
         return stored
+    from twin.errors import FormatError  # noqa: PLC0415
+    from twin.formats.estimate_file import parse_estimate  # noqa: PLC0415  slow to import, and needed for former runs
+
     try:
         known = parse_estimate(text, "estimate")
     except FormatError:
         return ()
     if known.conversion is None:
         return stored
-    deviations = np.sqrt(np.maximum(np.diagonal(known.covariance), 0.0))
+    variances = known.covariance.diagonal().tolist()
     return [
-        {**parameter, "value": value, "standard_uncertainty": deviation}
-        for parameter, value, deviation in zip(stored, known.parameters.tolist(), deviations.tolist(), strict=True)
+        {**parameter, "value": value, "standard_uncertainty": math.sqrt(max(variance, 0.0))}
+        for parameter, value, variance in zip(stored, known.parameters.tolist(), variances, strict=True)
     ]
 
 
