@@ -221,14 +221,17 @@ class TestBallCount:
     def test_no_gain_has_no_share(self) -> None:
         assert ball_count.gain_shares([verdict(30.0), verdict(11.0)], VolumetricRms(0.02, 0.01)) == (None, None)
 
-    def test_seven_balls_are_enough_as_published(self) -> None:
+    def test_seven_balls_are_enough_as_published_and_six_are_at_the_limit(self) -> None:
         made = case(stations=None)
         bar, variant = Bar.of(made.artefact), identification_variants(made.options)[0]
         trials = [ProcedureVariant.of(made, bar.with_(balls=balls), made.positions()) for balls in ball_count.COUNTS]
         evaluator = ProcedureEvaluator(made)
         verdicts = tuple(row[0] for row in evaluator.evaluate(trials, [variant], []))
         curve = ball_count.Curve(variant, verdicts, ball_count.gain_shares(verdicts, evaluator.before))
-        assert curve.fewest == ball_count.PUBLISHED_BALLS
+        shares = dict(zip(ball_count.COUNTS, curve.shares, strict=True))
+        assert curve.fewest in (6, ball_count.PUBLISHED_BALLS)
+        assert shares[6] == pytest.approx(ball_count.SUFFICIENT_SHARE, abs=0.006)
+        assert shares[ball_count.PUBLISHED_BALLS] == pytest.approx(0.964, abs=0.006)
 
     def test_the_study_has_a_row_for_each_count_and_way(self, tmp_path: Path) -> None:
         result = ball_count.run(case(position_set="S3"))
