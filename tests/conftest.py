@@ -7,6 +7,7 @@ on the same tree; at a desk they are drawn anew each time, to find what is left.
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is first imported; see agent/cli/main.py
@@ -22,6 +23,11 @@ settings.load_profile("check" if os.environ.get("CI") else "desk")
 
 
 SLOW = Path(__file__).with_name("slow.txt")
+
+# A shell without job control starts what is put in the background with the keyboard's interrupt ignored, and so would
+# everything be that the tests start: those that interrupt would wait without end.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

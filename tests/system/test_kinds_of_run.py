@@ -52,7 +52,7 @@ class Calibrated:
 def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Calibrated]:
     with memory_directory() as directory:
         state = Path(directory) / "state"
-        settings = short_document(state, nightly=NIGHTLY, identification={"order": 4})
+        settings = short_document(state, nightly=NIGHTLY)
         night = Night()
         first = night.run(settings, files=False)
         assert first.outcome.state is RunState.COMPLETE
