@@ -94,13 +94,13 @@ def measure(
 ) -> Measured:
     """Measure the bar at each station in each orientation (azimuth, elevation) in degrees, as `measure_at` does."""
     places = [(station, orientations) for station in stations]
-    conditions = Conditions(clamping_roll_rad, hall_c, thermometer_error_k)
+    conditions = MeasuringConditions(clamping_roll_rad, hall_c, thermometer_error_k)
     return measure_at(machine, bar, places, rng, conditions)
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """Conditions of a measurement: the roll of the bar in its clamp, drawn at each station if it is None, the
+class MeasuringConditions:
+    """MeasuringConditions of a measurement: the roll of the bar in its clamp, drawn at each station if it is None, the
     temperature of the hall in °C, and the error of the thermometer in K."""
 
     clamping_roll_rad: float | None = None
@@ -113,7 +113,7 @@ def measure_at(
     bar: ForeignBar,
     places: Sequence[tuple[Sequence[float], Sequence[tuple[float, float]]]],
     rng: np.random.Generator,
-    conditions: Conditions = Conditions(),
+    conditions: MeasuringConditions = MeasuringConditions(),
 ) -> Measured:
     """Measure the bar at each of `places`: a station (3,) in mm, and its orientations (azimuth, elevation) in degrees.
 

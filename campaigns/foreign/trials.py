@@ -33,7 +33,7 @@ import numpy as np
 
 from benchmarks.places import write_csv
 from campaigns.foreign.artefact import S3, STATIONS_MM, measure_at, tilted_bar
-from campaigns.foreign.judging import Judgement, judge
+from campaigns.foreign.comparison import ComparisonWithTruth, compare_with_truth
 from campaigns.foreign.machine import KIND_NAMES, ForeignMachine, foreign_machine
 from campaigns.foreign.nights import fused_nights, walk
 from campaigns.foreign.score import family_of
@@ -58,15 +58,15 @@ def places_of(trial: str) -> Places:
     ]
 
 
-def one_machine(trial: str, number: int) -> tuple[str, Judgement]:
+def one_machine(trial: str, number: int) -> tuple[str, ComparisonWithTruth]:
     """Return the kinds of error motions of machine `number`, and the judgement of its estimate."""
     rng = np.random.default_rng([number, _SEED])
     if trial == "nights":
         *_, last = fused_nights(walk, _NIGHTS, seed=int(rng.integers(2**31)))
-        return kinds_of(last.machine), judge(last.machine, last.estimate, rng)
+        return kinds_of(last.machine), compare_with_truth(last.machine, last.estimate, rng)
     machine, bar = foreign_machine(rng), tilted_bar(rng)
     seen = measure_at(machine, bar, places_of(trial), rng).seen
-    return kinds_of(machine), judge(machine, identify_by_evidence(family_of, seen, bar.artefact), rng)
+    return kinds_of(machine), compare_with_truth(machine, identify_by_evidence(family_of, seen, bar.artefact), rng)
 
 
 def kinds_of(machine: ForeignMachine) -> str:
@@ -74,7 +74,7 @@ def kinds_of(machine: ForeignMachine) -> str:
     return " ".join(machine.motion_kinds)
 
 
-def summary(judged: Sequence[Judgement]) -> dict[str, float]:
+def summary(judged: Sequence[ComparisonWithTruth]) -> dict[str, float]:
     """Return the means over the machines, and the shares of the true values that the stated limits hold in per cent."""
     ratios = np.array([one.ratio for one in judged])
     shares: dict[str, list[float]] = {

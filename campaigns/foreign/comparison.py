@@ -18,7 +18,7 @@ _POINTS, _JOINT = 100, 12
 
 
 @dataclass(frozen=True)
-class Judgement:
+class ComparisonWithTruth:
     """True errors of a machine, and the statements of the program about them.
 
     `before_um` is the true volumetric error (VE), `after_um` the true volumetric error with compensation (VCE), and
@@ -45,7 +45,7 @@ class Judgement:
         return self.after_um / self.predicted_um
 
 
-def judge(machine: ForeignMachine, estimate: Estimate, rng: np.random.Generator) -> Judgement:
+def compare_with_truth(machine: ForeignMachine, estimate: Estimate, rng: np.random.Generator) -> ComparisonWithTruth:
     """Compare `estimate` with the truth over the whole travel of the machine."""
     truth = machine.deviation(GRID)
     left = truth - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
@@ -56,7 +56,7 @@ def judge(machine: ForeignMachine, estimate: Estimate, rng: np.random.Generator)
     points = rng.uniform(low, high, (_POINTS, 3))
     levels = FieldError.of(estimate, machine, points).pointwise_levels()
     joint = FieldError.of(estimate, machine, points[:_JOINT]).joint_level()
-    return Judgement(
+    return ComparisonWithTruth(
         before_um=before_um,
         after_um=after_um,
         predicted_um=predicted_vce(estimate, GRID, TOOL).aligned_um,
