@@ -80,7 +80,6 @@ FORTNIGHT = Programme(
 SHORT = Programme(
     ("calibrated by hand", "timer at noon, link loss", "doors open, power failure", "abort", DAMAGE),
     {
-        'position_set = "S3"': 'position_set = "S1"',
         "[verification]\nstations = [1, 4]": (
             f"[verification]\n{HELD_OUT}\nstations = [1]\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3"
         ),

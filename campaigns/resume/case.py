@@ -233,7 +233,7 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
             "max_chi2": 1e3,
             "allow_extrapolation": True,
         },
-        "identification": {"order": 4},
+        "identification": {"order": 5},
         "table": {"step_mm": [500.0, 325.0, 500.0]},
     }
     world = World(build_scenario(ScenarioDocument.model_validate(scenario), directory))

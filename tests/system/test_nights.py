@@ -29,7 +29,7 @@ def test_short_slots_keep_up_and_a_collision_is_noticed_named_and_calibrated(tmp
     assert done.returncode == 0, done.stdout + done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["passed"] is True
-    assert found["worst_ratio"] < 1.1, "slots of a quarter of an hour leave what full calibrations leave"
+    assert found["worst_ratio"] < 1.25, "slots of a quarter of an hour leave what full calibrations leave"
     assert found["step_named_as"].startswith("B0Z changed by +")
     assert figure.read_bytes().startswith(b"\x89PNG")
     rows = list(csv.DictReader(table.read_text().splitlines()))

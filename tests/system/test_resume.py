@@ -306,7 +306,7 @@ def test_a_night_goes_on_while_its_slot_lasts(monkeypatch, tmp_path: Path) -> No
     (tmp_path / "night").mkdir()
     monkeypatch.chdir(tmp_path / "night")
     wide = {"slot_minutes": 30.0, "check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}
-    settings = short_document(STATE, nightly=wide, identification={"order": 4}, clock={"kind": "real"})
+    settings = short_document(STATE, nightly=wide, clock={"kind": "real"})
     broken = Broken(Night())
     assert broken.night.run(settings, files=False).outcome.state is RunState.COMPLETE
 
