@@ -23,10 +23,10 @@ class ComparisonWithTruth:
 
     `before_um` is the true volumetric error (VE), `after_um` the true volumetric error with compensation (VCE), and
     `predicted_um` the predicted one, all after the best rigid motion is removed. `ve_held` and `vce_held` are True if
-    the stated 95 % limits contain the true value. `ve_rank` and `vce_rank` are the probabilities of a smaller value
-    than the true one, according to the program. `field_held` is the share of the components of the error at 100 random
-    points that their 95 % intervals contain, and `joint_held` is True if the joint 95 % region of 12 of these points
-    contains all their components.
+    the stated 95 % limits contain the true value. `vce_rank` is the probability of a smaller VCE than the true one,
+    according to the program. `field_held` is the share of the components of the error at 100 random points that their
+    95 % intervals contain, and `joint_held` is True if the joint 95 % region of 12 of these points contains all their
+    components.
     """
 
     before_um: float
@@ -34,7 +34,6 @@ class ComparisonWithTruth:
     predicted_um: float
     ve_held: bool
     vce_held: bool
-    ve_rank: float
     vce_rank: float
     field_held: float
     joint_held: bool
@@ -62,7 +61,6 @@ def compare_with_truth(machine: ForeignMachine, estimate: Estimate, rng: np.rand
         predicted_um=predicted_vce(estimate, GRID, TOOL).aligned_um,
         ve_held=limits.ve_um[0] <= before_um <= limits.ve_um[1],
         vce_held=limits.vce_um[0] <= after_um <= limits.vce_um[1],
-        ve_rank=stated.ve.aligned.at_most((1e-3 * before_um) ** 2),
         vce_rank=stated.vce.aligned.at_most((1e-3 * after_um) ** 2),
         field_held=float((levels <= NOMINAL).mean()),
         joint_held=joint <= NOMINAL,
