@@ -46,6 +46,8 @@ from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.thermometer_effect import ThermometerEffect, thermometer_effect
 from twin.units import UM_PER_MM
 
+_SMALL_REDUCTION, _NO_REDUCTION = 0.8, 0.95
+
 
 @dataclass(frozen=True)
 class EstimationResult:
@@ -197,11 +199,13 @@ def prove(
 def allowed_share(predicted_share: float, max_remaining_fraction: float) -> float:
     """Return the largest allowed ratio of the rms residual of the held-out balls with the new table to that before.
 
-    It is `max_remaining_fraction`. If the prediction itself keeps a larger share, that limit says nothing about the
-    table: before, a table was active that left little at these positions, or touch noise and certificate dominate. The
-    residuals must then be as predicted, which is tested separately, and not larger than before.
+    It is `max_remaining_fraction`. If the prediction itself keeps more than that and more than 80 %, because a good
+    table was active before, half of the predicted reduction is demanded instead. A predicted reduction of less than 5 %
+    is none that could be proved.
     """
-    return max_remaining_fraction if predicted_share <= max_remaining_fraction else 1.0
+    if not max(max_remaining_fraction, _SMALL_REDUCTION) < predicted_share <= _NO_REDUCTION:
+        return max_remaining_fraction
+    return max(max_remaining_fraction, 0.5 * (1.0 + predicted_share))
 
 
 def estimate_text(estimation: EstimationResult, origin: Mapping[str, str]) -> str:
