@@ -13,8 +13,8 @@ from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 from twin.design.candidates import build_candidates, orientation_grid
 from twin.design.held_out import least_known_positions
+from twin.design.measurement_setup import AS_STATED
 from twin.errors import DataError
-from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
 
 _GRID = (5, 4, 4)  # the field is needed only to tell the unknowns of the machine from those of the artefact
@@ -58,10 +58,9 @@ def least_known(job: Job, positions: Sequence[Position], stations: Sequence[int]
         raise ConfigurationError(error.message, hint=error.hint, key="verification.grid_deg") from error
     offered = [Position(station, azimuth, elevation) for station in stations for azimuth, elevation in grid]
     field = evaluation_grid(machine.model.ranges_mm, _GRID)
-    options = Options(estimate_scales=False, outliers="none")
     with translated(ConfigurationError, key="stations.places_mm"):
         candidates = build_candidates(
-            job.procedure, [*positions, *offered], machine.family, options, field, job.tool_offset_mm
+            job.procedure, [*positions, *offered], machine.family, AS_STATED, field, job.tool_offset_mm
         )
     measured = set(positions)
     at = [index for index, position in enumerate(candidates.positions) if position in measured]

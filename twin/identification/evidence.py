@@ -80,6 +80,12 @@ _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01
 def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
     """Return the scales (factors on the standard deviations of noise, prior and misfit) that maximise the product of
     the marginal likelihood and the priors of the scales."""
+    return largest_log_evidence(normal, precision, start)[1]
+
+
+def largest_log_evidence(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> tuple[float, Scales]:
+    """Return the largest log evidence, as `log_evidence` defines it, and the scales that maximise it: the factors on
+    the standard deviations of noise, prior and misfit. The search begins at the scales `start`."""
     normal, precision = in_principal_axes(normal, precision)
     free = free_scales(precision)
     log_start: Logs = np.log(start.values)[free]
@@ -93,7 +99,7 @@ def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start
         bounds=bounds,
         options={"maxiter": 40, "gtol": _ACCURACY, "ftol": 1e-10},
     )
-    return _scales(np.asarray(found.x), free, start)
+    return _log_evidence(float(found.fun), normal), _scales(np.asarray(found.x), free, start)
 
 
 def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> float:
@@ -102,7 +108,12 @@ def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Sca
     are omitted."""
     normal, precision = in_principal_axes(normal, precision)
     logs = np.log(scales.values)[free_scales(precision)]
-    return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
+    return _log_evidence(_cost(normal, precision, scales)(logs)[0], normal)
+
+
+def _log_evidence(cost: float, normal: NormalEquations) -> float:
+    """Return the log evidence of a value of the cost that the search for scales minimises."""
+    return -0.5 * cost * normal.rows
 
 
 def scales_at_bounds(scales: Scales) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from twin.errors import SingularSet
 from twin.identification.alternatives import Alternative, alternatives, mean_and_covariance
 from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
-from twin.identification.evidence import log_evidence, most_likely_scales
+from twin.identification.evidence import largest_log_evidence, log_evidence, most_likely_scales
 from twin.identification.normal import JointPrior, NormalEquations, Posterior, PriorPrecision, Scales
 from twin.identification.observability import null_space, observability, summary
 from twin.identification.options import Formulation, Options
@@ -108,7 +108,7 @@ def log_evidence_and_scales(
     precision = _precision(problem, equations.matrix, options)
     scales = start or options.start_scales
     if options.estimate_scales:
-        scales = most_likely_scales(normal, precision, scales)
+        return largest_log_evidence(normal, precision, scales)
     return log_evidence(normal, precision, scales), scales
 
 

@@ -23,11 +23,11 @@ from scipy.special import fdtri
 
 from twin.arrays import Array
 from twin.identification.checks.outliers import Rows, WhitenedResiduals
+from twin.machine.rigid_motion import rigid_fields
 
 _MIN_BALLS = 3  # on each side: a smaller part has no more freedom as a body than as single balls
 _BETTER_THAN_BALLS = 1.5  # gain of the slip over that of the two worst balls
 _UNDETERMINED = 1e-8  # relative eigenvalue of K below which a motion is undetermined: the roll of a straight bar
-_DEGREES_OF_FREEDOM = 6
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,9 @@ def _slip_of(first: int, end: int, found: WhitenedResiduals, share: float) -> tu
         return None
     rows = slice(first, end)
     residuals, covariance = found.residuals[rows].reshape(-1), found.covariance_of(rows)
-    motions = _rigid_motions(found.points[rows])
+    points = found.points[rows]
+    middle = points.mean(axis=0)
+    motions = rigid_fields(points, middle, float(np.linalg.norm(points - middle, axis=1).max()))
     white = np.einsum("nij,njk->nik", found.whitening[rows], motions)
     gains = []
     for place in range(_MIN_BALLS, size - _MIN_BALLS + 1):
@@ -95,15 +97,3 @@ def _worst_pair(residuals: Array, covariance: Array) -> float:
     units = np.eye(len(residuals)).reshape(len(residuals), -1, 3)
     pairs = combinations(range(units.shape[1]), 2)
     return max(_gain(units[:, pair, :].reshape(len(residuals), -1), residuals, covariance)[0] for pair in pairs)
-
-
-def _rigid_motions(points: Array) -> Array:
-    """Return the displacements (n, 3, 6) of points (n, 3) by a unit shift along each axis and by a turn about each axis
-    through their middle that moves the farthest of them by one unit."""
-    offset = points - points.mean(axis=0)
-    lever = offset / np.sqrt(np.einsum("ni,ni->n", offset, offset).max())
-    motions = np.zeros((len(points), 3, _DEGREES_OF_FREEDOM))
-    motions[:, :, :3] = np.eye(3)
-    for axis, unit in enumerate(np.eye(3)):
-        motions[:, :, 3 + axis] = np.cross(unit, lever)
-    return motions
