@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, aligned_rms_um
-from twin.identification import Estimate, predicted_vce
-from twin.machine.forward_model import exact_deviation
+from campaigns.foreign.machine import GRID, TOOL, ForeignMachine
+from campaigns.foreign.score import true_error_um
+from twin.identification import Estimate
+from twin.identification.predicted import expected_vce, field_forms
 from twin.uncertainty.coverage import FieldError
 from twin.uncertainty.volumetric_distribution import volumetric_distributions
-from twin.uncertainty.volumetric_limits import volumetric_limits
+from twin.uncertainty.volumetric_limits import limits_of_form
 
 NOMINAL = 0.95
 _POINTS, _JOINT = 100, 12
@@ -46,10 +47,9 @@ class ComparisonWithTruth:
 
 def compare_with_truth(machine: ForeignMachine, estimate: Estimate, rng: np.random.Generator) -> ComparisonWithTruth:
     """Compare `estimate` with the truth over the whole travel of the machine."""
-    truth = machine.deviation(GRID)
-    left = truth - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
-    before_um, after_um = aligned_rms_um(GRID + TOOL, truth), aligned_rms_um(GRID + TOOL, left)
-    limits = volumetric_limits(estimate, GRID, TOOL)
+    before_um, after_um = true_error_um(machine), true_error_um(machine, estimate)
+    forms = field_forms(estimate, GRID, TOOL)
+    limits = limits_of_form(estimate, forms[1])
     stated = volumetric_distributions(estimate, GRID, TOOL)
     low, high = np.array(machine.ranges).T
     points = rng.uniform(low, high, (_POINTS, 3))
@@ -58,7 +58,7 @@ def compare_with_truth(machine: ForeignMachine, estimate: Estimate, rng: np.rand
     return ComparisonWithTruth(
         before_um=before_um,
         after_um=after_um,
-        predicted_um=predicted_vce(estimate, GRID, TOOL).aligned_um,
+        predicted_um=expected_vce(estimate, forms).aligned_um,
         ve_held=limits.ve_um[0] <= before_um <= limits.ve_um[1],
         vce_held=limits.vce_um[0] <= after_um <= limits.vce_um[1],
         vce_rank=stated.vce.aligned.at_most((1e-3 * after_um) ** 2),

@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from campaigns.foreign.artefact import S3, STATIONS_MM, ForeignBar, measure, tilted_bar
-from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, Motion, Waves, aligned_rms_um, foreign_machine
-from campaigns.foreign.score import family_of
+from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, Motion, Waves, foreign_machine
+from campaigns.foreign.score import family_of, true_error_um
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify, predicted_vce, process_noise
 from twin.identification.identify import accepted_rows
-from twin.machine.forward_model import exact_deviation
 from twin.monitoring.night_fit import NightFit, compare_with_nights_before
 
 NIGHTS, STEP_NIGHT, STATED_UM, SEED = 60, 20, 0.5, 7
@@ -148,12 +147,6 @@ def fused_nights(
         true_um = true_error_um(night.machine, estimate)
         scores.append(NightScore(number, night.machine, estimate, fit, true_um, predicted_um(estimate)))
     return scores
-
-
-def true_error_um(machine: ForeignMachine, estimate: Estimate) -> float:
-    """Return the rms error in µm that compensation by `estimate` leaves on the true machine."""
-    left = machine.deviation(GRID) - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
-    return aligned_rms_um(GRID + TOOL, left)
 
 
 def predicted_um(estimate: Estimate) -> float:

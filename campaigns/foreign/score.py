@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from campaigns.foreign.artefact import ForeignBar
 from campaigns.foreign.machine import CHAIN, GRID, RANGES, TOOL, ForeignMachine, aligned_rms_um
+from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify_by_evidence, predicted_vce
@@ -58,15 +60,30 @@ def score(
     The program reads the certificate of `bar`, or `artefact` instead.
     """
     estimate = identify_by_evidence(family_of, seen, artefact or bar.artefact, options)
-    truth = machine.deviation(GRID)
-    left = truth - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
-    predicted = predicted_vce(estimate, GRID, TOOL)
     return Score(
         estimate,
-        before_um=aligned_rms_um(GRID + TOOL, truth),
-        after_um=aligned_rms_um(GRID + TOOL, left),
-        predicted_um=predicted.aligned_um,
+        before_um=true_error_um(machine),
+        after_um=true_error_um(machine, estimate),
+        predicted_um=predicted_vce(estimate, GRID, TOOL).aligned_um,
     )
+
+
+class WrittenModel(Protocol):
+    """Estimate, computed or read from a file, whose parameters are written as compensation."""
+
+    @property
+    def model(self) -> ErrorModel: ...
+    @property
+    def parameters(self) -> Array: ...
+
+
+def true_error_um(machine: ForeignMachine, written: WrittenModel | None = None) -> float:
+    """Return the true volumetric error in µm over the whole travel, after the best rigid motion is removed: with the
+    parameters of the estimate `written` as compensation, or without compensation."""
+    left = machine.deviation(GRID)
+    if written is not None:
+        left = left - exact_deviation(written.model, GRID, TOOL, written.parameters)
+    return aligned_rms_um(GRID + TOOL, left)
 
 
 def turned_about_the_bar(points: np.ndarray, angle_rad: float) -> np.ndarray:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from foreign_files import artefact_text, ball_text, machine_text, rows_of
 from scipy.interpolate import RegularGridInterpolator
 
-from campaigns.foreign.artefact import STATIONS_MM, ForeignBar, Measured, measure, tilted_bar
-from campaigns.foreign.machine import CHAIN, RANGES, TOOL, ForeignMachine, aligned_rms_um, foreign_machine, grid
-from campaigns.foreign.score import AMPLITUDES
-
-HEADS = "position,station,azimuth_deg,elevation_deg,tool,ball,x_mm,y_mm,z_mm,sigma_um,temperature_c"
+from campaigns.foreign.artefact import STATIONS_MM, measure, tilted_bar
+from campaigns.foreign.machine import TOOL, ForeignMachine, aligned_rms_um, foreign_machine, grid
 
 
 @dataclass(frozen=True)
@@ -62,50 +59,8 @@ def written_case(
     rng = np.random.default_rng(seed)
     machine, bar = foreign_machine(rng, worse), tilted_bar(rng)
     found = measure(machine, bar, orientations, np.random.default_rng(seed + 100), stations=stations)
-    (folder / "machine.toml").write_text(machine_text())
+    rows = rows_of(found.seen, 0, per_station=len(orientations), stated_noise=stated_noise)
+    (folder / "machine.toml").write_text(machine_text(order=5))
     (folder / "artefact.toml").write_text(artefact_text(bar))
-    (folder / "balls.csv").write_text(balls_text(found, len(orientations), stated_noise))
+    (folder / "balls.csv").write_text(ball_text(rows))
     return Case(machine, folder)
-
-
-def machine_text() -> str:
-    axes = "".join(
-        f"[axes.{name}]\nrange_mm = [{low}, {high}]\nrapid_mm_per_min = 20000.0\nfeed_mm_per_min = 3000.0\n"
-        "acceleration_mm_per_s2 = 500.0\n"
-        for name, (low, high) in zip("XYZ", RANGES, strict=True)
-    )
-    family = "".join(f"{name} = {value}\n" for name, value in AMPLITUDES.items())
-    text = (
-        f'name = "foreign"\nchain = "{CHAIN}"\n{axes}[tools.probe]\noffset_mm = {TOOL.tolist()}\n'
-        f"[model]\norder = 5\ncross_effect = true\n[model.family]\n{family}"
-    )
-    assert tomllib.loads(text)
-    return text
-
-
-def artefact_text(bar: ForeignBar) -> str:
-    artefact = bar.artefact
-    balls = "".join(f"  {row},\n" for row in artefact.balls.tolist())
-    return (
-        f'name = "foreign"\ncertificate = "drawn"\nreference_temperature_c = {artefact.reference_temperature_c}\n'
-        f"cte_per_k = {artefact.cte_per_k}\n"
-        f"cte_standard_uncertainty_per_k = {artefact.cte_standard_uncertainty_per_k}\n"
-        f"ball_diameter_mm = {artefact.ball_diameter_mm}\nholder_length_mm = {artefact.holder_length_mm}\n"
-        f"standard_uncertainty_um = {1e3 * float(np.sqrt(artefact.covariance[0, 0]))}\nsag_um = 0.0\n"
-        f"balls = [\n{balls}]\n"
-    )
-
-
-def balls_text(found: Measured, orientations: int, stated_noise: float) -> str:
-    seen = found.seen
-    assert seen.azimuth_rad is not None
-    angles = np.degrees(np.stack((seen.azimuth_rad, seen.elevation_rad), axis=1))
-    sigma_um = 1e3 * stated_noise * np.sqrt(seen.covariance[:, 0, 0])
-    lines = [HEADS]
-    for row in range(seen.size):
-        position = int(seen.position[row])
-        azimuth, elevation = angles[row]
-        point = ",".join(f"{value:.7f}" for value in seen.axis_positions[row])
-        head = f"{position},{1 + position // orientations},{azimuth:.6f},{elevation:.6f},probe,{seen.ball[row]}"
-        lines.append(f"{head},{point},{sigma_um[row]:g},{seen.temperature_c[row]:.6f}")
-    return "\n".join(lines) + "\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,19 +22,36 @@ COLUMNS = (
 Row = dict[str, str]
 
 
-def rows_of(seen: Observations, first_position: int = 1) -> list[Row]:
-    """Return the rows of a ball file, whose positions are numbered from `first_position`."""
+def rows_of(
+    seen: Observations,
+    first_position: int = 1,
+    *,
+    per_station: int | None = None,
+    stated_noise: float = 1.0,
+    with_temperature: bool = True,
+) -> list[Row]:
+    """Return the rows of a ball file, whose positions are numbered from `first_position`.
+
+    `per_station` is the number of positions at each station; all are at the first one if it is None. `stated_noise` is
+    the ratio of the stated uncertainty to that of `seen`.
+    """
     assert seen.azimuth_rad is not None
-    angles = np.degrees(np.stack((seen.azimuth_rad, seen.elevation_rad), axis=1)).round(6)
+    angles = np.degrees(np.stack((seen.azimuth_rad, seen.elevation_rad), axis=1))
     rows = []
     for k in range(seen.size):
-        azimuth, elevation = angles[k].tolist()
-        x, y, z = seen.axis_positions[k].tolist()
-        sigma_um = 1e3 * float(np.sqrt(seen.covariance[k, 0, 0]))
-        place = (int(seen.position[k]) + first_position, 1, azimuth, elevation, "probe", int(seen.ball[k]))
-        cells = (*place, f"{x:.6f}", f"{y:.6f}", f"{z:.6f}", f"{sigma_um:g}", f"{seen.temperature_c[k]:.3f}")
+        position = int(seen.position[k])
+        station = 1 if per_station is None else 1 + position // per_station
+        place = [position + first_position, station, *(f"{angle:.9f}" for angle in angles[k])]
+        centre = (f"{value:.7f}" for value in seen.axis_positions[k])
+        sigma_um = 1e3 * stated_noise * float(np.sqrt(seen.covariance[k, 0, 0]))
+        temperature = f"{seen.temperature_c[k]:.6f}" if with_temperature else ""
+        cells = (*place, "probe", int(seen.ball[k]), *centre, f"{sigma_um:g}", temperature)
         rows.append(dict(zip(COLUMNS, map(str, cells), strict=True)))
     return rows
+
+
+def ball_text(rows: Iterable[Row]) -> str:
+    return "\n".join([",".join(COLUMNS), *(",".join(row[name] for name in COLUMNS) for row in rows)]) + "\n"
 
 
 @dataclass(frozen=True)
@@ -52,25 +70,28 @@ class Folder:
 
     def run(self, bar: ForeignBar, rows: list[Row], *options: str) -> Result:
         (self.path / "machine.toml").write_text(machine_text(self.low_mm))
-        (self.path / "bar.toml").write_text(bar_text(bar))
-        lines = [",".join(COLUMNS), *(",".join(row[name] for name in COLUMNS) for row in rows)]
+        (self.path / "bar.toml").write_text(artefact_text(bar))
         balls = self.path / "balls.csv"
-        balls.write_text("\n".join(lines) + "\n")
+        balls.write_text(ball_text(rows))
         files = ("--machine", self.path / "machine.toml", "--artefact", self.path / "bar.toml", "--out", self.out)
         arguments = [str(balls), *map(str, files), "--even-so", *options]
         return CliRunner().invoke(identify, arguments, prog_name="volcal identify")
 
 
-def machine_text(low_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> str:
+def machine_text(low_mm: tuple[float, float, float] = (0.0, 0.0, 0.0), order: int | None = None) -> str:
+    """Return a machine file whose axes begin at `low_mm`, with this Legendre order or the one that volcal assumes."""
     lines = ['name = "foreign"', f'chain = "{CHAIN}"']
     for axis, (low, high), moved in zip("XYZ", RANGES, low_mm, strict=True):
         lines += [f"[axes.{axis}]", f"range_mm = [{low + moved}, {high + moved}]"]
         lines += ["rapid_mm_per_min = 20000.0", "acceleration_mm_per_s2 = 500.0"]
-    lines += ["[tools.probe]", f"offset_mm = {TOOL.tolist()}", "[model.family]"]
+    lines += ["[tools.probe]", f"offset_mm = {TOOL.tolist()}"]
+    if order is not None:
+        lines += ["[model]", f"order = {order}", "cross_effect = true"]
+    lines += ["[model.family]"]
     return "\n".join(lines + [f"{name} = {value}" for name, value in AMPLITUDES.items()]) + "\n"
 
 
-def bar_text(bar: ForeignBar) -> str:
+def artefact_text(bar: ForeignBar) -> str:
     values = {
         "name": '"foreign"',
         "certificate": '"drawn"',
@@ -80,6 +101,6 @@ def bar_text(bar: ForeignBar) -> str:
         "ball_diameter_mm": 25.0,
         "holder_length_mm": 60.0,
         "standard_uncertainty_um": 1e3 * CERTIFICATE_MM,
-        "balls": bar.certified.round(6).tolist(),
+        "balls": bar.certified.round(7).tolist(),
     }
     return "".join(f"{name} = {value}\n" for name, value in values.items())

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case_study_files import MACHINE_FILE
 from click.testing import CliRunner
-from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text
+from foreign_files import artefact_text, ball_text, rows_of
 
 from agent.cli.identify import identify
 from campaigns.foreign.nights import (
@@ -76,7 +77,9 @@ def test_a_drift_larger_than_stated_is_learned() -> None:
 def identified(night: MeasuredNight, earlier: Path, out: Path, *more: str) -> dict[str, Any]:
     """Return the JSON output of `volcal identify` for the files of a night."""
     balls, artefact = out.with_suffix(".csv"), out.with_suffix(".toml")
-    balls.write_text(ball_text(night.seen, per_station=len(np.unique(night.seen.position))), encoding="utf-8")
+    balls.write_text(
+        ball_text(rows_of(night.seen, 0, per_station=len(np.unique(night.seen.position)))), encoding="utf-8"
+    )
     artefact.write_text(artefact_text(night.bar), encoding="utf-8")
     arguments = [balls, "--machine", MACHINE_FILE, "--artefact", artefact, "--out", out, "--carried-over", earlier]
     done = CliRunner().invoke(identify, [*map(str, arguments), *more, "--json"], prog_name="volcal identify")

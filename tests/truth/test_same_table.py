@@ -45,7 +45,7 @@ def assert_same(found: np.ndarray, before: np.ndarray) -> None:
 
 def moved_by(rows: list[Row], low_mm: tuple[float, float, float]) -> list[Row]:
     return [
-        {**row, **{name: f"{float(row[name]) + low:.6f}" for name, low in zip(COORDINATES, low_mm, strict=True)}}
+        {**row, **{name: f"{float(row[name]) + low:.7f}" for name, low in zip(COORDINATES, low_mm, strict=True)}}
         for row in rows
     ]
 

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case_study_files import MACHINE_FILE, settings_text
 from click.testing import CliRunner, Result
-from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text, settings_text
+from foreign_files import artefact_text, ball_text, rows_of
 
 from agent.cli.identify import identify
 from campaigns.foreign.artefact import S3, ForeignBar, measure, straight_bar, tilted_bar
-from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, aligned_rms_um, foreign_machine
-from campaigns.foreign.score import score
+from campaigns.foreign.machine import GRID, TOOL, ForeignMachine, foreign_machine
+from campaigns.foreign.score import score, true_error_um
 from twin.artefact.observations import Observations
 from twin.formats.estimate_file import parse_estimate
 from twin.identification import Options, predicted_vce
 from twin.identification.predicted import field_forms
-from twin.machine.forward_model import exact_deviation
 from twin.uncertainty.thermometer_effect import thermometer_effect
 from twin.uncertainty.volumetric_distribution import volumetric_distributions
 
@@ -82,7 +82,9 @@ class Desk:
 
     def __init__(self, folder: Path, drawn: Case, **kind: bool) -> None:
         self.folder, self.drawn = folder, drawn
-        (folder / "balls.csv").write_text(ball_text(drawn.seen, len(S3), **kind), encoding="utf-8")
+        (folder / "balls.csv").write_text(
+            ball_text(rows_of(drawn.seen, 0, per_station=len(S3), **kind)), encoding="utf-8"
+        )
         (folder / "bar.toml").write_text(artefact_text(drawn.bar), encoding="utf-8")
         self.settings(None)
 
@@ -106,9 +108,7 @@ class Desk:
 
     def after_um(self, out: str = "out") -> float:
         text = (self.folder / out / "estimate.json").read_text(encoding="utf-8")
-        estimate = parse_estimate(text, "estimate.json")
-        left = self.drawn.machine.deviation(GRID) - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
-        return aligned_rms_um(GRID + TOOL, left)
+        return true_error_um(self.drawn.machine, parse_estimate(text, "estimate.json"))
 
     def report(self, out: str = "out") -> str:
         return " ".join((self.folder / out / "report.html").read_text(encoding="utf-8").split())

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case_study_files import MACHINE_FILE
 from click.testing import CliRunner, Result
-from foreign_thermometer_files import MACHINE_FILE, artefact_text, ball_text
+from foreign_files import artefact_text, ball_text, rows_of
 
 from agent.cli.main import main
 from agent.results.gates import Gate, certificate_gate
@@ -155,7 +156,7 @@ def test_with_the_ball_uncertified_the_result_is_as_good_as_predicted(seed: int)
 
 def run_identify(folder: Path, errors_um: dict[int, Vector], additions: str = "") -> Result:
     bar, seen = measured(0, errors_um)
-    (folder / "balls.csv").write_text(ball_text(seen, len(S3)), encoding="utf-8")
+    (folder / "balls.csv").write_text(ball_text(rows_of(seen, 0, per_station=len(S3))), encoding="utf-8")
     (folder / "artefact.toml").write_text(artefact_text(bar) + additions, encoding="utf-8")
     files = [str(folder / "balls.csv"), "--machine", str(MACHINE_FILE), "--artefact", str(folder / "artefact.toml")]
     options = ["--out", str(folder / "out"), "--order", "6", "--even-so", "--json"]
