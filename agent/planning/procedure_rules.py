@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.planning.stations import Artefacts, bodies_around, station_change
+from agent.planning.stations import Artefacts, bodies_around, park_distance_mm, station_change
 from agent.planning.time_model import time_model
 from agent.probing.paths.free_paths import FreePathRules
 from agent.probing.paths.retreat import Retreat
@@ -133,7 +133,7 @@ def retreat_of(
     (x_low, x_high), (y_low, _), _ = machine.limits
     park = {}
     for number, (x, _, _) in enumerate(stations.places_mm, start=1):
-        away = stations.park_distance_mm
+        away = park_distance_mm(stations.park_distance_mm, x, (x_low, x_high))
         target = x + away if x + away <= x_high else x - away
         if not x_low <= target <= x_high:
             raise ConfigurationError(

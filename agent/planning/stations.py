@@ -9,6 +9,7 @@ There are three arrangements:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +27,9 @@ from twin.artefact.combined_artefact import combine_artefacts
 from twin.artefact.mount_geometry import MountGeometry
 from twin.collision.bodies import Body
 from twin.collision.neighbour_stations import neighbour_bodies
+
+LARGEST_PARK_DISTANCE_MM = 1000.0
+"""Park distance on a machine with enough travel: no mount that a person can carry reaches this far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,19 @@ def station_change(roles: RoleSettings, stations: StationSettings) -> StationCha
         return StationChange()
     carried = CarriedItem.ARTEFACT if stations.artefacts is None else CarriedItem.NOTHING
     return StationChange(carried, tuple(sorted(roles.mount)), stations.parked_deg)
+
+
+def park_distance_mm(chosen: float | None, place_mm: float, travel_mm: tuple[float, float]) -> float:
+    """Return the distance in mm from a station at which the probe waits while the mount turns.
+
+    `place_mm` and `travel_mm` are the place of the station and the travel, both along the axis on which the probe moves
+    aside. The distance is `chosen`, the one of the settings. If `chosen` is None, it is 1000 mm or, on a machine too
+    small for that, all the travel on the wider side of the station, in whole millimetres.
+    """
+    low, high = travel_mm
+    if chosen is not None:
+        return chosen
+    return min(LARGEST_PARK_DISTANCE_MM, float(math.floor(max(high - place_mm, place_mm - low))))
 
 
 def bodies_around(

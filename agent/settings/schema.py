@@ -69,14 +69,15 @@ class StationSettings(StrictModel):
 
     If each station has a mount of its own, `artefacts` lists one artefact file per station. It is omitted if a single
     artefact is moved between the mounts. `parked_deg` contains the azimuth and elevation of the mounts at which no
-    artefact is being measured.
+    artefact is being measured. `park_distance_mm` is the distance of the probe from the mount while the mount turns; if
+    it is None, it follows from the travel (see `park_distance_mm` in `agent.planning.stations`).
     """
 
     places_mm: list[Coordinates] = Field(min_length=1)
     standing_at: PositiveInt | None = None
     artefacts: list[Path] | None = Field(default=None, min_length=1)
     parked_deg: Angles = (0.0, 90.0)
-    park_distance_mm: PositiveFloat = 1000.0
+    park_distance_mm: PositiveFloat | None = None
 
     def resolved(self, base: Path) -> StationSettings:
         """Return these settings with relative paths resolved against the directory `base`."""

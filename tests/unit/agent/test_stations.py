@@ -14,6 +14,7 @@ from touched_ball import TouchedBall
 from agent.execution import steps as s
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.planning.stations import park_distance_mm
 from agent.probing.station_change import CarriedItem, StationChange, change_station, park_mounts
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
@@ -157,3 +158,10 @@ def test_every_mount_is_parked_before_a_run_in_its_own_station() -> None:
     assert [step.station for step in player.steps if isinstance(step, s.OrientTo)] == [1, 2, 3]
     keys = [step.key for step in player.steps]
     assert len(set(keys)) == len(keys)
+
+
+def test_the_probe_waits_within_the_travel_of_any_machine() -> None:
+    assert park_distance_mm(None, 700.0, (0.0, 4000.0)) == 1000.0
+    assert park_distance_mm(None, 300.0, (0.0, 800.0)) == 500.0
+    assert park_distance_mm(None, 0.1, (-400.2, 0.3)) == 400.0
+    assert park_distance_mm(250.0, 300.0, (0.0, 800.0)) == 250.0
