@@ -28,9 +28,10 @@ def check(file: Path) -> None:
     settings = load_settings(file)
     with naming(file):
         job = prepare_job(settings, file.resolve().parent)
+        held_out = job.held_out
     click.echo(
         f"{file}: good. Machine {job.machine.name}, artefact {job.artefact.name}, "
-        f"{len(job.positions)} positions, {len(settings.devices)} devices."
+        f"{len(job.positions)} positions, {len(held_out)} held out, {len(settings.devices)} devices."
     )
 
 

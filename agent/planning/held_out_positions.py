@@ -4,16 +4,18 @@ for the estimate of the machine's errors."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 from agent.files import translated
 from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.job import Job
+from agent.planning.planning_options import planning_options
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 from twin.design.candidates import build_candidates, orientation_grid
 from twin.design.held_out import least_known_positions
-from twin.design.measurement_setup import AS_STATED
 from twin.errors import DataError
 from twin.machine.volumetric import evaluation_grid
 
@@ -27,6 +29,21 @@ def verification_stations(settings: Settings) -> tuple[int, ...]:
     return tuple(chosen or range(1, len(settings.stations.places_mm) + 1))
 
 
+def listed_positions(settings: Settings, stations: Sequence[int]) -> tuple[Position, ...]:
+    """Return the orientations that the settings list for the verification, at each of the `stations`."""
+    listed = settings.verification.positions_deg or ()
+    return tuple(Position(station, azimuth, elevation) for station in stations for azimuth, elevation in listed)
+
+
+def held_out_grid(settings: Settings) -> tuple[tuple[float, float], ...]:
+    """Return the orientations (azimuth, elevation) in degrees that may be held out. Raises ConfigurationError if 90° is
+    not a multiple of `verification.grid_deg`."""
+    try:
+        return orientation_grid(settings.verification.grid_deg)
+    except DataError as error:
+        raise ConfigurationError(error.message, hint=error.hint, key="verification.grid_deg") from error
+
+
 def held_out_positions(job: Job, positions: Sequence[Position]) -> tuple[Position, ...]:
     """Return the positions that verify an estimate made from `positions`.
 
@@ -37,9 +54,18 @@ def held_out_positions(job: Job, positions: Sequence[Position]) -> tuple[Positio
     chosen, stations = job.settings.verification, verification_stations(job.settings)
     if chosen.positions_deg is None:
         return least_known(job, positions, stations, chosen.positions)
-    return tuple(
-        Position(station, azimuth, elevation) for station in stations for azimuth, elevation in chosen.positions_deg
-    )
+    return listed_positions(job.settings, stations)
+
+
+@dataclass(frozen=True, eq=False)
+class LazyHeldOut:
+    """Held-out positions of `job`, chosen by `held_out_positions` when they are first read."""
+
+    job: Job
+
+    @cached_property
+    def positions(self) -> tuple[Position, ...]:
+        return held_out_positions(self.job, self.job.positions)
 
 
 def least_known(job: Job, positions: Sequence[Position], stations: Sequence[int], count: int) -> tuple[Position, ...]:
@@ -51,16 +77,12 @@ def least_known(job: Job, positions: Sequence[Position], stations: Sequence[int]
     population, misfit) and from the rules of `job`; see `twin.design.held_out`. Raises ConfigurationError if no
     position is within reach.
     """
-    chosen, machine = job.settings.verification, job.machine
-    try:
-        grid = orientation_grid(chosen.grid_deg)
-    except DataError as error:
-        raise ConfigurationError(error.message, hint=error.hint, key="verification.grid_deg") from error
+    machine, grid, options = job.machine, held_out_grid(job.settings), planning_options(job.settings.temperature)
     offered = [Position(station, azimuth, elevation) for station in stations for azimuth, elevation in grid]
     field = evaluation_grid(machine.model.ranges_mm, _GRID)
     with translated(ConfigurationError, key="stations.places_mm"):
         candidates = build_candidates(
-            job.procedure, [*positions, *offered], machine.family, AS_STATED, field, job.tool_offset_mm
+            job.procedure, [*positions, *offered], machine.family, options, field, job.tool_offset_mm
         )
     measured = set(positions)
     at = [index for index, position in enumerate(candidates.positions) if position in measured]

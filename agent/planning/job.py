@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -24,25 +25,57 @@ from twin.design.procedure import Procedure
 from twin.machine.machine_description import MachineDescription
 
 
+class HeldOutChoice(Protocol):
+    """Held-out positions of a job. They may be computed when they are first read."""
+
+    @property
+    def positions(self) -> tuple[Position, ...]: ...
+
+
+@dataclass(frozen=True)
+class KnownHeldOut:
+    """Held-out positions that are known from the beginning."""
+
+    positions: tuple[Position, ...] = ()
+
+
 @dataclass(frozen=True)
 class Job:
     """Prepared calibration, which can be listed, checked by a preflight and carried out.
 
     `positions` are measured to estimate the errors of the machine. The positions `held_out` are never used for this
-    estimate; they verify it.
+    estimate; they verify it. They are chosen when they are first read, because the choice takes much longer than the
+    rest of the preparation and many commands do not need it. Copies of a job made by `dataclasses.replace` share the
+    choice in `held_out_choice`. `allowed_stations` contains the stations at which positions may be measured or held
+    out, in measuring order.
     """
 
     settings: Settings
     machine: MachineDescription
     artefact: Artefact
     positions: tuple[Position, ...]
-    held_out: tuple[Position, ...]
-    stations: tuple[int, ...]
-    verified_stations: tuple[int, ...]
+    held_out_choice: HeldOutChoice
+    allowed_stations: tuple[int, ...]
     layout: MeasuringLayout
     rules: PositionRules
     preparation: Preparation
     gate_limits: GateSettings
+
+    @property
+    def held_out(self) -> tuple[Position, ...]:
+        """Held-out positions. Raises ConfigurationError when first read if no position can be held out."""
+        return self.held_out_choice.positions
+
+    @property
+    def verified_stations(self) -> tuple[int, ...]:
+        """Stations of the held-out positions."""
+        return tuple(dict.fromkeys(position.station for position in self.held_out))
+
+    @property
+    def stations(self) -> tuple[int, ...]:
+        """Stations at which positions are measured or held out, in measuring order."""
+        needed = {position.station for position in (*self.positions, *self.held_out)}
+        return tuple(station for station in self.allowed_stations if station in needed)
 
     @property
     def tool_offset_mm(self) -> Array:

@@ -10,8 +10,13 @@ from pathlib import Path
 
 from agent.files import translated
 from agent.model_files import load_machine, load_positions
-from agent.planning.held_out_positions import held_out_positions, verification_stations
-from agent.planning.job import Job
+from agent.planning.held_out_positions import (
+    LazyHeldOut,
+    held_out_grid,
+    listed_positions,
+    verification_stations,
+)
+from agent.planning.job import HeldOutChoice, Job, KnownHeldOut
 from agent.planning.procedure_rules import layout_of, preparation_of, probing_of, retreat_of
 from agent.planning.stations import check_stations, load_artefacts, station_change
 from agent.planning.temperature_rules import drift_limits_of, settling_of
@@ -26,8 +31,9 @@ from twin.design.procedure import MIN_BALLS
 def prepare_job(settings: Settings, base: Path) -> Job:
     """Load the files that the settings name, check that they are consistent, and return the job.
 
-    `base` is the folder to which the path of a position file is relative. Raises ConfigurationError if a file cannot be
-    used or if the files and settings are not consistent.
+    `base` is the folder to which the path of a position file is relative. Held-out positions that the settings do not
+    list are chosen when `Job.held_out` is first read. Raises ConfigurationError if a file cannot be used or if the
+    files and settings are not consistent.
     """
     check_stations(settings)
     machine = load_machine(settings.machine)
@@ -42,17 +48,15 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     positions = _positions(
         settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool
     )
-    verified = verification_stations(settings)
-    used = tuple(dict.fromkeys((*stations, *(p.station for p in positions), *verified)))
+    allowed = (*stations, *(p.station for p in positions), *verification_stations(settings))
     probing = probing_of(settings.procedure, settings.probe.tip_radius_mm, artefacts.kind)
     job = Job(
         settings=settings,
         machine=machine,
         artefact=artefacts.all,
         positions=positions,
-        held_out=(),
-        stations=used,
-        verified_stations=verified,
+        held_out_choice=KnownHeldOut(),
+        allowed_stations=tuple(dict.fromkeys(allowed)),
         layout=layout_of(settings, machine, artefacts, probing),
         preparation=preparation_of(settings, machine, artefacts, probing),
         rules=PositionRules(
@@ -67,20 +71,17 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     _refuse_nothing_reachable(job)
     if settings.procedure.position_set.endswith(POSITION_FILES):
         _refuse_unreachable_entry(job)
-    return _with_held_out(job)
+    return replace(job, held_out_choice=_held_out_choice(job))
 
 
-def _with_held_out(job: Job) -> Job:
-    """Return `job` with its held-out positions. Positions chosen automatically need not be at all stations that the
-    settings allow, so only their stations are visited for the verification."""
-    held_out = held_out_positions(job, job.positions)
-    if job.settings.verification.positions_deg is not None:
-        _refuse_overlap(job.positions, held_out)
-        return replace(job, held_out=held_out)
-    verified = tuple(dict.fromkeys(position.station for position in held_out))
-    needed = {*(position.station for position in job.positions), *verified}
-    stations = tuple(station for station in job.stations if station in needed)
-    return replace(job, held_out=held_out, verified_stations=verified, stations=stations)
+def _held_out_choice(job: Job) -> HeldOutChoice:
+    """Return the held-out positions that the settings list, or else their choice, which is made when it is read."""
+    if job.settings.verification.positions_deg is None:
+        held_out_grid(job.settings)
+        return LazyHeldOut(job)
+    listed = listed_positions(job.settings, verification_stations(job.settings))
+    _refuse_overlap(job.positions, listed)
+    return KnownHeldOut(listed)
 
 
 def _positions(name: str, stations: Sequence[int], station_count: int, base: Path, tool: str) -> tuple[Position, ...]:

@@ -15,6 +15,7 @@ from agent.files import translated
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.pareto_front import FrontPoint, front_of
 from agent.planning.held_out_positions import held_out_positions
+from agent.planning.job import KnownHeldOut
 from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
@@ -149,7 +150,7 @@ def _refused(problem: DesignProblem, positions: Sequence[Position], held_out: Se
     for job, own in problem.by_tool(positions):
         proof = tuple(held_out) or held_out_positions(job, own)
         try:
-            run_preflight(replace(job, positions=own, held_out=proof))
+            run_preflight(replace(job, positions=own, held_out_choice=KnownHeldOut(proof)))
         except PlanRefused as error:
             step = error.where.get("step", "")
             for position in positions:

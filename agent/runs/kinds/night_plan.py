@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from agent.errors import PlanRefused
 from agent.execution.steps import Plan, Point
-from agent.planning.job import Job
+from agent.planning.job import Job, KnownHeldOut
 from agent.planning.preflight import PreflightResult, Procedure, run_preflight
 from agent.probing.repeated_positions import join_measured
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
@@ -54,9 +54,8 @@ class NightPlan:
         return replace(
             job_at_station(job, self.station),
             positions=(*self.check_positions, *self.further),
-            held_out=self.held_out,
-            stations=(self.station,),
-            verified_stations=(self.station,),
+            held_out_choice=KnownHeldOut(self.held_out),
+            allowed_stations=(self.station,),
         )
 
     def order(self, prefix: str, positions: Sequence[Position]) -> MeasuringOrder:

@@ -15,7 +15,7 @@ from agent.planning.design.design_result import find_design
 from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import variants_of
-from agent.planning.job import Job
+from agent.planning.job import Job, KnownHeldOut
 from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
@@ -127,7 +127,7 @@ def test_ways_that_are_proved_pass_where_plain_ones_would_hit():
 
 def _passes_preflight(job: Job, position: Position) -> bool:
     try:
-        run_preflight(replace(job, positions=(position,), held_out=(Position(1, 30.0, 30.0),)))
+        run_preflight(replace(job, positions=(position,), held_out_choice=KnownHeldOut((Position(1, 30.0, 30.0),))))
     except PlanRefused:
         return False
     return True

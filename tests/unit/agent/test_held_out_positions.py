@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from agent.planning import held_out_positions as module
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.held_out_positions import held_out_positions, least_known
@@ -79,6 +81,24 @@ def test_the_choice_is_the_same_every_time_and_fits_the_set() -> None:
     others = held_out_positions(job, (*job.positions, best))
     assert best in job.held_out
     assert best not in others
+
+
+def test_the_choice_is_made_when_it_is_first_read_and_copies_share_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    choices: list[int] = []
+
+    def refuse(*_: object) -> tuple[Position, ...]:
+        choices.append(1)
+        raise ConfigurationError("nothing can be held out", key="verification.grid_deg")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "least_known", refuse)
+        job = prepared()
+        with pytest.raises(ConfigurationError, match="nothing can be held out"):
+            run_preflight(job)
+    assert choices == [1]
+    fewer = replace(job, positions=job.positions[:3])
+    assert fewer.held_out is job.held_out
+    assert job.held_out == case().held_out
 
 
 def test_a_chosen_position_can_be_measured() -> None:
