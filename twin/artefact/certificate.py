@@ -1,5 +1,9 @@
 """Knowledge about the ball centres of an artefact in addition to the values of its certificate: uncertified balls, a
-common uncertainty of all lengths, and lengths that were measured independently."""
+common uncertainty of all lengths, and lengths that were measured independently.
+
+An artefact whose ball centres are known only roughly has no certificate. Its identification needs a length that was
+measured independently, since no other information gives the scale.
+"""
 
 from __future__ import annotations
 
@@ -11,32 +15,92 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.errors import DataError
+from twin.machine.rigid_motion import rigid_fields
 
 UNCERTIFIED_MM = 1.0
 """Standard uncertainty in mm of each coordinate of an uncertified ball. It exceeds any error of a centre that can be
 touched, and the paths to the ball remain safe."""
 
+CERTIFIED_MM = 0.01
+"""Largest standard uncertainty in mm per coordinate of the balls of a calibrated artefact. If the balls are known less
+well, the uncertainty exceeds the errors of the machines that the artefact is to show."""
+
+TRACEABLE_PPM = 10.0
+"""Largest relative standard uncertainty, in ppm, of the best-known length of an artefact that gives a scale."""
+
 _MAX_CONTRADICTION = 5.0
 _PER_PPM = 1e-6
+_INDEPENDENT = 1e-9  # smallest singular value, relative to the largest, of an independent motion
+_SAME_LENGTH_MM = 1.0  # two distances that differ by less could both be meant by the length of the end balls
 
 
 @dataclass(frozen=True)
-class ReferenceLength:
-    """Distance between the centres of two balls at the reference temperature, measured independently of the
-    certificate, for example with a laser interferometer or a gauge block. Both values are in mm."""
+class BallDistance:
+    """Distance between the centres of two balls at the reference temperature, with its standard uncertainty, both in
+    mm. It was measured independently of the certificate, for example with a laser interferometer or a gauge block, or
+    follows from the centres."""
 
     balls: tuple[int, int]
     length_mm: float
     standard_uncertainty_mm: float
 
     @property
+    def ppm(self) -> float:
+        """Relative standard uncertainty in ppm."""
+        return self.standard_uncertainty_mm / self.length_mm / _PER_PPM
+
+    @property
     def text(self) -> str:
-        """Description of the length for the record of the certificate."""
+        """Description of a measured length for the record of the certificate."""
         first, second = self.balls
         return (
             f"length of balls {first} and {second} measured: {self.length_mm:.4f} mm, "
             f"standard uncertainty {1e3 * self.standard_uncertainty_mm:g} µm"
         )
+
+
+def end_balls(balls: Array) -> tuple[int, int]:
+    """Return the numbers of the two balls that are farthest apart, of centres `balls` (N, 3) in mm. Raise DataError if
+    another pair is as far apart within 1 mm."""
+    distance = np.triu(np.linalg.norm(balls[:, None] - balls[None], axis=2))
+    order = np.argsort(distance, axis=None)[::-1]
+    pairs = [(int(pair // len(balls)), int(pair % len(balls))) for pair in order[:2]]
+    lengths = [float(distance[pair]) for pair in pairs]
+    if lengths[1] > lengths[0] - _SAME_LENGTH_MM:
+        named = " and ".join(f"{first}-{second}" for first, second in pairs)
+        raise DataError(
+            f"the artefact has no two end balls: the pairs {named} are both {lengths[0]:.1f} mm apart",
+            hint="name the two balls of the length in a section [[reference_lengths]] instead",
+        )
+    return pairs[0]
+
+
+def has_certificate(balls: Array, covariance: Array) -> bool:
+    """Return True if the shape of the artefact is known to `CERTIFIED_MM` at half of its balls or more.
+
+    `balls` (N, 3) in mm and `covariance` (3N, 3N) in mm² are the centres and their covariance. Uncertainties of the
+    artefact's frame and of a common scale do not count.
+    """
+    free = _without_similarity(balls)
+    variances = np.diagonal(free @ covariance @ free).reshape(-1, 3).mean(axis=1)
+    return bool(np.median(variances) <= CERTIFIED_MM**2)
+
+
+def best_known_length(balls: Array, covariance: Array) -> BallDistance:
+    """Return the distance between two balls with the smallest relative standard uncertainty, for centres `balls` (N, 3)
+    in mm with the covariance (3N, 3N) in mm²."""
+    lengths = (
+        known_length(balls, covariance, (first, second))
+        for first in range(len(balls))
+        for second in range(first + 1, len(balls))
+    )
+    return min(lengths, key=lambda length: (length.ppm, -length.length_mm))
+
+
+def known_length(balls: Array, covariance: Array, pair: tuple[int, int]) -> BallDistance:
+    """Return the distance between the two balls `pair`. The other arguments are those of `best_known_length`."""
+    gradient, length_mm = _gradient(balls, *pair)
+    return BallDistance(pair, length_mm, math.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
 
 
 def with_length_uncertainty(balls: Array, covariance: Array, uncertainty_ppm: float) -> Array:
@@ -64,29 +128,19 @@ def with_uncertified(covariance: Array, balls: Sequence[int]) -> Array:
     return widened
 
 
-def with_reference_lengths(balls: Array, covariance: Array, lengths: Sequence[ReferenceLength]) -> tuple[Array, Array]:
-    """Return the centres (N, 3) in mm and their covariance (3N, 3N) in mm² after a Gaussian update by measured lengths.
+def with_reference_length(balls: Array, covariance: Array, length: BallDistance) -> tuple[Array, Array]:
+    """Return the centres (N, 3) in mm and their covariance (3N, 3N) in mm², updated by a measured length.
 
-    Each length is linearised along the line between its two balls. Raise DataError if a length contradicts the
-    certificate, that is, if it differs by more than five standard deviations.
+    The update is Gaussian and linear along the line between the two balls. Raise DataError if the length contradicts
+    the certificate, that is, if it differs by more than five standard deviations.
     """
-    for length in lengths:
-        balls, covariance = _updated(balls, covariance, length)
-    return balls, covariance
-
-
-def _updated(balls: Array, covariance: Array, length: ReferenceLength) -> tuple[Array, Array]:
     first, second = length.balls
     _check_ball(first, len(balls))
     _check_ball(second, len(balls))
     if first == second:
         raise DataError(f"a reference length needs two different balls, not ball {first} twice")
-    line = balls[second] - balls[first]
-    certified_mm = float(np.linalg.norm(line))
     # h(b) = |b₂ - b₁| with the gradient a; gain K = Σa / (aᵀΣa + u²); b + K (length - h), Σ - K aᵀΣ
-    gradient = np.zeros(balls.size)
-    gradient[3 * second : 3 * second + 3] = line / certified_mm
-    gradient[3 * first : 3 * first + 3] = -line / certified_mm
+    gradient, certified_mm = _gradient(balls, first, second)
     across = covariance @ gradient
     variance = float(gradient @ across) + length.standard_uncertainty_mm**2
     difference_mm = length.length_mm - certified_mm
@@ -102,6 +156,29 @@ def _updated(balls: Array, covariance: Array, length: ReferenceLength) -> tuple[
     moved = balls + (across * (difference_mm / variance)).reshape(-1, 3)
     updated = covariance - np.multiply.outer(across, across) / variance
     return np.asarray(moved), np.asarray(0.5 * (updated + updated.T))
+
+
+def _gradient(balls: Array, first: int, second: int) -> tuple[Array, float]:
+    """Return the derivatives (3N,) of the distance between two balls with respect to all coordinates, and the distance
+    in mm."""
+    line = balls[second] - balls[first]
+    length_mm = float(np.linalg.norm(line))
+    gradient = np.zeros(balls.size)
+    gradient[3 * second : 3 * second + 3] = line / length_mm
+    gradient[3 * first : 3 * first + 3] = -line / length_mm
+    return gradient, length_mm
+
+
+def _without_similarity(balls: Array) -> Array:
+    """Return the projector (3N, 3N) that removes small rigid motions and a common scale from displacements of the
+    centres `balls` (N, 3)."""
+    arms = balls - balls.mean(axis=0)
+    size_mm = float(np.abs(arms).max())
+    fields = np.concatenate((rigid_fields(arms, np.zeros(3), size_mm), arms[:, :, None] / size_mm), axis=2)
+    # the rotation of a straight artefact about its line displaces no ball, so its column may be zero
+    basis, values, _ = np.linalg.svd(fields.reshape(-1, 7), full_matrices=False)
+    seen = basis[:, values > _INDEPENDENT * values[0]]
+    return np.asarray(np.eye(balls.size) - seen @ seen.T)
 
 
 def _check_ball(ball: int, count: int) -> None:

@@ -1,7 +1,8 @@
 """Artefact file (TOML): the calibration certificate of a ball artefact.
 
 Ball centres are listed (`balls = [[x, y, z], …]`, in mm) or, for a bar without a certificate, described by a section
-`[bar]`.
+`[bar]`. An artefact without a certificate states the length between its end balls, with a large uncertainty of the
+centres.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Self
 
 import numpy as np
@@ -18,9 +19,10 @@ from pydantic import Field, model_validator
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, bar_balls
 from twin.artefact.certificate import (
-    ReferenceLength,
+    BallDistance,
+    end_balls,
     with_length_uncertainty,
-    with_reference_lengths,
+    with_reference_length,
     with_uncertified,
 )
 from twin.errors import DataError, FormatError
@@ -70,6 +72,8 @@ class ArtefactDocument(StrictModel):
     sag_um: Annotated[float, Field(ge=0.0)] = 0.0
     length_standard_uncertainty_ppm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     uncertified_balls: tuple[int, ...] = ()
+    end_length_mm: Annotated[float, Field(gt=0.0)] | None = None
+    end_length_standard_uncertainty_um: Annotated[float, Field(gt=0.0)] | None = None
     reference_lengths: tuple[ReferenceLengthSection, ...] = ()
 
     @model_validator(mode="after")
@@ -78,6 +82,8 @@ class ArtefactDocument(StrictModel):
             raise ValueError("give the balls either as 'balls = [[x, y, z], ...]' or by a [bar] section")
         if (self.standard_uncertainty_um is None) == (self.covariance_file is None):
             raise ValueError("give either 'standard_uncertainty_um' or 'covariance_file'")
+        if (self.end_length_mm is None) != (self.end_length_standard_uncertainty_um is None):
+            raise ValueError("give both 'end_length_mm' and 'end_length_standard_uncertainty_um', or neither")
         return self
 
 
@@ -92,10 +98,11 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
     balls, holder = _balls(document)
     covariance = _covariance(document, len(balls), source, read_text)
     try:
-        balls, covariance = _with_additions(document, balls, covariance, source)
+        lengths = _measured_lengths(document, balls, source)
+        balls, covariance = _with_additions(document, balls, covariance, lengths, source)
         return Artefact(
             name=document.name,
-            certificate=_certificate(document),
+            certificate=_certificate(document, [length for _, length in lengths]),
             balls=balls,
             ball_diameter_mm=document.ball_diameter_mm,
             reference_temperature_c=document.reference_temperature_c,
@@ -110,34 +117,50 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
         raise error.at(file=source) from None
 
 
-def _with_additions(document: ArtefactDocument, balls: Array, covariance: Array, source: str) -> tuple[Array, Array]:
+def _with_additions(
+    document: ArtefactDocument,
+    balls: Array,
+    covariance: Array,
+    lengths: Sequence[tuple[str, BallDistance]],
+    source: str,
+) -> tuple[Array, Array]:
     """Return the centres (N, 3) in mm and their covariance (3N, 3N) in mm² with all that the file states in addition to
-    the certificate."""
+    the certificate. Each of `lengths` is given with its key."""
     covariance = with_length_uncertainty(balls, covariance, document.length_standard_uncertainty_ppm)
     try:
         covariance = with_uncertified(covariance, document.uncertified_balls)
     except DataError as error:
         raise error.at(file=source, key="uncertified_balls") from None
-    try:
-        return with_reference_lengths(balls, covariance, _reference_lengths(document))
-    except DataError as error:
-        raise error.at(file=source, key="reference_lengths") from None
+    for key, length in lengths:
+        try:
+            balls, covariance = with_reference_length(balls, covariance, length)
+        except DataError as error:
+            raise error.at(file=source, key=key) from None
+    return balls, covariance
 
 
-def _reference_lengths(document: ArtefactDocument) -> list[ReferenceLength]:
-    return [
-        ReferenceLength(length.balls, length.length_mm, length.standard_uncertainty_um * 1e-3)
-        for length in document.reference_lengths
+def _measured_lengths(document: ArtefactDocument, balls: Array, source: str) -> list[tuple[str, BallDistance]]:
+    """Return the key and the value of each length that the file states in addition to the centres `balls` (N, 3)."""
+    lengths = [
+        ("reference_lengths", BallDistance(one.balls, one.length_mm, one.standard_uncertainty_um * 1e-3))
+        for one in document.reference_lengths
     ]
+    if document.end_length_mm is None or document.end_length_standard_uncertainty_um is None:
+        return lengths
+    uncertainty_mm = document.end_length_standard_uncertainty_um * 1e-3
+    try:
+        return [("end_length_mm", BallDistance(end_balls(balls), document.end_length_mm, uncertainty_mm)), *lengths]
+    except DataError as error:
+        raise error.at(file=source, key="end_length_mm") from None
 
 
-def _certificate(document: ArtefactDocument) -> str:
+def _certificate(document: ArtefactDocument, lengths: Sequence[BallDistance]) -> str:
     """Return the name of the certificate with the additions of the file, for reports."""
     parts = [document.certificate]
     if document.uncertified_balls:
         numbers = ", ".join(str(ball) for ball in sorted(set(document.uncertified_balls)))
         parts.append(f"uncertified balls: {numbers}")
-    parts += [length.text for length in _reference_lengths(document)]
+    parts += [length.text for length in lengths]
     return "; ".join(parts)
 
 

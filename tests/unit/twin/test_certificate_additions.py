@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from twin.artefact.certificate import (
-    ReferenceLength,
+    TRACEABLE_PPM,
+    BallDistance,
+    best_known_length,
+    has_certificate,
     with_length_uncertainty,
-    with_reference_lengths,
+    with_reference_length,
     with_uncertified,
 )
-from twin.errors import DataError, FormatError
+from twin.errors import DataError, FormatError, TwinError
 from twin.formats.artefact_file import parse_artefact
 
 TEXT = """
@@ -44,14 +47,21 @@ def test_a_reference_length_is_a_weighted_least_squares_adjustment() -> None:
         normal = weights + np.outer(row, row) / sigma**2
         right = weights @ (BALLS.reshape(-1) - found) + row * (length - distance) / sigma**2
         found += np.linalg.solve(normal, right)
-    balls, updated = with_reference_lengths(BALLS, covariance(), [ReferenceLength((first, second), length, sigma)])
+    balls, updated = with_reference_length(BALLS, covariance(), BallDistance((first, second), length, sigma))
     assert balls.reshape(-1) == pytest.approx(found, abs=1e-8)
     assert updated == pytest.approx(np.linalg.inv(normal), abs=1e-11)
 
 
+def adjusted(lengths: list[BallDistance]) -> tuple[np.ndarray, np.ndarray]:
+    balls, known = BALLS, covariance()
+    for length in lengths:
+        balls, known = with_reference_length(balls, known, length)
+    return balls, known
+
+
 def test_the_order_of_reference_lengths_does_not_matter() -> None:
-    lengths = [ReferenceLength((0, 3), 900.0560, 1e-3), ReferenceLength((3, 1), 600.3340, 0.5e-3)]
-    one, other = (with_reference_lengths(BALLS, covariance(), order) for order in (lengths, lengths[::-1]))
+    lengths = [BallDistance((0, 3), 900.0560, 1e-3), BallDistance((3, 1), 600.3340, 0.5e-3)]
+    one, other = (adjusted(order) for order in (lengths, lengths[::-1]))
     assert one[0] == pytest.approx(other[0], abs=1e-9)
     assert one[1] == pytest.approx(other[1], abs=1e-11)
 
@@ -72,8 +82,8 @@ def test_a_length_more_than_five_standard_deviations_off_is_refused(sigmas: floa
 def test_a_common_length_uncertainty_lets_one_length_correct_all() -> None:
     known = with_length_uncertainty(BALLS, np.eye(12) * 1e-10, 50.0)
     distance = float(np.linalg.norm(BALLS[3] - BALLS[0]))
-    length = ReferenceLength((0, 3), distance * (1.0 + 13e-6), 1e-5)
-    balls, _ = with_reference_lengths(BALLS, known, [length])
+    length = BallDistance((0, 3), distance * (1.0 + 13e-6), 1e-5)
+    balls, _ = with_reference_length(BALLS, known, length)
     for ball in (1, 2, 3):
         ratio = np.linalg.norm(balls[ball] - balls[0]) / np.linalg.norm(BALLS[ball] - BALLS[0])
         assert ratio - 1.0 == pytest.approx(13e-6, abs=0.2e-6)
@@ -125,3 +135,50 @@ def test_impossible_reference_lengths_are_refused(section: str, message: str) ->
 def test_a_reference_length_needs_an_uncertainty() -> None:
     with pytest.raises(FormatError, match="standard_uncertainty_um"):
         parse_artefact(TEXT + "[[reference_lengths]]\nballs = [0, 3]\nlength_mm = 900.0\n", "bar.toml")
+
+
+ROUGH = TEXT.replace("standard_uncertainty_um = 0.8", "standard_uncertainty_um = 50.0")
+END_LENGTH = "end_length_mm = 900.0900\nend_length_standard_uncertainty_um = 0.6\n"
+
+
+def test_the_length_of_the_end_balls_is_a_reference_length() -> None:
+    section = "[[reference_lengths]]\nballs = [0, 3]\nlength_mm = 900.09\nstandard_uncertainty_um = 0.6\n"
+    one, other = parse_artefact(END_LENGTH + ROUGH, "bar.toml"), parse_artefact(ROUGH + section, "bar.toml")
+    assert one.balls.tolist() == other.balls.tolist()
+    assert one.covariance.tolist() == other.covariance.tolist()
+    assert one.certificate == other.certificate
+    assert np.linalg.norm(one.balls[3] - one.balls[0]) == pytest.approx(900.09, abs=1e-5)
+
+
+def test_an_artefact_with_rough_centres_has_no_certificate_but_may_have_a_length() -> None:
+    rough, long = parse_artefact(ROUGH, "bar.toml"), parse_artefact(END_LENGTH + ROUGH, "bar.toml")
+    certified = parse_artefact("length_standard_uncertainty_ppm = 100.0\n" + TEXT, "bar.toml")
+    found = [has_certificate(one.balls, one.covariance) for one in (rough, long, certified)]
+    assert found == [False, False, True]
+    best = best_known_length(long.balls, long.covariance)
+    assert (best.balls, best.length_mm) == ((0, 3), pytest.approx(900.09, abs=1e-5))
+    assert best.standard_uncertainty_mm == pytest.approx(0.6e-3, rel=1e-3)
+    assert best_known_length(rough.balls, rough.covariance).ppm > TRACEABLE_PPM > best.ppm
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "key"),
+    [
+        ("end_length_mm = 900.0\n" + ROUGH, "give both 'end_length_mm' and", "(whole file)"),
+        ("end_length_standard_uncertainty_um = 1.0\n" + ROUGH, "give both 'end_length_mm' and", "(whole file)"),
+        (
+            "end_length_mm = 900.7\nend_length_standard_uncertainty_um = 1.0\n" + ROUGH,
+            r"9\.1 standard dev",
+            "end_length_mm",
+        ),
+        (
+            END_LENGTH + ROUGH.replace("[600.0, 0.0, 10.0]", "[900.0, 0.0, 10.0]"),
+            "no two end balls: the pairs",
+            "end_length_mm",
+        ),
+    ],
+)
+def test_an_impossible_end_length_is_refused(text: str, message: str, key: str) -> None:
+    with pytest.raises(TwinError, match=message) as error:
+        parse_artefact(text, "bar.toml")
+    assert error.value.where == {"file": "bar.toml", "key": key}
