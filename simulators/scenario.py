@@ -19,6 +19,7 @@ from drivers.errors import ConfigurationError
 from simulators.temperatures import Coordinates, ThermalSettings
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
@@ -130,8 +131,9 @@ class AgeingSettings(StrictModel):
 class ScenarioDocument(StrictModel):
     """Keys of a scenario.
 
-    `start_mm` gives the axis positions at the start; by default these are the lower ends of travel. `mounts_deg` gives
-    azimuth and elevation of each mount at the start, by default zero.
+    `start_mm` gives the axis positions at the start; by default these are the lower ends of travel, with the stylus
+    withdrawn to the end of travel from which it points away. `mounts_deg` gives azimuth and elevation of each mount at
+    the start, by default zero.
 
     If `own_mounts` is False, one mount is moved together with the artefact. If `own_mounts` is True, every station has
     its own mount. In this case `artefacts` may give one artefact for each station; otherwise one artefact is moved from
@@ -189,12 +191,23 @@ class Scenario:
             if not low <= value <= high:
                 raise ConfigurationError(f"{axis} {value:g} mm is outside {low:g} to {high:g}", key="start_mm")
         offset = _read(settings.machine, lambda: self.machine.tool(settings.tool))
-        if not (offset[0] == offset[2] == 0.0 and offset[1] >= settings.probe.reach_mm):
+        frame = _read(settings.machine, lambda: ProbeFrame.of(offset))
+        if frame.sign * offset[frame.axis] < settings.probe.reach_mm:
             raise ConfigurationError(
-                f"tool '{settings.tool}' {offset.tolist()} must point along +Y and be at least as long as the probe",
+                f"tool '{settings.tool}' {offset.tolist()} must be at least as long as the probe",
                 hint=f"probe.reach_mm is {settings.probe.reach_mm}",
                 key="tool",
             )
+
+    @property
+    def frame(self) -> ProbeFrame:
+        """Probe frame, which gives the direction in which the stylus points."""
+        return ProbeFrame.of(self.machine.tool(self.settings.tool))
+
+    @property
+    def start_mm(self) -> Coordinates:
+        """Axis positions in mm at the start."""
+        return self.settings.start_mm or self.frame.withdrawn_corner(self.machine.limits)
 
     @property
     def mount_count(self) -> int:

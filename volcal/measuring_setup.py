@@ -12,8 +12,7 @@ from twin.arrays import Array, as_points
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import Position, parse_position_set
-from twin.artefact.touch_pattern import centre_covariance
-from twin.collision.accessibility import FIVE_TOUCHES
+from twin.artefact.touch_pattern import approach_directions, centre_covariance
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.procedure import Procedure
@@ -105,7 +104,7 @@ class MeasuringSetup:
             contact_mm=self.artefact.ball_radius_mm + self.probe.tip_radius_mm,
             approach_mm=self.clearance_mm,
         )
-        covariance_mm2 = centre_covariance(FIVE_TOUCHES, 1e-3 * self.touch_sigma_um)
+        covariance_mm2 = centre_covariance(approach_directions(5, layout.frame.stylus_axis), 1e-3 * self.touch_sigma_um)
         return Procedure({self.tool_name: layout}, covariance_mm2)
 
     def at(self, stations_mm: ArrayLike) -> MeasuringSetup:

@@ -145,8 +145,8 @@ def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T
     """Execute `plan` on an ideal machine. Return a pair: the result of the plan, and the steps that take time, in
     order.
 
-    `start_mm` contains the axis positions at the start in mm. If `start_mm` is None, the axes start at the lower end of
-    the travel.
+    `start_mm` contains the axis positions at the start in mm. If `start_mm` is None, the axes start at
+    `job.start_mm`.
     """
     steps: list[TimedStep] = []
 
@@ -154,7 +154,7 @@ def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T
         steps.append(TimedStep(step, motion_s, overhead_s))
 
     model = time_model(job.machine, job.settings.timing)
-    start = start_mm or _lower_end(job)
+    start = start_mm or job.start_mm
     concluded = Engine(IdealMachine(job.layout, model, start, note).actions()).run(plan)
     return concluded, steps
 
@@ -174,11 +174,6 @@ def _one_more(job: Job, position: Position, here: Array, planner: ShortestPathPl
     key = f"{PREFIX}/{position_key(position)}"
     task = PositionTask(key, 0, position.station, position.azimuth_deg, position.elevation_deg, nominal, mask)
     yield from measure_position(task, here, job.rules, (), planner)
-
-
-def _lower_end(job: Job) -> Point:
-    (x, _), (y, _), (z, _) = job.machine.limits
-    return x, y, z
 
 
 def _position_of(key: str) -> str:

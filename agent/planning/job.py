@@ -20,6 +20,7 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position
 from twin.artefact.touch_pattern import centre_covariance
+from twin.collision.geometry import Point
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import Procedure
 from twin.machine.machine_description import MachineDescription
@@ -80,6 +81,13 @@ class Job:
     @property
     def tool_offset_mm(self) -> Array:
         return np.asarray(self.machine.tools[self.settings.tool], dtype=np.float64)
+
+    @property
+    def start_mm(self) -> Point:
+        """Axis positions in mm at which a plan is assumed to start: the lower ends of travel, with the stylus withdrawn
+        from the workspace.
+        """
+        return self.layout.frame.withdrawn_corner(self.machine.limits)
 
     @property
     def procedure(self) -> Procedure:

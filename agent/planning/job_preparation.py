@@ -25,6 +25,7 @@ from agent.settings.load import POSITION_FILES
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position, parse_position_set
+from twin.collision.probe_frame import ProbeFrame
 from twin.design.procedure import MIN_BALLS
 
 
@@ -44,12 +45,15 @@ def prepare_job(settings: Settings, base: Path) -> Job:
             key="tool",
             hint=f"tools of {settings.machine.name}: {', '.join(sorted(machine.tools))}",
         )
+    with translated(ConfigurationError, file=str(settings.machine), key=f"tools.{settings.tool}.offset_mm"):
+        frame = ProbeFrame.of(machine.tools[settings.tool])
     stations = tuple(settings.procedure.stations or range(1, len(settings.stations.places_mm) + 1))
     positions = _positions(
         settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool
     )
     allowed = (*stations, *(p.station for p in positions), *verification_stations(settings))
-    probing = probing_of(settings.procedure, settings.probe.tip_radius_mm, artefacts.kind)
+    probing = probing_of(settings.procedure, settings.probe.tip_radius_mm, artefacts.kind, frame)
+    layout = layout_of(settings, machine, artefacts, probing)
     job = Job(
         settings=settings,
         machine=machine,
@@ -57,11 +61,11 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         positions=positions,
         held_out_choice=KnownHeldOut(),
         allowed_stations=tuple(dict.fromkeys(allowed)),
-        layout=layout_of(settings, machine, artefacts, probing),
+        layout=layout,
         preparation=preparation_of(settings, machine, artefacts, probing),
         rules=PositionRules(
             probing,
-            retreat_of(settings.stations, settings.procedure, settings.timing, machine),
+            retreat_of(layout, settings.stations, settings.procedure, settings.timing, machine),
             drift_limits_of(settings.procedure, settings.temperature),
             settling_of(settings.temperature),
             station_change(settings.roles, settings.stations),

@@ -83,7 +83,7 @@ class OrderOptimiser:
         elsewhere = bool(order) and standing_at in order and order[0] != standing_at
         carries = sum(1 for station in order[:1] if station != standing_at) + len(order) - 1
         carries += len(set(last_at)) - (1 if order and order[-1] in last_at else 0)
-        places = [float(self.layout.location(station)[0]) for station in order]
+        places = [float(self.layout.location(station)[self.layout.station_axis]) for station in order]
         return elsewhere, carries, sum(abs(b - a) for a, b in pairwise(places))
 
     def _at_station(self, positions: Sequence[Position], angles: Angles) -> list[Position]:

@@ -21,20 +21,23 @@ from agent.settings.schema import ProcedureSettings, QualificationSettings, Sett
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
 from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, ring_directions
-from twin.collision.accessibility import STYLUS_AXIS
 from twin.collision.free_paths import AxisDynamics
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_frame import ProbeFrame
+from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_description import MachineDescription
 from twin.units import MM_PER_UM
 
 
-def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefact) -> ProbingParameters:
+def probing_of(
+    chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefact, frame: ProbeFrame
+) -> ProbingParameters:
     """Return the parameters by which the balls of the artefact are probed. Every ball is touched from the same
-    directions.
+    directions, which depend on the direction of the stylus in `frame`.
     """
     return ProbingParameters(
-        directions=approach_directions(chosen.touches_per_ball, STYLUS_AXIS),
-        stylus_axis=STYLUS_AXIS,
+        directions=approach_directions(chosen.touches_per_ball, frame.stylus_axis),
+        stylus_axis=frame.stylus_axis,
         ball_radius_mm=artefact.ball_radius_mm,
         tip_radius_mm=tip_radius_mm,
         narrow_search=Search(chosen.approach_mm, chosen.search_mm),
@@ -68,7 +71,7 @@ def preparation_of(
     """
     _refuse_unknown_datum(settings.qualification, artefacts.kind)
     check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
-    dense = replace(probing, directions=ring_directions(QUALIFYING_RINGS, STYLUS_AXIS))
+    dense = replace(probing, directions=ring_directions(QUALIFYING_RINGS, probing.stylus_axis))
     limit_mm = qualifying.limit_um * MM_PER_UM
     limits = BallLimits(probing.limits.radius_deviation_mm, limit_mm, limit_mm, limit_mm)
     spread_mm = qualifying.ball_radius_sigma_um * MM_PER_UM
@@ -122,27 +125,41 @@ def layout_of(
 
 
 def retreat_of(
-    stations: StationSettings, procedure: ProcedureSettings, timing: TimingSettings, machine: MachineDescription
+    layout: MeasuringLayout,
+    stations: StationSettings,
+    procedure: ProcedureSettings,
+    timing: TimingSettings,
+    machine: MachineDescription,
 ) -> Retreat:
-    """Return the retreat plane (an axis position that no part of artefact or mount reaches), a park location beside
-    each station, and the rules of the paths of the probe.
+    """Return the retreat plane (the end of travel from which the stylus points towards the artefact), a park location
+    beside each station, and the rules of the paths of the probe.
 
     Each park location is within the travel of the axes. Raises ConfigurationError if there is no room for a park
     location.
     """
-    (x_low, x_high), (y_low, _), _ = machine.limits
+    along = layout.station_axis
+    low, high = machine.limits[along]
     park = {}
-    for number, (x, _, _) in enumerate(stations.places_mm, start=1):
-        away = park_distance_mm(stations.park_distance_mm, x, (x_low, x_high))
-        target = x + away if x + away <= x_high else x - away
-        if not x_low <= target <= x_high:
+    for number, place in enumerate(stations.places_mm, start=1):
+        at = place[along]
+        away = park_distance_mm(stations.park_distance_mm, at, (low, high))
+        target = at + away if at + away <= high else at - away
+        if not low <= target <= high:
             raise ConfigurationError(
-                f"there is no room to park {away:g} mm beside station {number}",
+                f"there is no room to park {away:g} mm beside station {number} along {AXES[along]}",
                 key="stations.park_distance_mm",
+                hint=f"the travel of {AXES[along]} is {low:g} to {high:g} mm, station {number} is at {at:g} mm",
             )
         park[number] = target
     path_rules = free_path_rules_of(procedure, timing, machine) if procedure.paths == "shortest" else None
-    return Retreat(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park, path_rules=path_rules)
+    frame = layout.frame
+    return Retreat(
+        retreat_axis=frame.axis,
+        retreat_mm=frame.retreat_end(machine.limits),
+        station_axis=along,
+        park_mm=park,
+        path_rules=path_rules,
+    )
 
 
 def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> FreePathRules:
@@ -153,7 +170,6 @@ def free_path_rules_of(chosen: ProcedureSettings, timing: TimingSettings, machin
     times = time_model(machine, timing)
     travel = np.array(machine.limits)
     return FreePathRules(
-        stylus_axis=STYLUS_AXIS,
         lower_mm=travel[:, 0],
         upper_mm=travel[:, 1],
         dynamics=AxisDynamics(times.rapid_mm_per_s, times.acceleration_mm_per_s2, times.command_latency_s),

@@ -78,7 +78,7 @@ class Controller:
         self._tool = point(scenario.machine.tool(settings.tool))
         self._table = table
         self._thermal = thermal
-        self._trigger = Trigger(settings.trigger, settings.seed)
+        self._trigger = Trigger(settings.trigger, settings.seed, scenario.frame)
         self._play = PlayOperator(settings.axes, settings.seed)
         self._shift = TipShift(machine_field)
         reach = table.ball_radius_mm + settings.probe.tip_radius_mm
@@ -86,7 +86,7 @@ class Controller:
         self._lookahead = PathLookahead(self._tool, self.contacts, self._trigger)
         self._tables = TableBanks(settings.store)
         self._on_motion, self._on_collision = on_motion, on_collision
-        self._position: Point = settings.start_mm or self._limits.lower_mm
+        self._position: Point = scenario.start_mm
         self._motion: _Motion | None = None
         self._held: MotionCommand | None = None
         self._state = MotionState.IDLE

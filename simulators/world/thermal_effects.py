@@ -95,7 +95,8 @@ class ThermalField:
     column is a cantilever that is heated from one side, and it bends along Y. At the position z of the Z axis, the
     displacement of the column is `bend_mm` ((z - z0)/Lz)². In this formula z0 is the lower end of the Z travel, and Lz
     is the length of the Z travel. The slope of the column is a rotation about X of everything that the column carries.
-    The tip of a tool that extends along Y is therefore lowered.
+    The tip of a tool that extends along Y is therefore lowered, and that of a tool that extends along Z is moved along
+    Y.
     """
 
     stretch: Array
@@ -109,8 +110,9 @@ class ThermalField:
         low, high = self.ranges_mm[2]
         height = (axis_positions[:, 2] - low) / (high - low)
         change[:, 1] += self.bend_mm * height**2
-        # Rotation about X by the slope dw/dz = 2 bend (z - z0)/Lz²; the lever arm is the tip's Y.
+        # Rotation about X by the slope dw/dz = 2 bend (z - z0)/Lz²; the lever arms are the tip's Y and the tool's Z.
         slope = 2.0 * self.bend_mm * height / (high - low)
+        change[:, 1] += slope * self.tool_offset_mm[2]
         change[:, 2] -= slope * (axis_positions[:, 1] + self.tool_offset_mm[1])
         return np.asarray(change)
 

@@ -6,9 +6,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from simulators.scenario import TriggerSettings
 from simulators.world.noise import NoiseSource
 from twin.collision.geometry import Point
+from twin.collision.probe_frame import ProbeFrame
 
 LOBES = 3
 """Number of lobes: a kinematic probe rests on three seats."""
@@ -16,10 +19,11 @@ LOBES = 3
 
 class Trigger:
     """Model of a touch-trigger probe: the tip travel between contact and trip, as a function of the touch direction.
-    The probe points along +Y.
+    `frame` gives the direction in which the probe points.
     """
 
-    def __init__(self, settings: TriggerSettings, seed: int) -> None:
+    def __init__(self, settings: TriggerSettings, seed: int, frame: ProbeFrame) -> None:
+        self._frame = frame
         self._pretravel_mm = settings.pretravel_um * 1e-3
         self._lobing_mm = settings.lobing_um * 1e-3
         self._sigma_mm = settings.touch_sigma_um * 1e-3
@@ -32,8 +36,8 @@ class Trigger:
         """
         travel = self._pretravel_mm
         if self._lobing_mm:
-            # Three-lobed pretravel: amplitude * cos(3 φ), φ the direction about the stylus axis Y.
-            x, _, z = direction
+            # Three-lobed pretravel: amplitude * cos(3 φ), φ the direction about the stylus (Y axis of the probe frame).
+            x, _, z = self._frame.to_frame(np.array(direction)).tolist()
             travel += self._lobing_mm * math.hypot(x, z) * math.cos(LOBES * math.atan2(z, x))
         if self._sigma_mm:
             travel += self._sigma_mm * self._noise.normal(touch)[0]

@@ -17,7 +17,7 @@ from simulators.world.thermal_state import ThermalState
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Pose, mount_pose
-from twin.collision.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
+from twin.collision.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies, table_body
 from twin.collision.collision import Scene
 from twin.collision.geometry import Point, point
 from twin.collision.swept_volume import SphereCover, cover_turning_bodies
@@ -57,7 +57,8 @@ class Workpiece:
         settings = scenario.settings
         self.mount = mount
         self.station = station
-        self.probe_bodies = settings.probe.bodies()
+        self.probe_bodies = settings.probe.bodies(scenario.frame)
+        self._frame = scenario.frame
         self._artefact = artefact
         self._name_suffix = name_suffix
         self._geometry = settings.mount
@@ -150,7 +151,7 @@ class Workpiece:
         azimuth, elevation = self.mount.true_angles_rad(azimuth_deg, elevation_deg)
         place = self._location_mm + self.mount.wobble_mm(azimuth_deg)
         pose = mount_pose(place, self._geometry, azimuth + self._yaw_rad, elevation)
-        mount = mount_bodies(self._geometry, place, pose)
+        mount = (*mount_bodies(self._geometry, place, pose), table_body(self._geometry, place, self._frame))
         if self._artefact is None:
             bodies = self._renamed(mount)
             return WorkpieceSnapshot(pose, (), (), bodies, Scene(self.probe_bodies, bodies))

@@ -14,22 +14,17 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import mount_pose
-from twin.artefact.touch_pattern import approach_directions
-from twin.collision.bodies import TIP, Body, artefact_bodies, ball_name, mount_bodies
+from twin.collision.bodies import TIP, Body, artefact_bodies, ball_name, mount_bodies, table_body
 from twin.collision.collision import Scene
-from twin.collision.geometry import Capsule, Point, point, translate_point
+from twin.collision.geometry import Box, Capsule, Point, point, translate_point
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
-
-STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
-"""Direction of the stylus; the probe geometry describes only probes that point along +Y."""
 
 AT_CONTACT_MM = 0.5
 """Clearance in mm during the touch itself.
 
 It can be small, because the touched ball locates the tip, and the ball's holder is fixed to the ball.
 """
-
-FIVE_TOUCHES = approach_directions(5, STYLUS_AXIS)
 
 _Leg = tuple[Point, Point]
 
@@ -39,6 +34,7 @@ def measuring_scene(
     probe: ProbeGeometry,
     geometry: MountGeometry,
     *,
+    frame: ProbeFrame,
     location_mm: Array,
     azimuth_rad: float,
     elevation_rad: float,
@@ -47,11 +43,17 @@ def measuring_scene(
     """Return the nominal ball centres (N, 3) of the artefact in one position, in mm in the workpiece frame, and the
     collision scene of this position.
 
-    The scene contains the probe, the artefact, the mount, and `other_bodies` in the workspace.
+    The scene contains the probe, the artefact, the mount, the table, and `other_bodies` in the workspace. `frame` gives
+    the direction of the stylus.
     """
     pose = mount_pose(location_mm, geometry, azimuth_rad, elevation_rad)
-    around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, location_mm, pose), *other_bodies)
-    return pose.apply(artefact.balls), Scene(probe.bodies(), around)
+    around = (
+        *artefact_bodies(artefact, geometry, pose),
+        *mount_bodies(geometry, location_mm, pose),
+        table_body(geometry, location_mm, frame),
+        *other_bodies,
+    )
+    return pose.apply(artefact.balls), Scene(probe.bodies(frame), around)
 
 
 def accessible_balls(
@@ -60,14 +62,15 @@ def accessible_balls(
     *,
     contact_mm: float,
     approach_mm: float,
-    directions: Array = FIVE_TOUCHES,
+    directions: Array,
     clearance_mm: float = 1.0,
     overtravel_mm: float = 0.0,
 ) -> NDArray[np.bool_]:
     """Return a boolean array with one element per ball in `centres`. An element is True if its ball can be touched
     along all `directions` (k, 3) without a collision.
 
-    The first direction is that of the touch at the pole, the point of the ball that faces the stylus. `contact_mm` is
+    The first direction is that of the touch at the pole, the point of the ball that faces the stylus; it is the
+    direction of the stylus. `contact_mm` is
     the ball radius plus the tip radius. A touch begins at the distance `approach_mm` outside contact and stops at the
     distance `overtravel_mm` beyond contact.
 
@@ -75,28 +78,32 @@ def accessible_balls(
     start of each touch, and from there to the end of the touch. Between two touches it moves in the plane in front of
     the ball.
 
-    The probe and the ram extend straight back along -Y from the tip. During the approach along Y, they therefore follow
-    the tip through the same volume, and only the tip has to be checked. The volume that it sweeps is represented by a
-    tip that is elongated backwards (along -Y).
+    The probe and the ram extend straight back from the tip, against the direction of the stylus. During the approach
+    along the stylus, they therefore follow the tip through the same volume, and only the tip has to be checked. The
+    volume that it sweeps is represented by a tip that is elongated backwards.
     """
+    frame = ProbeFrame.of(np.rint(directions[0]))
     # Tip centres relative to the ball centre: start of each touch, and its projection into the plane before the ball.
     out = contact_mm + approach_mm
     starts = -directions * out
-    before = starts.copy()
-    before[:, 1] = -out
+    flat = frame.to_frame(starts)
+    lengths = [round(length, 6) for length in (flat[:, 1] + out).tolist()]
+    flat[:, 1] = -out
+    before = frame.to_workpiece(flat)
     touching = _legs(starts, -directions * (contact_mm - overtravel_mm))
     between = _legs(before[:-1], before[1:])
+    # The lengths are rounded so that each latitude has one scene.
     elongated = {
-        length: Scene(_with_long_tip(scene.moving, length), scene.obstacles)
-        for length in _approach_lengths(starts, before)
+        length: Scene(_with_long_tip(scene.moving, frame, length), scene.obstacles) for length in dict.fromkeys(lengths)
     }
-    begins = list(zip(_approach_lengths(starts, before), (point(start) for start in starts), strict=True))
+    begins = list(zip(lengths, (point(start) for start in starts), strict=True))
 
     longest = elongated[max(elongated)]
+    moved = frame.shape_in_workpiece(Box((-out, -out, -out), (out, 0.0, out)))
 
     def free(index: int, centre: Point) -> bool:
         expected = {(TIP, ball_name(index)), ("stem", ball_name(index))}
-        lower, upper = translate_point(centre, (-out, -out, -out)), translate_point(centre, (out, 0.0, out))
+        lower, upper = translate_point(centre, moved.lower), translate_point(centre, moved.upper)
         if not any(_unexpected_pairs(longest, lower, upper, clearance_mm, expected)):
             return True
         return all(
@@ -118,15 +125,10 @@ def _legs(starts: Array, ends: Array) -> list[_Leg]:
     return [(point(start), point(end)) for start, end in zip(starts, ends, strict=True)]
 
 
-def _approach_lengths(starts: Array, before: Array) -> list[float]:
-    """Return the approach length along the stylus in mm for each touch, rounded so that each latitude has one value."""
-    return [round(length, 6) for length in (starts - before)[:, 1].tolist()]
-
-
-def _with_long_tip(moving: tuple[Body, ...], length_mm: float) -> list[Body]:
+def _with_long_tip(moving: tuple[Body, ...], frame: ProbeFrame, length_mm: float) -> list[Body]:
     radius = next(body.shape.radius for body in moving if body.name == TIP and isinstance(body.shape, Capsule))
-    long_tip = Body(TIP, Capsule((0.0, 0.0, 0.0), (0.0, -length_mm, 0.0), radius))
-    return [long_tip if body.name == TIP else body for body in moving]
+    long_tip = frame.shape_in_workpiece(Capsule((0.0, 0.0, 0.0), (0.0, -length_mm, 0.0), radius))
+    return [Body(TIP, long_tip) if body.name == TIP else body for body in moving]
 
 
 def _unexpected_pairs(

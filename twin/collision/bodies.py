@@ -1,9 +1,9 @@
 """Bodies for the collision check. The moving bodies are the probe and the ram. The stationary bodies are the artefact,
 the mount and the table.
 
-The coordinates of the moving bodies are relative to the centre of the stylus tip. The probe and the ram point along +Y.
-The machine has only linear axes, so these bodies never rotate. The coordinates of the stationary bodies are in the
-workpiece frame.
+The coordinates of the moving bodies are relative to the centre of the stylus tip. The probe and the ram point along a
+machine axis. The machine has only linear axes, so these bodies never rotate. The coordinates of the stationary bodies
+are in the workpiece frame.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import Pose
 from twin.collision.geometry import Box, Capsule, Point, Shape, point, sphere
+from twin.collision.probe_frame import ProbeFrame
 
 TIP = "tip"
 TABLE = "table"
@@ -60,9 +61,7 @@ def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> 
 
 
 def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tuple[Body, ...]:
-    """Return the collision bodies of a mount at `location_mm` (3,), which are its shaft and its pedestal, and the body
-    of the machine table.
-    """
+    """Return the collision bodies of a mount at `location_mm` (3,), which are its shaft and its pedestal."""
     location = point(location_mm)
     x, y, z = location
     return (
@@ -71,8 +70,23 @@ def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tup
             "pedestal",
             Capsule((x, y, geometry.table_z_mm), (x, y, z + geometry.head_mm), geometry.pedestal_radius_mm),
         ),
-        _table(geometry),
     )
+
+
+def table_body(geometry: MountGeometry, location_mm: Array, frame: ProbeFrame) -> Body:
+    """Return the body of the machine table under a mount at `location_mm` (3,). `frame` gives the direction of the
+    stylus.
+
+    The table is a horizontal slab without limits. Exception: under a horizontal stylus that points from the origin of
+    the workpiece frame towards the mount, the table begins at the origin, because the ram of such a machine moves in
+    front of the table and may be lower than its surface.
+    """
+    top = geometry.table_z_mm
+    lower = [-TABLE_SPAN_MM, -TABLE_SPAN_MM, top - TABLE_THICKNESS_MM]
+    upper = [TABLE_SPAN_MM, TABLE_SPAN_MM, top]
+    if not frame.is_vertical and frame.sign * float(location_mm[frame.axis]) > 0.0:
+        (lower if frame.sign > 0 else upper)[frame.axis] = 0.0
+    return Body(TABLE, Box(point(lower), point(upper)))
 
 
 def _bar_pieces(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> list[Body]:
@@ -85,9 +99,3 @@ def _bar_pieces(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> list
 
 def _on_bar(pose: Pose, along_mm: float) -> Point:
     return point(pose.centre + along_mm * pose.rotation[:, 0])
-
-
-def _table(geometry: MountGeometry) -> Body:
-    top = geometry.table_z_mm
-    lower = (-TABLE_SPAN_MM, 0.0, top - TABLE_THICKNESS_MM)
-    return Body(TABLE, Box(lower, (TABLE_SPAN_MM, TABLE_SPAN_MM, top)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,16 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import Position, is_reachable, mount_pose
-from twin.collision.accessibility import FIVE_TOUCHES, accessible_balls, measuring_scene
+from twin.artefact.touch_pattern import approach_directions
+from twin.collision.accessibility import accessible_balls, measuring_scene
 from twin.collision.bodies import Body
+from twin.collision.geometry import Point, point
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 from twin.errors import DataError
 
 Mask = NDArray[np.bool_]
-_AccessKey = tuple[float, float, float, float, int]
+_AccessKey = tuple[float, float, Point, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +31,13 @@ class MeasuringLayout:
     """Locations of an artefact on a machine, and the dimensions that determine which balls one tool can measure there.
 
     - `locations_mm` maps a station number to the location (3,) of the mount in the workpiece frame.
+    - `tool_offset_mm` (3,) is the tool offset; its largest component gives the direction of the stylus.
     - `lower_mm` and `upper_mm` (3,) are the travel limits, reduced by the travel needed for touching.
     - `contact_mm` is the ball radius plus the tip radius.
     - `approach_mm` is the distance before the point of contact at which a touch begins.
     - `overtravel_mm` is the distance beyond the point of contact at which a touch stops.
-    - `directions` (k, 3) contains the touch directions, which are the same for every ball.
+    - `directions` (k, 3) contains the touch directions, which are the same for every ball; None
+      stands for the pattern of five touches.
     - `artefact` defines the ball numbers in observations.
     - `own_artefacts` maps a station number to an artefact if each station has its own artefact. `artefact` is then
       their combination in the order of the stations.
@@ -48,13 +54,39 @@ class MeasuringLayout:
     upper_mm: Array
     contact_mm: float
     approach_mm: float
-    directions: Array = field(default_factory=lambda: FIVE_TOUCHES)
+    directions: Array | None = None
     overtravel_mm: float = 0.0
     own_artefacts: Mapping[int, Artefact] = field(default_factory=dict)
     neighbours: Mapping[int, tuple[Body, ...]] = field(default_factory=dict)
-    # Accessibility depends only on orientation, depth and height, unless there is more than one mount. It is expensive
-    # to compute and needed repeatedly for every position, hence the cache.
+    # Accessibility does not depend on the location along the station axis, unless there is more than one mount. It is
+    # expensive to compute and needed repeatedly for every position, hence the cache.
     _accessible: dict[_AccessKey, Mask] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def frame(self) -> ProbeFrame:
+        """Probe frame, which gives the direction of the stylus: the machine axis with the largest component of the tool
+        offset.
+        """
+        return ProbeFrame.nearest(self.tool_offset_mm)
+
+    @cached_property
+    def station_axis(self) -> int:
+        """Index of the horizontal machine axis, perpendicular to the stylus, along which the stations stand.
+
+        If there are two such axes (the stylus is vertical), it is the one along which the stations extend further. If
+        the stations extend equally far along both, it is the one with the longer travel.
+
+        A displacement of the mount along this axis changes nothing in the surroundings of the mount, because the table
+        has no limits in this direction.
+        """
+        extents = np.ptp(np.array(list(self.locations_mm.values())), axis=0)
+        return max(self.frame.horizontal_across, key=lambda k: (extents[k], self.upper_mm[k] - self.lower_mm[k]))
+
+    def across_stations(self, location_mm: Array) -> Point:
+        """Return the location (3,) of a mount in mm with the coordinate 0 along the station axis."""
+        out = location_mm.copy()
+        out[self.station_axis] = 0.0
+        return point(out)
 
     def nominal(self, position: Position) -> Array:
         """Return for each of the N balls of the artefact the axis positions, as an array (N, 3) in mm, at which the
@@ -82,12 +114,13 @@ class MeasuringLayout:
         location = self.location(position.station)
         other_bodies = self.neighbours.get(position.station, ())
         among = position.station if other_bodies else 0
-        key = (position.azimuth_deg, position.elevation_deg, float(location[1]), float(location[2]), among)
+        key = (position.azimuth_deg, position.elevation_deg, self.across_stations(location), among)
         if key not in self._accessible:
             centres, scene = measuring_scene(
                 self.artefact_at(position.station),
                 self.probe,
                 self.mount,
+                frame=self.frame,
                 location_mm=location,
                 azimuth_rad=math.radians(position.azimuth_deg),
                 elevation_rad=math.radians(position.elevation_deg),
@@ -98,10 +131,14 @@ class MeasuringLayout:
                 scene,
                 contact_mm=self.contact_mm,
                 approach_mm=self.approach_mm,
-                directions=self.directions,
+                directions=self._directions,
                 overtravel_mm=self.overtravel_mm,
             )
         return self._accessible[key]
+
+    @property
+    def _directions(self) -> Array:
+        return approach_directions(5, self.frame.stylus_axis) if self.directions is None else self.directions
 
     def artefact_at(self, station: int) -> Artefact:
         """Return the artefact that is measured at the given station."""

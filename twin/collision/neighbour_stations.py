@@ -13,7 +13,7 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import mount_pose
-from twin.collision.bodies import TABLE, Body, artefact_bodies, mount_bodies
+from twin.collision.bodies import Body, artefact_bodies, mount_bodies
 
 
 def neighbour_bodies(
@@ -45,7 +45,7 @@ def _parked_bodies(
 ) -> tuple[Body, ...]:
     azimuth, elevation = (math.radians(angle) for angle in parked_deg)
     pose = mount_pose(location_mm, geometry, azimuth, elevation)
-    mount = tuple(body for body in mount_bodies(geometry, location_mm, pose) if body.name != TABLE)
+    mount = mount_bodies(geometry, location_mm, pose)
     return mount if artefact is None else (*artefact_bodies(artefact, geometry, pose), *mount)
 
 

@@ -22,6 +22,7 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
 from twin.collision.geometry import Shape
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 
 CELL_MM = 20.0
@@ -75,9 +76,9 @@ def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCove
 @dataclass(frozen=True, eq=False)
 class TurnSweep:
     """Largest permissible Y coordinate of the tip centre while the mount turns, on a grid of X and Z relative to the
-    mount location.
+    mount location. All coordinates are in the probe frame, in which the stylus points along +Y.
 
-    The probe approaches along +Y. `deepest` (k, k) contains the largest permissible Y coordinate in mm for each grid
+    `deepest` (k, k) contains the largest permissible Y coordinate in mm for each grid
     point. The value is infinite if no body limits the Y coordinate there. `reach_mm` is the largest distance of the
     rotating bodies from the mount location.
     """
@@ -100,24 +101,26 @@ class TurnSweep:
 def turn_sweep(
     cover: SphereCover,
     probe: ProbeGeometry,
+    frame: ProbeFrame,
     stationary: Sequence[Shape],
     start_deg: MountAngles,
     end_deg: MountAngles,
     *,
     clearance_mm: float,
 ) -> TurnSweep:
-    """Compute the largest permissible Y coordinate of the tip while the mount turns from `start_deg` to `end_deg`. Each
-    of the two is a pair of azimuth and elevation in degrees.
+    """Compute the largest permissible Y coordinate of the tip, in the probe frame `frame`, while the mount turns from
+    `start_deg` to `end_deg`. Each of the two is a pair of azimuth and elevation in degrees.
 
     The result is valid for any order and any speeds of the two rotations.
 
-    `cover` contains spheres that enclose the rotating bodies. `stationary` contains the shapes that do not rotate,
-    relative to the mount location.
+    `cover` contains spheres that enclose the rotating bodies. `stationary` contains the shapes that do not rotate, in
+    the directions of the workpiece frame and relative to the mount location.
     """
     half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
-    front = _front(*_turned(cover, start_deg, end_deg), half)
+    centres, radii = _turned(cover, start_deg, end_deg)
+    front = _front(_in_frame(centres, frame), radii, half)
     for shape in stationary:
-        _add_box(front, shape, half)
+        _add_box(front, frame.shape_in_frame(shape), half)
     # Tip, probe body and ram each stay `clearance_mm` behind the front, dilated by their own radius.
     tip = _dilated(front, probe.tip_radius_mm + clearance_mm) - probe.tip_radius_mm
     body = _dilated(front, probe.body_radius_mm + clearance_mm) + probe.stem_length_mm
@@ -166,6 +169,12 @@ def _turned(
     return (across * ca - y * sa, across * sa + y * ca, up[None]), radii
 
 
+def _in_frame(centres: tuple[Array, Array, Array], frame: ProbeFrame) -> tuple[Array, Array, Array]:
+    """Return coordinates x, y, z of the workpiece frame, which broadcast to one shape, in the probe frame."""
+    x, y, z = (sign * centres[source] for source, sign in frame.axes)
+    return x, y, z
+
+
 def _front(centres: tuple[Array, Array, Array], radii: Array, half: int) -> Array:
     """Return for each grid cell (x, z) the smallest y of all spheres over it.
 
@@ -175,7 +184,7 @@ def _front(centres: tuple[Array, Array, Array], radii: Array, half: int) -> Arra
     width = 2 * half + 1
     front = np.full((width, width), np.inf)
     cells = (_cells(x) + half) * width + _cells(z) + half
-    nearest = y - radii
+    nearest = np.broadcast_to(y - radii, cells.shape)
     sizes = np.ceil(radii / CELL_MM).astype(int)
     for size in np.unique(sizes):
         alike = sizes == size

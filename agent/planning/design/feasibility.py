@@ -31,7 +31,7 @@ CLEARANCE_MM = 1.0
 
 _PREFIX = "vetted"
 _BALL = re.compile(r"/ball-(\d+)")
-_Key = tuple[float, float, float, float, float, bytes, int]
+_Key = tuple[float, float, float, Point, bytes, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +68,18 @@ class FeasibilityCheck:
 
     def _key(self, position: Position) -> _Key:
         layout = self.job.layout
-        x, y, z = point(layout.location(position.station))
-        park = self.job.rules.retreat.park_mm[position.station] - x
+        location = layout.location(position.station)
+        park = self.job.rules.retreat.park_mm[position.station] - float(location[layout.station_axis])
         reached = layout.reachable(position, layout.nominal(position))
         artefact = layout.first_ball(position.station)  # each artefact starts at a ball number of its own
-        return position.azimuth_deg, position.elevation_deg, park, y, z, reached.tobytes(), artefact
+        return (
+            position.azimuth_deg,
+            position.elevation_deg,
+            park,
+            layout.across_stations(location),
+            reached.tobytes(),
+            artefact,
+        )
 
     def _first_hit(self, position: Position) -> str:
         """Return the two bodies of the first collision of a straight move, as text. A touch ends at its own ball, and
@@ -106,6 +113,7 @@ class FeasibilityCheck:
             self.job.layout.artefact_at(position.station),
             settings.probe,
             settings.mount,
+            frame=self.job.layout.frame,
             location_mm=self.job.layout.location(position.station),
             azimuth_rad=math.radians(position.azimuth_deg),
             elevation_rad=math.radians(position.elevation_deg),

@@ -13,7 +13,7 @@ from agent.planning.job import Job
 from agent.planning.preview.scene import ArtefactPlacement, PreviewBall
 from twin.arrays import Array
 from twin.artefact.position_set import Pose, Position, mount_pose
-from twin.collision.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
+from twin.collision.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies, table_body
 from twin.collision.collision import Scene
 from twin.collision.geometry import point, separation
 
@@ -26,7 +26,7 @@ def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> Ar
     nominal = job.layout.nominal(position)
     centres = nominal + job.tool_offset_mm
     reached = job.layout.reachable(position, nominal)
-    scene = Scene(job.layout.probe.bodies(), around)
+    scene = Scene(job.layout.probe.bodies(job.layout.frame), around)
     balls = tuple(
         PreviewBall(number, point(centre), "" if within else obstruction_of(job, scene, number, axes))
         for number, (centre, axes, within) in enumerate(zip(centres, nominal, reached.tolist(), strict=True))
@@ -45,7 +45,12 @@ def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
     geometry = job.layout.mount
     artefact = job.layout.artefact_at(position.station)
     around = job.layout.neighbours.get(position.station, ())
-    return (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place, pose), *around)
+    return (
+        *artefact_bodies(artefact, geometry, pose),
+        *mount_bodies(geometry, place, pose),
+        table_body(geometry, place, job.layout.frame),
+        *around,
+    )
 
 
 def obstruction_of(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:

@@ -12,7 +12,7 @@ from agent.execution.steps import MoveTo, TouchTowards
 from agent.planning.job import Job
 from agent.planning.preview.artefact_placement import bodies_at
 from agent.planning.preview.scene import Refusal
-from agent.planning.preview.tip_path import Waypoint, lower_end
+from agent.planning.preview.tip_path import Waypoint
 from twin.collision.bodies import TIP, Body, ball_name
 from twin.collision.collision import Hit, Scene
 from twin.collision.geometry import Point, point, translate_point
@@ -27,11 +27,11 @@ def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], vi
     which the refused step belongs.
     """
     bodies: tuple[str, ...] = ()
-    tip = translate_point(lower_end(job), point(job.tool_offset_mm))
+    tip = translate_point(job.start_mm, point(job.tool_offset_mm))
     if waypoints:
         last, tip = waypoints[-1], waypoints[-1].tip_mm
         around = bodies_at(job, last.standing)
-        moving = job.layout.probe.bodies()
+        moving = job.layout.probe.bodies(job.layout.frame)
         start = waypoints[-2].tip_mm if len(waypoints) > 1 else tip
         hit = _hit(Scene(moving, around), start, _goal(job, last), last)
         if hit is not None:

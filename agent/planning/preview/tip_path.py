@@ -62,14 +62,6 @@ def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoi
     return tuple(walker.waypoints)
 
 
-def lower_end(job: Job) -> Point:
-    """Return the axis positions in mm at the lower end of the travel of each axis of the machine.
-
-    The path of a plan is assumed to start there, as it does in a simulated execution (preflight).
-    """
-    return point(low for low, _ in job.machine.limits)
-
-
 def _up_to(plan: Generator[Step, Any, Any], last: str | None) -> Generator[Step, Any, None]:
     result: Any = None
     try:
@@ -88,7 +80,7 @@ class _Walker:
     """Recorder of the state of the ideal machine after each step."""
 
     def __init__(self, job: Job) -> None:
-        machine = IdealMachine(job.layout, time_model(job.machine, job.settings.timing), lower_end(job), self._spent)
+        machine = IdealMachine(job.layout, time_model(job.machine, job.settings.timing), job.start_mm, self._spent)
         self.actions = machine.actions()
         self.waypoints: list[Waypoint] = []
         self._offset = point(job.tool_offset_mm)

@@ -11,6 +11,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.collision.free_paths import PathCandidates
 from twin.collision.geometry import Point, point
+from twin.collision.probe_frame import ProbeFrame
 
 DETOUR_RADII = (1.05, 1.2, 1.4, 1.7)
 """Distances of detour corners from the ball centre, as multiples of the larger `out_mm` of both path ends."""
@@ -64,17 +65,21 @@ def detour_corners(centre: Array, start: TipLocation, end: TipLocation, stylus_a
     return np.asarray((centre + out_mm[:, None, None] * units).reshape(-1, 1, 3))
 
 
-def rectangular_exit(first: Point, last: Point, start: TipLocation) -> Array:
+def rectangular_exit(first: Point, last: Point, start: TipLocation, frame: ProbeFrame, station_axis: int) -> Array:
     """Return the k corners of a path from `first` past the end of a bar artefact to `last`, as an array of shape (1, k,
     3).
 
-    The tip first lifts off the surface if it touches the ball. It then moves along Y, then along Z, and then straight
-    to `last`.
+    The tip first lifts off the surface if it touches the ball. It then moves back along the stylus to the plane of the
+    farther end, then perpendicularly to the stylus and to the station axis (index `station_axis`), and then straight to
+    `last`.
     """
     beside = point(np.array(first) - LIFT_OFF_MM * np.array(start.direction)) if start.touching else first
-    low = min(beside[1], last[1])
-    out = [(beside[0], low, beside[2]), (beside[0], low, last[2])]
-    return np.array([[beside, *out] if start.touching else out])
+    back, over = list(beside), list(last)
+    back[frame.axis] = over[frame.axis] = frame.sign * min(
+        frame.sign * beside[frame.axis], frame.sign * last[frame.axis]
+    )
+    over[station_axis] = beside[station_axis]
+    return np.array([[beside, back, over] if start.touching else [back, over]])
 
 
 def lifting_off(first: Point, candidates: PathCandidates, start: TipLocation) -> PathCandidates:

@@ -58,7 +58,8 @@ _GRID_MM = 80.0
 @dataclass(frozen=True)
 class ArtefactPose:
     """Nominal pose of the artefact. It consists of the two angles of the mount that holds it (azimuth and elevation)
-    and of the Y and Z coordinates `depth_mm` and `height_mm` of the mount's location in the workpiece frame.
+    and of the mount's location `across_mm` (3,) in the workpiece frame, without its coordinate along the station axis
+    (the axis along which the stations stand), which is 0.
 
     `station` is the station's number if other mounts or artefacts stand in the workspace. It is 0 if the paths are the
     same at all stations.
@@ -66,8 +67,7 @@ class ArtefactPose:
 
     azimuth_deg: float
     elevation_deg: float
-    depth_mm: float
-    height_mm: float
+    across_mm: Point
     station: int = 0
 
 
@@ -100,14 +100,12 @@ class _PosedBodies:
 class FreePathRules:
     """Rules for free paths, that is, for collision-free paths of the stylus tip.
 
-    `stylus_axis` (3,) is the unit vector along which the stylus points. `lower_mm` and `upper_mm` (3,) are the limits
-    of the axes' travel. `clearance_mm` is the minimum distance between moving and stationary bodies on every path. The
-    uncertainty of the artefact's pose is added to this clearance. The uncertainty is `unaligned_uncertainty_mm` until
-    the first and the last ball of the position (the end balls) have been measured, and `aligned_uncertainty_mm`
-    afterwards.
+    `lower_mm` and `upper_mm` (3,) are the limits of the axes' travel. `clearance_mm` is the minimum distance between
+    moving and stationary bodies on every path. The uncertainty of the artefact's pose is added to this clearance. The
+    uncertainty is `unaligned_uncertainty_mm` until the first and the last ball of the position (the end balls) have
+    been measured, and `aligned_uncertainty_mm` afterwards.
     """
 
-    stylus_axis: Array
     lower_mm: Array
     upper_mm: Array
     dynamics: AxisDynamics
@@ -140,9 +138,9 @@ class FreePathFinder:
     _turning_paths: dict[object, TurningPath | None] = field(default_factory=dict, init=False, repr=False)
 
     def pose_at(self, station: int, azimuth_deg: float, elevation_deg: float) -> ArtefactPose:
-        _, depth, height = point(self.layout.location(station))
+        across = self.layout.across_stations(self.layout.location(station))
         alone = not (self.layout.neighbours or self.layout.own_artefacts)
-        return ArtefactPose(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
+        return ArtefactPose(azimuth_deg, elevation_deg, across, 0 if alone else station)
 
     def axes_at(self, station: int, corner: Point) -> Array:
         """Return the axis positions (3,) that bring the tip centre to the point `corner`. `corner` is relative to the
@@ -159,18 +157,19 @@ class FreePathFinder:
         return x - along_x * location.out_mm, y - along_y * location.out_mm, z - along_z * location.out_mm
 
     def path_between(
-        self, pose: ArtefactPose, start: TipLocation, end: TipLocation, uncertainty_mm: float, mount_x_mm: float
+        self, pose: ArtefactPose, start: TipLocation, end: TipLocation, uncertainty_mm: float, station: int
     ) -> FreePath | None:
         """Return the fastest free (collision-free) path from `start` to `end`; None if no path is proved free.
 
         The corners of the path are relative to the location of the artefact's mount. `uncertainty_mm` is the largest
-        deviation of the artefact from `pose`. `mount_x_mm` is the X coordinate of the mount's location. It is needed to
-        keep the path within the travel of the X axis.
+        deviation of the artefact from `pose`. `station` is the number of the station, which is needed to keep the path
+        within the travel of the station axis.
         """
         uncertainty_mm = round_up_uncertainty(uncertainty_mm)
         unlimited = self._cached_path(pose, start, end, uncertainty_mm, (-math.inf, math.inf))
-        low, high = self._x_range(mount_x_mm)
-        if unlimited is None or all(low <= x <= high for x, _, _ in unlimited.corners):
+        low, high = self._range_along_stations(station)
+        along = self.layout.station_axis
+        if unlimited is None or all(low <= corner[along] <= high for corner in unlimited.corners):
             return unlimited
         return self._cached_path(pose, start, end, uncertainty_mm, (low, high))
 
@@ -180,9 +179,9 @@ class FreePathFinder:
         start: TipLocation,
         end: TipLocation,
         uncertainty_mm: float,
-        x_range: tuple[float, float],
+        along_range: tuple[float, float],
     ) -> FreePath | None:
-        key = (pose, start, end, uncertainty_mm, x_range)
+        key = (pose, start, end, uncertainty_mm, along_range)
         if key not in self._paths:
             self._paths[key] = self._search_path(*key)
         return self._paths[key]
@@ -201,13 +200,13 @@ class FreePathFinder:
         start: TipLocation,
         after: ArtefactPose,
         end: TipLocation,
-        mount_x_mm: float,
+        station: int,
         faster_than_s: float = math.inf,
     ) -> TurningPath | None:
         """Return a collision-free path from `start` in the pose `before` to `end` in the pose `after`, by way of a
         waiting point where the tip stays while the artefact turns. The result is None if no path faster than
         `faster_than_s` is proved free."""
-        (low, high), reach = self._x_range(mount_x_mm), self._reach_mm(after)
+        (low, high), reach = self._range_along_stations(station), self._reach_mm(after)
         key = (before, start, after, end, (max(low, -reach), min(high, reach)))
         if key not in self._turning_paths:
             found = self._search_turning_path(*key, faster_than_s)
@@ -232,10 +231,12 @@ class FreePathFinder:
         points, clear = self._waiting_points(before, after, first, last, (-reach, reach))
         return float(np.where(clear, self._seconds_by_way_of(points, first, last), math.inf).min())
 
-    def _x_range(self, mount_x_mm: float) -> tuple[float, float]:
-        """Return the limits of the tip's travel along X in mm, relative to the mount's location."""
+    def _range_along_stations(self, station: int) -> tuple[float, float]:
+        """Return the limits of the tip's travel along the station axis in mm, relative to the mount's location."""
+        along = self.layout.station_axis
+        location_mm = float(self.layout.location(station)[along])
         low, high = (
-            float(end[0] + self.layout.tool_offset_mm[0]) - mount_x_mm
+            float(end[along] + self.layout.tool_offset_mm[along]) - location_mm
             for end in (self.rules.lower_mm, self.rules.upper_mm)
         )
         return low, high
@@ -248,16 +249,16 @@ class FreePathFinder:
         start: TipLocation,
         end: TipLocation,
         uncertainty_mm: float,
-        x_range: tuple[float, float],
+        along_range: tuple[float, float],
     ) -> FreePath | None:
         posed = self._posed(pose)
         first, last = self.tip_at(pose, start), self.tip_at(pose, end)
         groups = self._corners(pose, start, last, end.out_mm - start.out_mm)
         if start.ball == end.ball:
-            groups.append(detour_corners(posed.centres[start.ball], start, end, self.rules.stylus_axis))
+            groups.append(detour_corners(posed.centres[start.ball], start, end, self.layout.frame.stylus_axis))
         candidates = lifting_off(first, PathCandidates.of(groups), start)
         low, high = self._travel(pose)
-        low[0], high[0] = x_range
+        low[self.layout.station_axis], high[self.layout.station_axis] = along_range
         candidates = candidates.inside(low, high)
         for clearances in self._clearance_options(start, end, uncertainty_mm):
             path = self._direct_path(posed, first, last, start, clearances)
@@ -278,8 +279,9 @@ class FreePathFinder:
         """Return arrays (n, k, 3), each with the k corners of n candidate paths from `start`. If the tip touches the
         ball, some paths first lift off by `beside_mm`."""
         aside = -beside_mm * np.array(start.direction) if start.touching else None
-        retract_limit = float(self._travel(pose)[0] @ np.abs(self.rules.stylus_axis))
-        return retract_candidates(self.tip_at(pose, start), last, -self.rules.stylus_axis, retract_limit, aside)
+        stylus_axis = self.layout.frame.stylus_axis
+        retract_limit = min(float(end @ stylus_axis) for end in self._travel(pose))
+        return retract_candidates(self.tip_at(pose, start), last, -stylus_axis, retract_limit, aside)
 
     def _clearance_options(self, start: TipLocation, end: TipLocation, uncertainty_mm: float) -> Iterator[Clearances]:
         """Yield two sets of clearances from all bodies, the stricter set first.
@@ -304,7 +306,7 @@ class FreePathFinder:
         start: TipLocation,
         after: ArtefactPose,
         end: TipLocation,
-        x_range: tuple[float, float],
+        along_range: tuple[float, float],
         faster_than_s: float,
     ) -> TurningPath | None:
         """Return the fastest path by way of a waiting point; None if no path is proved free.
@@ -313,7 +315,7 @@ class FreePathFinder:
         `WORTHWHILE_RATIO` times the best time found.
         """
         first, last = (np.array([self.tip_at(*one)]) for one in ((before, start), (after, end)))
-        (candidates,), (clear,) = self._waiting_points(before, after, first, last, x_range)
+        (candidates,), (clear,) = self._waiting_points(before, after, first, last, along_range)
         points = candidates[clear]
         lower_bounds = self._seconds_by_way_of(points[None], first, last)[0]
         best: TurningPath | None = None
@@ -355,23 +357,26 @@ class FreePathFinder:
         return self._straight_times(first[:, None], points) + self._straight_times(points, last[:, None])
 
     def _waiting_points(
-        self, before: ArtefactPose, after: ArtefactPose, first: Array, last: Array, x_range: tuple[float, float]
+        self, before: ArtefactPose, after: ArtefactPose, first: Array, last: Array, along_range: tuple[float, float]
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Return n waiting points for each of c pairs of path ends, as an array (c, n, 3), and a mask (c, n) that is
         True for points within the travel. `first` and `last` have the shape (c, 3).
 
-        The points lie in front of the volume swept by the turn, on a grid in X and Z that also contains the X and Z of
-        both path ends.
+        The points lie in front of the volume swept by the turn, on a grid across the stylus that also contains both
+        path ends. They are computed in the probe frame, in which the stylus points along +Y.
         """
-        low, high = self._travel(before)
-        low[0], high[0] = x_range
+        frame, along = self.layout.frame, self.layout.station_axis
+        lower, upper = self._travel(before)
+        lower[along], upper[along] = along_range
+        low, high = frame.box_in_frame(lower, upper)
+        first, last = frame.to_frame(first), frame.to_frame(last)
         x, z = (self._grid_along(first[:, k], last[:, k], low[k], high[k]) for k in (0, 2))
         x, z = np.broadcast_arrays(x[:, None, :], z[:, :, None])
         deepest = np.maximum(first[:, 1], last[:, 1])[:, None, None]
         # Depth of the front of the swept volume at (x, z), but never deeper than the deeper end.
         y = np.minimum(self._sweep(before, after).at(x, z), deepest)
         points = np.stack([x, y, z], axis=-1).reshape(len(first), -1, 3)
-        return points, points[..., 1] >= low[1]
+        return frame.to_workpiece(points), points[..., 1] >= low[1]
 
     @staticmethod
     def _grid_along(first: Array, last: Array, low: float, high: float) -> Array:
@@ -403,7 +408,7 @@ class FreePathFinder:
             return path
         groups = [
             *self._corners(pose, location, waiting_point, LIFT_OFF_MM),
-            rectangular_exit(first, waiting_point, location),
+            rectangular_exit(first, waiting_point, location, self.layout.frame, self.layout.station_axis),
         ]
         candidates = lifting_off(first, PathCandidates.of(groups), location)
         return fastest_path(posed.prefiltered, self.rules.dynamics, first, waiting_point, candidates, clearances)
@@ -413,11 +418,12 @@ class FreePathFinder:
             tuple(choose(a, b) for a, b in zip(_mount_angles(before), _mount_angles(after), strict=True))
             for choose in (min, max)
         )
-        key = (low, high, after.depth_mm, after.height_mm, after.station)
+        key = (low, high, after.across_mm, after.station)
         if key not in self._sweeps:
             self._sweeps[key] = turn_sweep(
                 self._cover(after),
                 self.layout.probe,
+                self.layout.frame,
                 self._stationary_shapes(after),
                 (low[0], low[1]),
                 (high[0], high[1]),
@@ -442,9 +448,9 @@ class FreePathFinder:
     def _travel(self, pose: ArtefactPose) -> tuple[Array, Array]:
         """Return the lower and upper limits (3,) of the tip's travel, reduced by the uncertainty of the unaligned pose.
 
-        Y and Z are relative to the mount's location, X to the workpiece frame."""
-        place = np.array([0.0, pose.depth_mm, pose.height_mm])
-        shift, margin_mm = self.layout.tool_offset_mm - place, self.rules.unaligned_uncertainty_mm
+        The coordinate along the station axis is relative to the workpiece frame, the other two to the mount's
+        location."""
+        shift, margin_mm = self.layout.tool_offset_mm - pose.across_mm, self.rules.unaligned_uncertainty_mm
         return self.rules.lower_mm + shift + margin_mm, self.rules.upper_mm + shift - margin_mm
 
     # ------------------------------------------------------------------ bodies
@@ -477,17 +483,18 @@ class FreePathFinder:
 
     def _posed(self, pose: ArtefactPose) -> _PosedBodies:
         if pose not in self._posed_cache:
-            x = float(self.layout.location(pose.station)[0]) if pose.station else 0.0
+            location_mm = self.layout.location(pose.station) if pose.station else np.array(pose.across_mm)
             centres, scene = measuring_scene(
                 self._artefact(pose),
                 self._probe,
                 self.layout.mount,
-                location_mm=np.array([x, pose.depth_mm, pose.height_mm]),
+                frame=self.layout.frame,
+                location_mm=location_mm,
                 azimuth_rad=math.radians(pose.azimuth_deg),
                 elevation_rad=math.radians(pose.elevation_deg),
                 other_bodies=self.layout.neighbours.get(pose.station, ()),
             )
-            back = (-x, -pose.depth_mm, -pose.height_mm)
+            back = point(-location_mm)
             self._posed_cache[pose] = _PosedBodies(
                 centres + back,
                 [point(centre) for centre in centres + back],

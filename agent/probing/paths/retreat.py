@@ -18,11 +18,11 @@ from twin.arrays import Array
 class Retreat:
     """Safe locations between positions, and the rules for the paths between them.
 
-    `retreat_axis` is the index of the axis along which the stylus points. `retreat_mm` is a position of this axis that
-    no part of the artefact or mount reaches. `station_axis` is the index of the axis along which the stations stand.
-    `park_mm` maps each station to the position of that axis at which the probe is clear of the turning artefact.
-    `path_rules` are the rules for collision-free paths; they are None if plain paths by way of the places given by the
-    methods `withdrawn_from` and `park_location` are used.
+    `retreat_axis` is the index of the axis along which the stylus points. `retreat_mm` is the end of travel of this
+    axis from which the stylus points towards the artefact; no part of the artefact or mount reaches it. `station_axis`
+    is the index of the axis along which the stations stand. `park_mm` maps each station to the position of that axis at
+    which the probe is clear of the turning artefact. `path_rules` are the rules for collision-free paths; they are None
+    if plain paths by way of the places given by the methods `withdrawn_from` and `park_location` are used.
     """
 
     retreat_axis: int
@@ -30,6 +30,11 @@ class Retreat:
     station_axis: int
     park_mm: Mapping[int, float]
     path_rules: FreePathRules | None = None
+
+    @property
+    def side_axis(self) -> int:
+        """Index of the axis that is perpendicular to the stylus and to the station axis."""
+        return 3 - self.retreat_axis - self.station_axis
 
     def at_retreat_plane(self, position: Array) -> Array:
         out = position.copy()

@@ -21,9 +21,9 @@ from twin.artefact.position_set import Position
 from twin.collision.geometry import Point as Corner
 from twin.collision.measuring_layout import MeasuringLayout
 
-PARK_OFFSETS_MM = ((0.0, 0.0, 0.0), *((0.0, 0.0, height) for height in (150.0, -150.0, 300.0, -300.0)))
-"""Offsets of the park locations, in the order in which they are tried: first no offset, then offsets above and below a
-bar end that is in the path."""
+PARK_OFFSETS_MM = (0.0, 150.0, -150.0, 300.0, -300.0)
+"""Offsets of the park locations perpendicular to the stylus and to the station axis, in the order in which they are
+tried: first no offset, then offsets to both sides of a bar end that is in the path."""
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
@@ -185,8 +185,10 @@ class ShortestPathPlanner:
         if tip is None or float(np.linalg.norm(tip.offset)) > finder.rules.unaligned_uncertainty_mm:
             return None
         location = finder.axes_at(pose.station, finder.tip_at(pose.artefact_pose, tip.location))
-        for aside in PARK_OFFSETS_MM:
-            parked = self._inside(self._retreat.park_location(location + np.array(aside), pose.station))
+        for offset_mm in PARK_OFFSETS_MM:
+            aside = location.copy()
+            aside[self._retreat.side_axis] += offset_mm
+            parked = self._inside(self._retreat.park_location(aside, pose.station))
             path = finder.path_to_point(
                 pose.artefact_pose, tip.location, point(parked - finder.axes_at(pose.station, _ORIGIN))
             )
@@ -241,9 +243,8 @@ class ShortestPathPlanner:
             corners, self._entry_path = self._entry_path or (), None
             return [self._finder.axes_at(pose.station, corner) + offset for corner in corners]
         deviation = max(pose.deviation_mm(offset, location.ball), pose.deviation_mm(tip.offset, tip.location.ball))
-        mount_x = float(self._finder.layout.location(pose.station)[0])
         path = self._finder.path_between(
-            pose.artefact_pose, tip.location, location, pose.uncertainty_mm + deviation, mount_x
+            pose.artefact_pose, tip.location, location, pose.uncertainty_mm + deviation, pose.station
         )
         if path is None or math.hypot(*offset.tolist()) > self._finder.rules.unaligned_uncertainty_mm:
             return self._plain_corners(tip, touch)
@@ -291,8 +292,9 @@ class ShortestPathPlanner:
         pole = TipLocation(
             ball, point(self._probing.directions[0]), self._probing.contact_mm + self._probing.wide_search.approach_mm
         )
-        mount_x = float(self._finder.layout.location(task.station)[0])
-        return self._finder.turning_path(pose.artefact_pose, tip.location, artefact_pose, pole, mount_x, faster_than_s)
+        return self._finder.turning_path(
+            pose.artefact_pose, tip.location, artefact_pose, pole, task.station, faster_than_s
+        )
 
     def _moved_too_far(self, tip: _TipState) -> bool:
         """Return whether the ball's offset exceeds the uncertainty for which the paths were planned."""

@@ -24,10 +24,12 @@ from twin.collision.collision import Scene
 from twin.collision.free_paths import AxisDynamics
 from twin.collision.geometry import point
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip
+ALONG_Y = ProbeFrame(1, 1)
 PROBE, MOUNT = ProbeGeometry(), MountGeometry()
 CONTACT_MM = 12.5 + PROBE.tip_radius_mm
 LOWER, UPPER, TOOL = np.zeros(3), np.array([4000.0, 1300.0, 1500.0]), np.array([0.0, 250.0, 0.0])
@@ -39,7 +41,7 @@ ORIENTATIONS = [(45.0, 0.0), (-30.0, -30.0), (90.0, 45.0)]
 
 def path_finder() -> FreePathFinder:
     layout = MeasuringLayout(BAR, MOUNT, PROBE, PLACES, TOOL, LOWER, UPPER, CONTACT_MM, 5.0)
-    finder = FreePathRules(np.array([0.0, 1.0, 0.0]), LOWER, UPPER, DYNAMICS, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
+    finder = FreePathRules(LOWER, UPPER, DYNAMICS, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
     return finder.finder_for(layout)
 
 
@@ -52,6 +54,7 @@ def standing_bodies(station: int, azimuth: float, elevation: float) -> Scene:
         BAR,
         PROBE,
         MOUNT,
+        frame=ALONG_Y,
         location_mm=PLACES[station],
         azimuth_rad=math.radians(azimuth),
         elevation_rad=math.radians(elevation),
@@ -71,7 +74,7 @@ def sampled_gap(scene: Scene, stops: list[np.ndarray]) -> float:
 def test_balls_are_where_the_layout_says() -> None:
     finder = path_finder()
     pose = finder.pose_at(2, 45.0, 30.0)
-    assert pose == ArtefactPose(45.0, 30.0, 1000.0, 750.0)
+    assert pose == ArtefactPose(45.0, 30.0, (0.0, 1000.0, 750.0))
     expected = finder.layout.nominal(Position(2, 45.0, 30.0))
     assert finder.ball_axes(pose, 2) == pytest.approx(expected, abs=1e-9)
     centre = expected[3] + TOOL
@@ -88,7 +91,7 @@ def test_a_path_between_balls_is_free_and_inside_the_travel(
     finder = path_finder()
     pose = finder.pose_at(1, azimuth, elevation)
     start, end = before_the_ball(first), before_the_ball(last)
-    path = finder.path_between(pose, start, end, KNOWN_MM, float(PLACES[1][0]))
+    path = finder.path_between(pose, start, end, KNOWN_MM, 1)
     assert path is not None
     stops = [
         np.array(stop) + PLACES[1] for stop in (finder.tip_at(pose, start), *path.corners, finder.tip_at(pose, end))
@@ -107,8 +110,7 @@ def test_a_path_is_sought_once_and_serves_every_station() -> None:
     finder = path_finder()
     start, end = before_the_ball(2), before_the_ball(7)
     one, other = (
-        finder.path_between(finder.pose_at(station, 45.0, 0.0), start, end, KNOWN_MM, float(PLACES[station][0]))
-        for station in PLACES
+        finder.path_between(finder.pose_at(station, 45.0, 0.0), start, end, KNOWN_MM, station) for station in PLACES
     )
     assert one is not None
     assert one is other
@@ -118,7 +120,7 @@ def test_a_path_keeps_more_room_if_the_artefact_may_be_further_off() -> None:
     finder = path_finder()
     pose = finder.pose_at(1, 45.0, 0.0)
     start, end = before_the_ball(0, CONTACT_MM + 30.0), before_the_ball(5, CONTACT_MM + 30.0)
-    path = finder.path_between(pose, start, end, 8.0, float(PLACES[1][0]))
+    path = finder.path_between(pose, start, end, 8.0, 1)
     assert path is not None
     stops = [
         np.array(stop) + PLACES[1] for stop in (finder.tip_at(pose, start), *path.corners, finder.tip_at(pose, end))
@@ -130,7 +132,7 @@ def test_the_tip_waits_clear_of_the_artefact_while_it_turns() -> None:
     finder = path_finder()
     before, after = finder.pose_at(1, 0.0, 0.0), finder.pose_at(1, 30.0, 20.0)
     start, end = before_the_ball(0), before_the_ball(10)
-    path = finder.turning_path(before, start, after, end, float(PLACES[1][0]))
+    path = finder.turning_path(before, start, after, end, 1)
     assert path is not None
     waiting = np.array(path.waiting_point) + PLACES[1]
     for share in np.linspace(0.0, 1.0, 13):
@@ -139,7 +141,7 @@ def test_the_tip_waits_clear_of_the_artefact_while_it_turns() -> None:
             assert scene.clearance(point(waiting), at_most=30.0) >= CLEARANCE_MM + UNKNOWN_MM - 0.1
     least = finder.min_turning_seconds(before, [start], after, [end])
     assert least <= path.seconds + 1e-9
-    assert finder.turning_path(before, start, after, end, float(PLACES[1][0]), faster_than_s=path.seconds) is None
+    assert finder.turning_path(before, start, after, end, 1, faster_than_s=path.seconds) is None
 
 
 @pytest.mark.parametrize(("off_by", "allowed"), [(0.0, 0.5), (0.5, 0.5), (0.51, 1.0), (9.0, 16.0), (33.0, 33.0)])

@@ -168,7 +168,10 @@ def test_a_refusal_without_a_step_shows_as_much_as_can_be_walked(at_two_stations
 
 
 def test_bodies_are_those_that_the_message_names(at_two_stations: Job) -> None:
-    moving, around = at_two_stations.layout.probe.bodies(), bodies_at(at_two_stations, Position(1, 0.0, 0.0))
+    moving, around = (
+        at_two_stations.layout.probe.bodies(at_two_stations.layout.frame),
+        bodies_at(at_two_stations, Position(1, 0.0, 0.0)),
+    )
     assert named_in("collision: tip with ball 10", moving, around) == ("tip", "ball 10")
     assert named_in("collision: probe body with post 1", moving, around) == ("probe body", "post 1")
     assert named_in("X 4001.000 mm is outside 0 to 4000 mm", moving, around) == ()

@@ -13,12 +13,14 @@ from twin.artefact.artefact import ball_bar
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import parse_position_set
 from twin.artefact.touch_pattern import QUALIFYING_RINGS, RINGS, approach_directions, ring_directions
-from twin.collision.accessibility import STYLUS_AXIS, accessible_balls, measuring_scene
+from twin.collision.accessibility import accessible_balls, measuring_scene
 from twin.collision.bodies import TIP, Body, ball_name
 from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, point, sphere
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 
+ALONG_Y = ProbeFrame(1, 1)
 PLACE = np.array([2000.0, 1000.0, 750.0])
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip
@@ -28,7 +30,7 @@ ORIENTATIONS = sorted({(p.azimuth_deg, p.elevation_deg) for name in ("S2", "S3")
 
 def scene_at(azimuth_deg: float, elevation_deg: float) -> tuple[np.ndarray, Scene]:
     return measuring_scene(
-        BAR, ProbeGeometry(), MountGeometry(), location_mm=PLACE,
+        BAR, ProbeGeometry(), MountGeometry(), frame=ALONG_Y, location_mm=PLACE,
         azimuth_rad=math.radians(azimuth_deg), elevation_rad=math.radians(elevation_deg),
     )  # fmt: skip
 
@@ -40,13 +42,13 @@ def touched(azimuth_deg: float, elevation_deg: float, directions: np.ndarray) ->
 
 @pytest.mark.parametrize("count", RINGS)
 def test_every_pattern_gets_at_every_ball_of_s2_and_s3_so_that_none_needs_to_be_turned(count: int) -> None:
-    directions = approach_directions(count, STYLUS_AXIS)
+    directions = approach_directions(count, ALONG_Y.stylus_axis)
     for azimuth, elevation in ORIENTATIONS:
         assert touched(azimuth, elevation, directions).all(), (azimuth, elevation)
 
 
 def test_rings_of_eight_on_the_equator_run_into_holders_that_lean_with_the_stylus() -> None:
-    dense = ring_directions(QUALIFYING_RINGS, STYLUS_AXIS)
+    dense = ring_directions(QUALIFYING_RINGS, ALONG_Y.stylus_axis)
     assert touched(45, 0, dense).all()
     assert not touched(90, 45, dense).any()
 
@@ -56,7 +58,7 @@ def test_rings_of_eight_on_the_equator_run_into_holders_that_lean_with_the_stylu
 )
 def test_access_is_what_a_walk_in_small_steps_finds(azimuth: float, elevation: float, count: int) -> None:
     """Place the tip at every half millimetre of the path of every touch and check that nothing comes near."""
-    directions = approach_directions(count, STYLUS_AXIS)
+    directions = approach_directions(count, ALONG_Y.stylus_axis)
     centres, scene = scene_at(azimuth, elevation)
     mask = touched(azimuth, elevation, directions)
     for index in range(0, 11, 2):

@@ -25,10 +25,12 @@ from twin.collision.free_paths import (
 )
 from twin.collision.geometry import Box, Point, point, separation, sphere
 from twin.collision.motion_law import straight_path, travel_time_s, travel_times
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip
+ALONG_Y = ProbeFrame(1, 1)
 DYNAMICS = AxisDynamics((333.0, 333.0, 250.0), (500.0, 400.0, 500.0), 0.01)
 BACK = np.array([0.0, -1.0, 0.0])
 coordinate = st.floats(-900.0, 900.0)
@@ -74,7 +76,7 @@ def sampled_gap(scene: Scene, stops: list[Point]) -> float:
 @pytest.mark.parametrize(("azimuth", "elevation"), [(45.0, 0.0), (-30.0, -30.0), (0.0, 90.0), (90.0, 45.0)])
 def test_a_way_keeps_its_clearance_from_everything_all_along(azimuth: float, elevation: float) -> None:
     centres, scene = measuring_scene(
-        BAR, ProbeGeometry(), MountGeometry(), location_mm=np.array([700.0, 1000.0, 750.0]),
+        BAR, ProbeGeometry(), MountGeometry(), frame=ALONG_Y, location_mm=np.array([700.0, 1000.0, 750.0]),
         azimuth_rad=math.radians(azimuth), elevation_rad=math.radians(elevation),
     )  # fmt: skip
     rng = np.random.default_rng(5)
@@ -89,7 +91,7 @@ def test_a_way_keeps_its_clearance_from_everything_all_along(azimuth: float, ele
 
 def test_the_fastest_that_is_free_is_taken_and_a_faster_one_would_hit() -> None:
     wall = Body("wall", Box((40.0, -20.0, -500.0), (60.0, 400.0, 500.0)))
-    scene = Scene(ProbeGeometry().bodies(), [wall])
+    scene = Scene(ProbeGeometry().bodies(ALONG_Y), [wall])
     start, end = (0.0, 0.0, 0.0), (100.0, 0.0, 0.0)
     corners = retract_candidates(start, end, BACK, -1000.0)
     way = best(scene, start, end, corners, Clearances(1.0))
@@ -107,14 +109,14 @@ def whole(start: Point, group: np.ndarray, end: Point) -> np.ndarray:
 
 def test_no_way_where_everything_is_closed() -> None:
     wall = Body("wall", Box((40.0, -3000.0, -500.0), (60.0, 400.0, 500.0)))
-    scene = Scene(ProbeGeometry().bodies(), [wall])
+    scene = Scene(ProbeGeometry().bodies(ALONG_Y), [wall])
     start, end = (0.0, 0.0, 0.0), (100.0, 0.0, 0.0)
     assert best(scene, start, end, retract_candidates(start, end, BACK, -900.0), Clearances(1.0)) is None
 
 
 def test_a_way_leaves_what_it_stands_too_near_to_but_does_not_come_nearer() -> None:
     near = Body("ball 0", sphere((0.0, 0.0, 8.0), 4.5))
-    scene = Scene(ProbeGeometry(tip_radius_mm=3.0).bodies(), [near])
+    scene = Scene(ProbeGeometry(tip_radius_mm=3.0).bodies(ALONG_Y), [near])
     here, away, past = (0.0, 0.0, 0.0), (0.0, 0.0, -50.0), (0.0, 0.0, 60.0)
     assert separation(scene.moving[0].shape, near.shape)[0] == pytest.approx(0.5)
     assert scene.is_free(here, away, 2.0)

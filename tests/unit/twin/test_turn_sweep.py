@@ -9,14 +9,16 @@ from twin.artefact.artefact import ball_bar
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import mount_pose
 from twin.collision.accessibility import measuring_scene
-from twin.collision.bodies import mount_bodies
+from twin.collision.bodies import mount_bodies, table_body
 from twin.collision.geometry import Shape, point
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 from twin.collision.swept_volume import TurnSweep, _least_around, cover_turning_bodies, turn_sweep
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip
 PROBE, MOUNT = ProbeGeometry(), MountGeometry()
+ALONG_Y = ProbeFrame(1, 1)
 PLACE = np.array([0.0, 1000.0, 750.0])
 CLEARANCE_MM = 9.0
 TURNS = [
@@ -29,12 +31,13 @@ TURNS = [
 
 
 def still() -> list[Shape]:
-    bodies = mount_bodies(MOUNT, PLACE, mount_pose(PLACE, MOUNT, 0.0, 0.0))
+    pose = mount_pose(PLACE, MOUNT, 0.0, 0.0)
+    bodies = (*mount_bodies(MOUNT, PLACE, pose), table_body(MOUNT, PLACE, ALONG_Y))
     return [body.shape.translated(point(-PLACE)) for body in bodies if body.name != "shaft"]
 
 
 def sweep_of(turn: tuple[tuple[float, float], tuple[float, float]]) -> TurnSweep:
-    return turn_sweep(cover_turning_bodies(BAR, MOUNT), PROBE, still(), *turn, clearance_mm=CLEARANCE_MM)
+    return turn_sweep(cover_turning_bodies(BAR, MOUNT), PROBE, ALONG_Y, still(), *turn, clearance_mm=CLEARANCE_MM)
 
 
 @pytest.mark.parametrize("turn", TURNS)
@@ -49,6 +52,7 @@ def test_the_probe_keeps_its_clearance_whatever_angles_the_mount_goes_through(tu
             BAR,
             PROBE,
             MOUNT,
+            frame=ALONG_Y,
             location_mm=PLACE,
             azimuth_rad=math.radians(azimuth),
             elevation_rad=math.radians(elevation),
@@ -69,7 +73,7 @@ def test_it_is_not_much_larger_than_what_is_swept(turn) -> None:
         nearest = math.inf
         for azimuth, elevation in angles:
             _, scene = measuring_scene(
-                BAR, PROBE, MOUNT, location_mm=PLACE, azimuth_rad=math.radians(azimuth),
+                BAR, PROBE, MOUNT, frame=ALONG_Y, location_mm=PLACE, azimuth_rad=math.radians(azimuth),
                 elevation_rad=math.radians(elevation),
             )  # fmt: skip
             far = np.array([x, -990.0, z])
