@@ -56,13 +56,12 @@ def load_case(
 
 def _with_stations(settings: Settings, count: int) -> Settings:
     """Return the settings with `count` stations spaced along X, at the Y and Z of the first station in `settings`. The
-    distance of the outer stations from the ends of the travel is half a bar length plus the setting
-    `mount.bar_overhang_mm`."""
+    distance of the outer stations from the ends of the travel is half of the artefact's length along X, with the
+    overhang of a bar."""
     machine, artefact = load_machine(settings.machine), load_artefact(settings.artefact)
     _, y_mm, z_mm = settings.stations.places_mm[0]
-    half_span_mm = artefact.half_length_mm + settings.mount.bar_overhang_mm
     try:
-        places = station_locations(count, machine.limits[0], half_span_mm, y_mm, z_mm)
+        places = station_locations(count, machine.limits[0], artefact.half_span_mm, y_mm, z_mm)
     except DataError as error:
         raise ConfigurationError(error.message, hint=error.hint, key="stations") from error
     stations = settings.stations.model_copy(

@@ -11,6 +11,7 @@ from agent.files import read_text, translated
 from agent.settings.schema import Settings, parse_settings
 from drivers.errors import ConfigurationError, UserError
 from drivers.registry import check_options, current_options
+from twin.artefact.mount_geometry import MountGeometry
 from twin.formats.toml_reading import validate_document, with_current_keys
 
 POSITION_FILES = (".csv", ".toml")
@@ -76,6 +77,10 @@ def current_settings_document(stored: Mapping[str, Any]) -> dict[str, Any]:
     """Return a settings document that was stored by an earlier version, with former keys replaced by the current
     keys."""
     document = with_current_keys(stored, Settings)
+    if "mount" in document:
+        # Former settings contained dimensions of the artefact, which are read from the artefact file now.
+        stated = document["mount"].items()
+        document["mount"] = {key: value for key, value in stated if key not in MountGeometry.moved_keys}
     document["devices"] = {
         name: {**device, "options": current_options(device["driver"], device.get("options", {}))}
         for name, device in document.get("devices", {}).items()

@@ -131,8 +131,8 @@ def _geometry() -> list[BadPlan]:
         config("datum ball that is not there", setting("qualification", {"ball": 11}), "no ball 11"),
         config("table above the bar", setting("mount.table_z_mm", 900.0), "three"),
         config("pedestal in front of the balls", setting("mount.pedestal_radius_mm", 900.0), "three"),
-        config("bar as thick as its holders are long", setting("mount.bar_radius_mm", 90.0), "three"),
-        config("holders as thick as balls", setting("mount.post_radius_mm", 14.0), "three"),
+        config("bar as thick as its holders are long", artefact("beam.radius_mm", 90.0), "three"),
+        config("holders as thick as balls", artefact("holders.radius_mm", 14.0), "three"),
         config("stem thicker than the gap", setting("probe.stem_radius_mm", 200.0), "three"),
         BadPlan(
             "geometry: ram into the table",

@@ -69,6 +69,7 @@ class Sizes:
 
     probe: Document
     bar: Document
+    solid: Document
     ball_diameter: float
     mount: Document
     sweep: float
@@ -133,12 +134,14 @@ def _sizes(dice: Dice) -> Sizes:
         "ram_half_width_mm": half_width,
         "ram_length_mm": dice.between(500, 2500),
     }
+    shaft_radius = dice.between(10, 25)
+    solid = {
+        "beam": {"radius_mm": bar_radius, "overhang_mm": dice.between(5, 40)},
+        "holders": {"radius_mm": dice.between(1.5, 0.25 * diameter)},
+    }
     mount = {
         "shaft_mm": shaft,
-        "shaft_radius_mm": dice.between(10, 25),
-        "bar_radius_mm": bar_radius,
-        "bar_overhang_mm": dice.between(5, 40),
-        "post_radius_mm": dice.between(1.5, 0.25 * diameter),
+        "shaft_radius_mm": shaft_radius,
         "pedestal_radius_mm": dice.between(25, 60),
         "head_mm": dice.between(0, 50),
     }
@@ -150,7 +153,7 @@ def _sizes(dice: Dice) -> Sizes:
     }
     offset = round(reach + dice.one_of(0.0, dice.between(0, 30)), 1)
     park = round(sweep + half_width + dice.between(10, 200), 1)
-    return Sizes(probe, bar, diameter, mount, sweep, offset, park)
+    return Sizes(probe, bar, solid, diameter, mount, sweep, offset, park)
 
 
 def _machine(dice: Dice, sizes: Sizes) -> tuple[Document, list[list[float]]]:
@@ -198,6 +201,7 @@ def _artefact(sizes: Sizes) -> Document:
         "ball_diameter_mm": sizes.ball_diameter,
         "standard_uncertainty_um": 0.8,
         "bar": sizes.bar,
+        **sizes.solid,
     }
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from agent.planning.job import Job
 from simulators.world.world import World
 from twin.arrays import Array
+from twin.artefact.mount_geometry import MountGeometry
 
 SPACING_MM = 1.0
 """Spacing of the points in a row. The nearest point of a row is at most half a spacing away from the exact nearest
@@ -114,7 +115,7 @@ class CollisionJudge:
         count = max(1, math.ceil(turned * workpiece.sweep_radius_mm / TURN_STEP_MM))
         for instant in np.linspace(before_s, after_s, count + 1)[1:]:
             azimuth, elevation = workpiece.mount.angles_deg(float(instant))
-            centre, rotation = pose(workpiece.location_mm, self._job.settings.mount.shaft_mm, azimuth, elevation)
+            centre, rotation = pose(workpiece.location_mm, self._job.settings.mount, azimuth, elevation)
             tip = np.array([self._world.controller.displayed_at(float(instant))]) + self._tool
             judge_tips(self._seen, tip, self._cloud_at(centre, rotation), self.dimensions)
 
@@ -134,36 +135,41 @@ class CollisionJudge:
         self._tips = []
 
 
-def pose(place: Array, shaft_mm: float, azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array]:
-    """Return the middle of the ball bar, shape (3,), in mm, and the rotation matrix of the artefact, shape (3, 3).
+def pose(place: Array, mount: MountGeometry, azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array]:
+    """Return the origin of the artefact frame, shape (3,), in mm, and the artefact's rotation matrix, shape (3, 3).
 
     The columns of the matrix are the directions of the artefact's axes in the workpiece frame.
     """
     a, e = math.radians(azimuth_deg), math.radians(elevation_deg)
     along = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     inward = np.array([-math.sin(a), math.cos(a), 0.0])
-    return np.asarray(place) - shaft_mm * inward, np.column_stack([along, inward, np.cross(along, inward)])
+    rotation = np.column_stack([along, inward, np.cross(along, inward)])
+    shaft = np.array(mount.shaft_direction)
+    return np.asarray(place) + rotation @ (shaft * (mount.shaft_mm / np.linalg.norm(shaft))), rotation
 
 
 def build_cloud(job: Job, place: Array, centre: Array, rotation: Array) -> PointCloud:
-    """Return the point cloud that represents all obstacles except the machine table: balls, posts, bar, shaft and
-    pedestal.
+    """Return the point cloud that represents all obstacles except the machine table: balls, posts, bar, other parts of
+    the artefact, shaft and pedestal.
     """
-    mount, balls = job.settings.mount, job.artefact.balls
+    mount, balls, body = job.settings.mount, job.artefact.balls, job.artefact.body
+    feet = balls * [1.0, 0.0, 0.0] if body.feet_mm is None else np.array(body.feet_mm)
     parts: list[tuple[str, Array, float, int]] = []
     for number, ball in enumerate(balls):
         middle = centre + rotation @ ball
-        foot = centre + rotation @ np.array([ball[0], 0.0, 0.0])
+        foot = centre + rotation @ feet[number]
         parts.append((f"ball {number}", middle[None], job.artefact.ball_radius_mm, number))
-        parts.append((f"post {number}", _row(foot, middle), mount.post_radius_mm, -1))
-    ends = [
-        centre + rotation[:, 0] * (balls[:, 0].min() - mount.bar_overhang_mm),
-        centre + rotation[:, 0] * (balls[:, 0].max() + mount.bar_overhang_mm),
-    ]
+        parts.append((f"post {number}", _row(foot, middle), body.holder_radius_mm, -1))
+    if body.beam is not None:
+        ends = [feet[:, 0].min() - body.beam.overhang_mm, feet[:, 0].max() + body.beam.overhang_mm]
+        first, last = (centre + rotation[:, 0] * end for end in ends)
+        parts.append(("bar", _row(first, last), body.beam.radius_mm, -1))
+    for part in body.parts:
+        start, end = (centre + rotation @ np.array(point) for point in (part.start_mm, part.end_mm))
+        parts.append((part.name, _row(start, end), part.radius_mm, -1))
     below, above = place.copy(), place.copy()
     below[2], above[2] = mount.table_z_mm, place[2] + mount.head_mm
     parts += [
-        ("bar", _row(ends[0], ends[1]), mount.bar_radius_mm, -1),
         ("shaft", _row(place, centre), mount.shaft_radius_mm, -1),
         ("pedestal", _row(below, above), mount.pedestal_radius_mm, -1),
     ]

@@ -114,8 +114,7 @@ class Workpiece:
         geometry = self._geometry
         if self._artefact is None:
             return geometry.shaft_mm + max(geometry.shaft_radius_mm, geometry.pedestal_radius_mm)
-        reach = float(np.linalg.norm(self._artefact.balls, axis=1).max()) + geometry.shaft_mm
-        return reach + max(geometry.bar_overhang_mm, self._artefact.ball_radius_mm) + geometry.bar_radius_mm
+        return geometry.shaft_mm + self._artefact.reach_mm
 
     @property
     def cover(self) -> SphereCover | None:
@@ -156,7 +155,7 @@ class Workpiece:
             bodies = self._renamed(mount)
             return WorkpieceSnapshot(pose, (), (), bodies, Scene(self.probe_bodies, bodies))
         centres = pose.apply(bend_balls(self._artefact.at(temperature_c, elevation), bow))
-        bodies = self._renamed((*artefact_bodies(self._artefact, self._geometry, pose), *mount))
+        bodies = self._renamed((*artefact_bodies(self._artefact, pose), *mount))
         names = tuple(f"{ball_name(number)}{self._name_suffix}" for number in range(self._artefact.count))
         scene = Scene(self.probe_bodies, bodies)
         return WorkpieceSnapshot(pose, tuple(point(centre) for centre in centres), names, bodies, scene)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twin.arrays import Array, as_points
+from twin.artefact.artefact_body import ArtefactBody, Rod, vector
 from twin.errors import DataError
 from twin.units import REFERENCE_TEMPERATURE_C
 
@@ -30,6 +31,7 @@ class Artefact:
       empty for a single artefact.
     - `uncertified` contains the numbers of the balls whose centres are nominal values without a certificate. Their
       covariance is large, and paths to them use the nominal centres.
+    - `body` describes the solid parts besides the balls, which the probe must not hit.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Artefact:
     sag_mm: float = 0.0
     members: tuple[int, ...] = ()
     uncertified: tuple[int, ...] = ()
+    body: ArtefactBody = field(default_factory=ArtefactBody)
 
     def __post_init__(self) -> None:
         balls = as_points(self.balls, "balls of the artefact")
@@ -57,6 +60,9 @@ class Artefact:
         for member in np.unique(members):
             _refuse_overlap(balls[members == member], self.ball_diameter_mm, self.name)
         _refuse_bad_covariance(self.covariance, 3 * len(balls), self.name)
+        feet = self.body.feet_mm
+        if feet is not None and len(feet) != len(balls):
+            raise DataError(f"{len(feet)} feet of holders for {len(balls)} balls", artefact=self.name)
 
     @property
     def count(self) -> int:
@@ -72,6 +78,31 @@ class Artefact:
         the artefact is a bar).
         """
         return float(np.abs(self.balls[:, 0]).max())
+
+    @property
+    def rods(self) -> tuple[Rod, ...]:
+        """Solid parts besides the balls, in the artefact frame: holders, the beam of a bar, and further parts."""
+        feet = self.body.feet(self.balls)
+        holders = (
+            Rod(f"post {number}", vector(foot), vector(ball), self.body.holder_radius_mm)
+            for number, (foot, ball) in enumerate(zip(feet, self.balls, strict=True))
+        )
+        return (*holders, *self.body.carriers(self.balls))
+
+    @property
+    def half_span_mm(self) -> float:
+        """Largest distance in mm of a ball centre or of the axis of a solid part from the origin of the artefact frame,
+        measured along X.
+        """
+        ends = [abs(end[0]) for rod in self.rods for end in (rod.start_mm, rod.end_mm)]
+        return max(self.half_length_mm, *ends)
+
+    @property
+    def reach_mm(self) -> float:
+        """Largest distance in mm of any point of the artefact from the origin of the artefact frame."""
+        balls = float(np.linalg.norm(self.balls, axis=1).max()) + self.ball_radius_mm
+        rods = [math.hypot(*end) + rod.radius_mm for rod in self.rods for end in (rod.start_mm, rod.end_mm)]
+        return max(balls, *rods)
 
     @property
     def droop_mm(self) -> Array:

@@ -55,6 +55,7 @@ def combine_artefacts(artefacts: Sequence[Artefact]) -> Artefact:
         balls=np.concatenate([a.balls for a in artefacts]),
         covariance=covariance,
         uncertified=tuple(first.count * number + ball for number, a in enumerate(artefacts) for ball in a.uncertified),
+        body=replace(first.body, feet_mm=None if first.body.feet_mm is None else first.body.feet_mm * len(artefacts)),
         members=tuple(number for number, a in enumerate(artefacts) for _ in range(a.count)),
     )
 
@@ -64,6 +65,11 @@ def _require_one_kind(first: Artefact, other: Artefact) -> None:
         raise DataError(
             f"'{other.name}' has {other.count} balls, '{first.name}' has {first.count}",
             hint="all artefacts of one run must be of the same kind",
+        )
+    if other.body != first.body:
+        raise DataError(
+            f"the holders or the other solid parts of '{other.name}' differ from those of '{first.name}'",
+            hint="all artefacts of one run must be of one kind; only ball centres and certificates may differ",
         )
     for name in KIND_FIELDS:
         if getattr(other, name) != getattr(first, name):

@@ -4,31 +4,52 @@ because the settings import it and must not load numpy.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from twin.errors import DataError
 
 
 @dataclass(frozen=True)
 class MountGeometry:
-    """Dimensions in mm of the mount and of the bar on it. They are used to place the bar and to check for collisions.
+    """Dimensions of the mount in mm. They are used to place the artefact and to check for collisions.
 
-    `shaft_mm` is the distance between the vertical azimuth axis and the middle of the bar axis, measured in the
-    direction of the ball holders. The pedestal stands on the machine table under the azimuth axis. It extends from the
-    height `table_z_mm` (surface of the table, in the workpiece frame) to `head_mm` above the mount location, which is
-    the point of the azimuth axis at the height of the middle of the bar.
+    The mount location is the point where the vertical azimuth axis and the elevation axis meet. A shaft connects it to
+    the origin of the artefact frame, at the distance `shaft_mm`, and turns with the artefact. `shaft_direction` is the
+    direction of the shaft in the artefact frame, towards the artefact; its length does not matter. The default, -Y, is
+    the direction of the elevation axis: the artefact stands beside the azimuth axis. With +Z it stands above the
+    azimuth axis if the elevation is 0.
+
+    The pedestal stands on the machine table under the azimuth axis. It extends from the height `table_z_mm` (surface of
+    the table, in the workpiece frame) to `head_mm` above the mount location.
     """
 
+    moved_keys: ClassVar[Mapping[str, str]] = {
+        "bar_radius_mm": "'radius_mm' in section [beam] of the artefact file",
+        "bar_overhang_mm": "'overhang_mm' in section [beam] of the artefact file",
+        "post_radius_mm": "'radius_mm' in section [holders] of the artefact file",
+    }
+    """Present place of each key of former versions that described the artefact, by the former key."""
+
     shaft_mm: float = 120.0
+    shaft_direction: tuple[float, float, float] = (0.0, -1.0, 0.0)
     shaft_radius_mm: float = 20.0
-    bar_radius_mm: float = 15.0
-    bar_overhang_mm: float = 15.0
-    post_radius_mm: float = 4.0
     pedestal_radius_mm: float = 50.0
     head_mm: float = 30.0
     table_z_mm: float = -150.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name != "table_z_mm" and not value >= 0.0:
+            if name not in ("table_z_mm", "shaft_direction") and not value >= 0.0:
                 raise DataError(f"{name} must be at least 0, got {value}", key=f"mount.{name}")
+        if not 0.0 < math.hypot(*self.shaft_direction) < math.inf:
+            raise DataError("shaft_direction must not be zero", key="mount.shaft_direction")
+
+    @property
+    def shaft_vector_mm(self) -> tuple[float, float, float]:
+        """Vector in mm from the mount location to the origin of the artefact frame, in the artefact frame."""
+        x, y, z = self.shaft_direction
+        scale = self.shaft_mm / math.hypot(x, y, z)
+        return scale * x, scale * y, scale * z

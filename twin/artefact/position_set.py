@@ -82,17 +82,16 @@ def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
 
 
 def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, elevation_rad: float) -> Pose:
-    """Return the pose of the bar on a mount at `location_mm`.
+    """Return the pose of the artefact on a mount at `location_mm`.
 
-    For the azimuth az and the elevation el, the bar points along (cos az cos el, sin az cos el, sin el). Its holders
-    point along (0, -1, 0) rotated by az about Z. `location_mm` (3,) is the point of the vertical azimuth axis of the
-    mount at the height of the middle of the bar.
+    The elevation el turns the artefact about its own Y axis, and then the azimuth az turns it about Z. The X axis of
+    the artefact frame points along (cos az cos el, sin az cos el, sin el). `location_mm` (3,) is the point where the
+    vertical azimuth axis and the elevation axis of the mount meet.
     """
     ca, sa = math.cos(azimuth_rad), math.sin(azimuth_rad)
     ce, se = math.cos(elevation_rad), math.sin(elevation_rad)
     rotation = np.array([[ca * ce, -sa, -ca * se], [sa * ce, ca, -sa * se], [se, 0.0, ce]])
-    outward = np.array([sa, -ca, 0.0])
-    return Pose(np.asarray(location_mm, dtype=np.float64) + geometry.shaft_mm * outward, rotation)
+    return Pose(np.asarray(location_mm, dtype=np.float64) + rotation @ np.array(geometry.shaft_vector_mm), rotation)
 
 
 def station_locations(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:

@@ -48,7 +48,7 @@ def measuring_scene(
     """
     pose = mount_pose(location_mm, geometry, azimuth_rad, elevation_rad)
     around = (
-        *artefact_bodies(artefact, geometry, pose),
+        *artefact_bodies(artefact, pose),
         *mount_bodies(geometry, location_mm, pose),
         table_body(geometry, location_mm, frame),
         *other_bodies,

@@ -11,11 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.artefact_body import Rod
 from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import Pose
-from twin.collision.geometry import Box, Capsule, Point, Shape, point, sphere
+from twin.collision.geometry import Box, Capsule, Shape, point, sphere
 from twin.collision.probe_frame import ProbeFrame
 
 TIP = "tip"
@@ -40,24 +43,22 @@ def post_name(index: int) -> str:
     return f"post {index}"
 
 
-def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> tuple[Body, ...]:
-    """Return the balls, the holders (posts) and the bar of the artefact at `pose` as collision bodies in the workpiece
-    frame.
+def artefact_bodies(artefact: Artefact, pose: Pose) -> tuple[Body, ...]:
+    """Return the balls and the other solid parts of the artefact at `pose` as collision bodies in the workpiece frame.
 
-    The bar is divided into pieces, each from one post to the next. The bounding boxes of the short pieces of an oblique
-    bar enclose less empty space than one box around the whole bar. The first step of a collision check, which compares
-    bounding boxes, therefore excludes more pairs of bodies.
+    A rod that carries holders is divided into pieces, each from one holder to the next. The bounding boxes of the short
+    pieces of an oblique rod enclose less empty space than one box around the whole rod. The first step of a collision
+    check, which compares bounding boxes, therefore excludes more pairs of bodies.
     """
     centres = pose.apply(artefact.balls)
-    feet_frame = artefact.balls.copy()
-    feet_frame[:, 1:] = 0.0
-    feet = [point(foot) for foot in pose.apply(feet_frame)]
+    feet = artefact.body.feet(artefact.balls)
     balls = [Body(ball_name(i), sphere(point(c), artefact.ball_radius_mm)) for i, c in enumerate(centres)]
     posts = [
-        Body(post_name(i), Capsule(foot, point(centre), geometry.post_radius_mm))
-        for i, (foot, centre) in enumerate(zip(feet, centres, strict=True))
+        Body(post_name(i), Capsule(point(foot), point(centre), artefact.body.holder_radius_mm))
+        for i, (foot, centre) in enumerate(zip(pose.apply(feet), centres, strict=True))
     ]
-    return (*balls, *posts, *_bar_pieces(artefact, geometry, pose))
+    carriers = artefact.body.carriers(artefact.balls)
+    return (*balls, *posts, *(piece for rod in carriers for piece in _pieces(rod, feet, pose)))
 
 
 def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tuple[Body, ...]:
@@ -89,13 +90,12 @@ def table_body(geometry: MountGeometry, location_mm: Array, frame: ProbeFrame) -
     return Body(TABLE, Box(point(lower), point(upper)))
 
 
-def _bar_pieces(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> list[Body]:
-    stops = sorted(artefact.balls[:, 0].tolist())
-    stops[0] -= geometry.bar_overhang_mm
-    stops[-1] += geometry.bar_overhang_mm
-    ends = [_on_bar(pose, stop) for stop in stops]
-    return [Body("bar", Capsule(start, end, geometry.bar_radius_mm)) for start, end in pairwise(ends)]
-
-
-def _on_bar(pose: Pose, along_mm: float) -> Point:
-    return point(pose.centre + along_mm * pose.rotation[:, 0])
+def _pieces(rod: Rod, feet: Array, pose: Pose) -> list[Body]:
+    """Return the rod at `pose`, divided at the feet (N, 3) of holders that stand on its axis, except the outer two."""
+    base, axis, first, last = rod.line
+    along = feet @ axis
+    beside = np.linalg.norm(feet - base - along[:, None] * axis, axis=1)
+    standing = np.unique(along[(beside < rod.radius_mm) & (along > first) & (along < last)])
+    origin, direction = pose.apply(base[None])[0], pose.rotation @ axis
+    ends = [point(origin + stop * direction) for stop in (first, *standing[1:-1].tolist(), last)]
+    return [Body(rod.name, Capsule(a, b, rod.radius_mm)) for a, b in pairwise(ends)]

@@ -46,7 +46,7 @@ def _parked_bodies(
     azimuth, elevation = (math.radians(angle) for angle in parked_deg)
     pose = mount_pose(location_mm, geometry, azimuth, elevation)
     mount = mount_bodies(geometry, location_mm, pose)
-    return mount if artefact is None else (*artefact_bodies(artefact, geometry, pose), *mount)
+    return mount if artefact is None else (*artefact_bodies(artefact, pose), *mount)
 
 
 def _named(station: int, bodies: tuple[Body, ...]) -> tuple[Body, ...]:

@@ -28,6 +28,7 @@ from twin.collision.probe_geometry import ProbeGeometry
 CELL_MM = 20.0
 STEP_DEG = 2.5
 SLAB_MM = 40.0
+SLAB_WIDTH_MM = 160.0
 MountAngles = tuple[float, float]
 
 
@@ -35,8 +36,8 @@ MountAngles = tuple[float, float]
 class SphereCover:
     """Spheres that together enclose all bodies that rotate with the mount (artefact and shaft).
 
-    `centres` (n, 3) contains the centres of the n spheres in mm. They are relative to the mount location (the point of
-    the azimuth axis at the height of the middle of the bar), in the directions of the axes of the artefact frame.
+    `centres` (n, 3) contains the centres of the n spheres in mm. They are relative to the mount location (the point
+    where the azimuth axis and the elevation axis meet), in the directions of the axes of the artefact frame.
     `radii` (n,) contains the radii in mm.
     """
 
@@ -50,26 +51,28 @@ class SphereCover:
 
 
 def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCover:
-    """Return spheres that enclose all bodies that rotate with the mount: the balls, the posts, the bar and the shaft.
-    Their centres are relative to the mount location.
+    """Return spheres that enclose all bodies that rotate with the mount: the artefact with its solid parts, and the
+    shaft. Their centres are relative to the mount location.
 
-    The bar is cut into slabs across its axis. One sphere encloses all parts of the balls, the posts and the bar that
-    are in the same slab. Further spheres along the axis of the shaft enclose the shaft.
+    The artefact is cut into cells, which are thin along X and wide across it, as suits a bar. One sphere encloses all
+    parts of the artefact that are in the same cell. Further spheres along the axis of the shaft enclose the shaft.
     """
-    points, radii = _covered(artefact, mount)
-    slab = np.floor(points[:, 0] / SLAB_MM).astype(int)
-    # One sphere per slab: centred on the slab's bounding box, radius to the farthest enclosed point.
+    points, radii = _covered(artefact)
+    cell = np.column_stack([np.floor(points[:, 0] / SLAB_MM), np.rint(points[:, 1:] / SLAB_WIDTH_MM)]).astype(int)
+    # One sphere per cell: centred on the bounding box of its parts, radius to the farthest enclosed point.
     centres, sizes = [], []
-    for number in np.unique(slab):
-        inside, sized = points[slab == number], radii[slab == number]
+    numbers = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+    for number in range(numbers.max() + 1):
+        inside, sized = points[numbers == number], radii[numbers == number]
         low, high = (inside - sized[:, None]).min(axis=0), (inside + sized[:, None]).max(axis=0)
         centre = 0.5 * (low + high)
         centres.append(centre)
         sizes.append(float((np.linalg.norm(inside - centre, axis=1) + sized).max()))
-    along = np.arange(0.0, mount.shaft_mm + SLAB_MM, SLAB_MM)
-    shaft = np.column_stack([0.0 * along, -np.minimum(along, mount.shaft_mm), 0.0 * along])
+    along = np.minimum(np.arange(0.0, mount.shaft_mm + SLAB_MM, SLAB_MM), mount.shaft_mm)
+    shaft_vector = np.array(mount.shaft_vector_mm)
+    shaft = along[:, None] * (shaft_vector / max(mount.shaft_mm, 1e-9))
     shaft_radii = np.full(len(shaft), math.hypot(mount.shaft_radius_mm, 0.5 * SLAB_MM))
-    placed = np.array(centres) - (0.0, mount.shaft_mm, 0.0)
+    placed = np.array(centres) + shaft_vector
     return SphereCover(np.concatenate([placed, shaft]), np.concatenate([sizes, shaft_radii]))
 
 
@@ -128,25 +131,20 @@ def turn_sweep(
     return TurnSweep(cover.reach_mm, np.minimum(np.minimum(tip, body), ram) - clearance_mm)
 
 
-def _covered(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
-    """Return points of balls, posts and bar, and the radius (mm) of a sphere around each point.
+def _covered(artefact: Artefact) -> tuple[Array, Array]:
+    """Return points of the balls and the solid parts of the artefact, and the radius (mm) of a sphere around each.
 
-    The points are dense enough for the spheres to cover the bodies completely.
+    The points are dense enough for the spheres to cover the parts completely.
     """
-    balls = artefact.balls
-    feet = balls.copy()
-    feet[:, 1:] = 0.0
-    ends = (balls[:, 0].min() - mount.bar_overhang_mm, balls[:, 0].max() + mount.bar_overhang_mm)
-    count = math.ceil((ends[1] - ends[0]) / SLAB_MM) * 2 + 1
-    bar = np.column_stack([np.linspace(*ends, count), np.zeros(count), np.zeros(count)])
-    bar_radius = math.hypot(mount.bar_radius_mm, 0.25 * SLAB_MM)
-    along = np.linspace(0.0, 1.0, 9)[:, None, None]
-    posts = (feet + along * (balls - feet)).reshape(-1, 3)
-    spacing = float(np.linalg.norm(balls - feet, axis=1).max()) / 8.0
-    post_radius = math.hypot(mount.post_radius_mm, 0.5 * spacing)
-    points = np.concatenate([balls, posts, bar])
-    radii = [np.full(len(balls), artefact.ball_radius_mm), np.full(len(posts), post_radius), np.full(count, bar_radius)]
-    return points, np.concatenate(radii)
+    points, radii = [artefact.balls], [np.full(artefact.count, artefact.ball_radius_mm)]
+    for rod in artefact.rods:
+        base, axis, first, last = rod.line
+        length = last - first
+        count = max(2 * math.ceil(length / SLAB_MM), 8)
+        points.append(base + np.linspace(first, last, count + 1)[:, None] * axis)
+        half_spacing = min(0.25 * SLAB_MM, length / 16.0)
+        radii.append(np.full(count + 1, math.hypot(rod.radius_mm, half_spacing)))
+    return np.concatenate(points), np.concatenate(radii)
 
 
 def _turned(

@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, bar_balls
+from twin.artefact.artefact_body import ArtefactBody, Beam, Rod, Vector, check_part_name, cover_box, vector
 from twin.artefact.certificate import (
     BallDistance,
     end_balls,
@@ -55,6 +56,68 @@ class ReferenceLengthSection(StrictModel):
     standard_uncertainty_um: Annotated[float, Field(gt=0.0)]
 
 
+class HoldersSection(StrictModel):
+    """Section `[holders]` of an artefact file: rods from a foot to the centre of each ball. The feet are listed
+    (`feet_mm`), or all balls are `length_mm` from their feet in the direction `direction`. Without either, the feet are
+    on the X axis of the artefact frame."""
+
+    radius_mm: Annotated[float, Field(ge=0.0)] = 4.0
+    direction: Coordinates | None = None
+    length_mm: Annotated[float, Field(ge=0.0)] | None = None
+    feet_mm: list[Coordinates] | None = None
+
+    @model_validator(mode="after")
+    def _one_rule(self) -> Self:
+        if (self.direction is None) != (self.length_mm is None):
+            raise ValueError("give 'direction' and 'length_mm' together")
+        if self.direction is not None and self.feet_mm is not None:
+            raise ValueError("give either 'feet_mm' or 'direction' with 'length_mm'")
+        if self.direction is not None and not any(self.direction):
+            raise ValueError("'direction' must not be zero")
+        return self
+
+    def feet(self, balls: Array) -> tuple[Vector, ...] | None:
+        """Return the stated feet of the holders of `balls` (N, 3) in mm; None if they are not stated."""
+        if self.direction is None or self.length_mm is None:
+            return None if self.feet_mm is None else tuple(self.feet_mm)
+        along = np.array(self.direction) / math.hypot(*self.direction)
+        return tuple(vector(foot) for foot in balls - self.length_mm * along)
+
+
+class BeamSection(StrictModel):
+    """Section `[beam]` of an artefact file: the straight beam of a ball bar, on the X axis of the artefact frame."""
+
+    radius_mm: Annotated[float, Field(ge=0.0)] = 15.0
+    overhang_mm: Annotated[float, Field(ge=0.0)] = 15.0
+
+
+class BodySection(StrictModel):
+    """Section `[[bodies]]` of an artefact file: a solid part in the artefact frame. It is either a rod with round ends
+    (`from_mm`, `to_mm`, `radius_mm`) or a box (`lower_mm`, `upper_mm`) with faces perpendicular to the axes."""
+
+    name: Annotated[str, Field(min_length=1)] = "frame"
+    from_mm: Coordinates | None = None
+    to_mm: Coordinates | None = None
+    radius_mm: Annotated[float, Field(gt=0.0)] | None = None
+    lower_mm: Coordinates | None = None
+    upper_mm: Coordinates | None = None
+
+    @model_validator(mode="after")
+    def _rod_or_box(self) -> Self:
+        given = {name for name in BodySection.model_fields if name != "name" and getattr(self, name) is not None}
+        if given not in ({"from_mm", "to_mm", "radius_mm"}, {"lower_mm", "upper_mm"}):
+            raise ValueError("give either 'from_mm', 'to_mm' and 'radius_mm' (rod) or 'lower_mm' and 'upper_mm' (box)")
+        return self
+
+    def rods(self) -> tuple[Rod, ...]:
+        """Return the rods that form or enclose the part. Raises DataError if its name or its corners are wrong."""
+        check_part_name(self.name)
+        if self.lower_mm is not None and self.upper_mm is not None:
+            return cover_box(self.name, self.lower_mm, self.upper_mm)
+        assert self.from_mm is not None and self.to_mm is not None  # noqa: S101  checked by _rod_or_box
+        return (Rod(self.name, self.from_mm, self.to_mm, self.radius_mm or 0.0),)
+
+
 class ArtefactDocument(StrictModel):
     """Keys of an artefact file. Uncertainties are standard uncertainties (k = 1)."""
 
@@ -75,6 +138,9 @@ class ArtefactDocument(StrictModel):
     end_length_mm: Annotated[float, Field(gt=0.0)] | None = None
     end_length_standard_uncertainty_um: Annotated[float, Field(gt=0.0)] | None = None
     reference_lengths: tuple[ReferenceLengthSection, ...] = ()
+    holders: HoldersSection = HoldersSection()
+    beam: BeamSection | None = None
+    bodies: tuple[BodySection, ...] | None = None
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
@@ -84,6 +150,14 @@ class ArtefactDocument(StrictModel):
             raise ValueError("give either 'standard_uncertainty_um' or 'covariance_file'")
         if (self.end_length_mm is None) != (self.end_length_standard_uncertainty_um is None):
             raise ValueError("give both 'end_length_mm' and 'end_length_standard_uncertainty_um', or neither")
+        stated_feet = self.holders.feet_mm is not None or self.holders.direction is not None
+        if stated_feet and self.beam is None and self.bodies is None:
+            raise ValueError(
+                "the [holders] have stated feet, so the part that carries them must be stated too: [[bodies]], or "
+                "[beam] for a bar along X; 'bodies = []' if there is none"
+            )
+        if self.sag_um and self.bodies is not None and self.beam is None:
+            raise ValueError("'sag_um' describes a bar that is held in its middle; remove it or give [beam]")
         return self
 
 
@@ -112,9 +186,25 @@ def parse_artefact(text: str, source: str, read_text: ReadText | None = None) ->
             holder_length_mm=holder,
             sag_mm=document.sag_um * 1e-3,
             uncertified=tuple(sorted(set(document.uncertified_balls))),
+            body=_body(document, balls),
         )
     except DataError as error:
         raise error.at(file=source) from None
+
+
+def _body(document: ArtefactDocument, balls: Array) -> ArtefactBody:
+    """Return the solid parts besides the `balls` (N, 3). An artefact that states none is a bar."""
+    beam = document.beam or (BeamSection() if document.bodies is None else None)
+    try:
+        parts = tuple(rod for body in document.bodies or () for rod in body.rods())
+    except DataError as error:
+        raise error.at(key="bodies") from None
+    return ArtefactBody(
+        holder_radius_mm=document.holders.radius_mm,
+        feet_mm=document.holders.feet(balls),
+        beam=None if beam is None else Beam(beam.radius_mm, beam.overhang_mm),
+        parts=parts,
+    )
 
 
 def _with_additions(

@@ -30,11 +30,17 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def forbid_unknown_keys(kind: type) -> BeforeValidator:
-    """Return a validator that refuses unknown keys for the dataclass `kind`; pydantic itself ignores such keys."""
+    """Return a validator that refuses unknown keys for the dataclass `kind`; pydantic itself ignores such keys.
+
+    The class attribute `moved_keys` of `kind`, if it exists, gives the present place of keys of former versions.
+    """
     known = {field.name for field in dataclasses.fields(kind)}
+    moved: Mapping[str, str] = getattr(kind, "moved_keys", {})
 
     def check(value: object) -> object:
         unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
+        if unknown and unknown[0] in moved:
+            raise ValueError(f"key {unknown[0]!r} has moved: write {moved[unknown[0]]}")
         if unknown:
             raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
         return value

@@ -7,7 +7,7 @@ calibration certificate.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,7 +67,7 @@ class Bar:
         count = self.certified.count if balls is None else balls
         tilt = self.tilt_deg if tilt_deg is None else tilt_deg
         artefact = self.certified
-        return ball_bar(
+        bar = ball_bar(
             f"{artefact.name}, {count} balls at {tilt:g}°",
             balls=count,
             length_mm=self.length_mm,
@@ -80,3 +80,4 @@ class Bar:
             cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
             sag_mm=artefact.sag_mm,
         )
+        return replace(bar, body=artefact.body)

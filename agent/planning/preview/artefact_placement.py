@@ -46,7 +46,7 @@ def bodies_at(job: Job, position: Position) -> tuple[Body, ...]:
     artefact = job.layout.artefact_at(position.station)
     around = job.layout.neighbours.get(position.station, ())
     return (
-        *artefact_bodies(artefact, geometry, pose),
+        *artefact_bodies(artefact, pose),
         *mount_bodies(geometry, place, pose),
         table_body(geometry, place, job.layout.frame),
         *around,

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from agent.cli.main import main
 from agent.model_files import load_artefact, load_machine
 from agent.planning.job_preparation import prepare_job
-from agent.settings.load import load_settings
+from agent.settings.load import current_settings_document, load_settings
 from agent.settings.schema import Settings, parse_settings
 from drivers.registry import check_options
 from simulators.scenario import read_scenario
@@ -61,6 +61,11 @@ def test_paths_are_relative_to_the_file_that_names_them(monkeypatch, tmp_path: P
         ("[procedure]", "[procedure]\ntouches_per_ball = 7", "procedure.touches_per_ball"),
         ("[stations]", "[mount]\ncolour = 1\n[stations]", "colour"),
         ("[stations]", "[probe]\ncolour = 1\n[stations]", "colour"),
+        (
+            "[stations]",
+            "[mount]\npost_radius_mm = 1\n[stations]",
+            "'radius_mm' in section [holders] of the artefact file",
+        ),
     ],
 )
 def test_wrong_value_names_file_and_key(former: str, now: str, key: str) -> None:
@@ -90,3 +95,9 @@ def test_every_former_key_is_refused_with_its_new_name_and_none_is_in_use() -> N
         wrong = {**document, section: {**document.get(section, {}), former: 1}}
         with pytest.raises(FormatError, match=f"'{former}' has been renamed.*{section}.{former}.*Write '{now}'"):
             validate_document(wrong, "volcal.toml", Settings)
+
+
+def test_stored_settings_of_a_former_version_lose_keys_that_are_in_the_artefact_file_now() -> None:
+    document = tomllib.loads((CONFIG / "case-study.toml").read_text())
+    current = current_settings_document({**document, "mount": {"bar_overhang_mm": 9.0, "shaft_mm": 80.0}})
+    assert validate_document(current, "journal", Settings).mount.shaft_mm == 80.0

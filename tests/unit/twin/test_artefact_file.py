@@ -1,9 +1,11 @@
+import itertools
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from twin.artefact.artefact_body import Rod
 from twin.artefact.position_set import Position
 from twin.errors import DataError, FormatError
 from twin.formats.artefact_file import parse_artefact
@@ -56,6 +58,61 @@ def test_a_covariance_file_is_read_in_square_micrometres() -> None:
 def test_a_wrong_file_names_itself_and_the_place(old: str, new: str, told: str) -> None:
     with pytest.raises((FormatError, DataError)) as caught:
         parse_artefact(TEXT.replace(old, new), "pair.toml")
+    assert "pair.toml" in str(caught.value)
+    assert told in str(caught.value)
+
+
+PLATE = """
+[holders]
+direction = [0.0, 0.0, 2.0]
+length_mm = 30.0
+radius_mm = 3.0
+[[bodies]]
+name = "plate"
+lower_mm = [-60.0, -20.0, -50.0]
+upper_mm = [60.0, 20.0, -30.0]
+[[bodies]]
+from_mm = [0.0, 0.0, -50.0]
+to_mm = [0.0, 0.0, -90.0]
+radius_mm = 8.0
+"""
+
+
+def test_the_solid_parts_of_any_artefact_are_data_of_its_file() -> None:
+    bar = parse_artefact(TEXT, "bar.toml")
+    assert [rod.name for rod in bar.rods] == ["post 0", "post 1", "bar"]
+    assert (bar.half_span_mm, bar.reach_mm) == (65.0, 80.0)
+    plate = parse_artefact(TEXT + PLATE, "plate.toml")
+    assert [rod.name for rod in plate.rods] == ["post 0", "post 1", "plate", "plate", "frame"]
+    assert plate.rods[0].start_mm == (-50.0, 0.0, -30.0)
+    # the rods of the box contain its corners, and protrude little from its large faces
+    for corner in itertools.product((-60.0, 60.0), (-20.0, 20.0), (-50.0, -30.0)):
+        assert any(distance(rod, corner) <= 1e-9 for rod in plate.rods)
+    assert all(distance(rod, (0.0, y, -25.8)) > 0.0 for rod in plate.rods[2:] for y in (-10.0, 0.0, 10.0))
+
+
+def distance(rod: Rod, point: tuple[float, float, float]) -> float:
+    base, axis, first, last = rod.line
+    along = min(max(float(np.array(point) @ axis), first), last)
+    return float(np.linalg.norm(base + along * axis - point)) - rod.radius_mm
+
+
+@pytest.mark.parametrize(
+    ("added", "told"),
+    [
+        ("[holders]\ndirection = [0, 0, 1]\n", "'length_mm' together"),
+        ("[holders]\ndirection = [0, 0, 0]\nlength_mm = 3\n", "must not be zero"),
+        ("[holders]\nfeet_mm = [[0, 0, -9]]\n", "[beam] for a bar"),
+        ("bodies = []\n[holders]\nfeet_mm = [[0, 0, -9]]\n", "1 feet of holders for 2 balls"),
+        ("[[bodies]]\nfrom_mm = [0, 0, 0]\n", "bodies[0]"),
+        ("[[bodies]]\nlower_mm = [0, 0, 0]\nupper_mm = [1, 1, 0]\n", "'frame' needs a lower corner"),
+        ('[[bodies]]\nname = "ball 1"\nfrom_mm = [0, 0, 0]\nto_mm = [1, 0, 0]\nradius_mm = 1\n', "named 'ball 1'"),
+        ("sag_um = 3\nbodies = []\n", "sag_um"),
+    ],
+)
+def test_wrong_solid_parts_are_refused(added: str, told: str) -> None:
+    with pytest.raises((FormatError, DataError)) as caught:
+        parse_artefact(TEXT + added, "pair.toml")
     assert "pair.toml" in str(caught.value)
     assert told in str(caught.value)
 

@@ -53,6 +53,16 @@ def test_the_bar_points_where_the_mount_says(azimuth, elevation, axis, outward) 
     assert pose.apply(np.array([[10.0, 0.0, 0.0]]))[0] - pose.centre == pytest.approx(10.0 * np.array(axis), abs=1e-9)
 
 
+def test_the_shaft_has_any_direction_and_turns_with_the_artefact() -> None:
+    above = MountGeometry(shaft_mm=120.0, shaft_direction=(0.0, 0.0, 3.0))
+    assert mount_pose(PLACE, above, 0.3, 0.0).centre == pytest.approx(np.add(PLACE, [0.0, 0.0, 120.0]))
+    assert mount_pose(PLACE, above, math.pi / 2, math.pi / 6).centre == pytest.approx(
+        PLACE + 120.0 * np.array([0.0, -0.5, math.sqrt(0.75)])
+    )
+    with pytest.raises(DataError, match="shaft_direction"):
+        MountGeometry(shaft_direction=(0.0, 0.0, 0.0))
+
+
 def test_stations_are_evenly_spaced_inside_the_travel() -> None:
     places = station_locations(4, (0.0, 4000.0), 700.0, 1000.0, 750.0)
     assert places[:, 0] == pytest.approx([700.0, 1566.6666667, 2433.3333333, 3300.0])
