@@ -13,7 +13,7 @@ import click
 from rich.console import Console
 
 from agent.cli.errors import fail, reported
-from agent.cli.options import procedure_options
+from agent.cli.options import config_option, procedure_options
 from agent.cli.printing import facts_table, results_console, travel_rows
 from agent.cli.progress import watching
 from agent.errors import GateRefused
@@ -29,6 +29,7 @@ from agent.settings.schema import Settings
 
 
 @click.command("calibrate")
+@config_option
 @procedure_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported

@@ -17,7 +17,9 @@ from agent.cli.errors import reported
 from agent.cli.printing import columns_table, results_console
 from agent.cli.simulator_process import SimulatorProcess
 from agent.files import translated
-from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
+from agent.model_files import load_machine, subject
+from agent.planning.case_file import CASE_STUDY, ShippedCase, shipped_case
+from agent.planning.stations import load_artefacts
 from agent.runs.session import RunResult
 from agent.settings.load import load_settings, naming, with_overrides
 from agent.settings.schema import Settings
@@ -39,14 +41,40 @@ class Truth:
     collisions: int | None
 
 
+@dataclass(frozen=True)
+class Demonstrated:
+    """Names of the demonstrated machine and its artefact. `case` is the name of the shipped case; it is None if a
+    settings file of its own describes the machine.
+    """
+
+    case: str | None
+    machine: str
+    artefact: str
+
+    @classmethod
+    def of(cls, settings: Settings, config: Path, case: ShippedCase) -> Demonstrated:
+        """Read the names from the files that the settings of the file `config` name."""
+        machine = load_machine(settings.machine)
+        artefact = load_artefacts(settings.artefact, settings.stations).all
+        return cls(case.name if config == case.settings else None, machine.name, artefact.name)
+
+    @property
+    def text(self) -> str:
+        shipped = "" if self.case is None else f"shipped case {self.case}: "
+        return f"{shipped}{subject(self.machine, self.artefact)}"
+
+
 @click.command("demo")
-@click.option("--config", type=click.Path(path_type=Path), default=CASE_STUDY, help="Settings.")
 @click.option(
-    "--scenario",
-    type=click.Path(path_type=Path),
-    default=SHIPPED_CONFIGURATION / "simulators" / "case-study.toml",
-    help="Scenario to simulate.",
+    "--case",
+    "case_name",
+    default=CASE_STUDY.stem,
+    show_default=True,
+    metavar="NAME",
+    help="Shipped machine: its settings and its scenario.",
 )
+@click.option("--config", type=click.Path(path_type=Path), help="Settings instead of those of the case.")
+@click.option("--scenario", type=click.Path(path_type=Path), help="Scenario to simulate instead of that of the case.")
 @click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
 @click.option("--formulation", type=click.Choice(["centres", "distances"]))
 @click.option(
@@ -64,8 +92,9 @@ class Truth:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def demo_command(
-    config: Path,
-    scenario: Path,
+    case_name: str,
+    config: Path | None,
+    scenario: Path | None,
     position_set: str | None,
     formulation: str | None,
     can: str,
@@ -74,17 +103,22 @@ def demo_command(
     as_json: bool,
 ) -> None:
     """Start the simulated machine as a process, calibrate it over TCP and CAN, and compare with the truth."""
+    case = shipped_case(case_name)
+    config = config or case.settings
     settings = with_overrides(load_settings(config), position_set=position_set, formulation=formulation)
+    demonstrated = Demonstrated.of(settings, config, case)
+    scenario = scenario or case.scenario
     with SimulatorProcess(scenario, can=can, log=out / "simulator.log", modbus_rtu=modbus_rtu) as simulator:
         before = _aligned_um(simulator.ask("truth"), "active")
         connected = connect(settings, simulator.ready, out)
-        click.echo(_introduction(simulator.ready), err=True)
+        click.echo(f"{demonstrated.text}\n{_introduction(simulator.ready)}", err=True)
         with naming(config):
             ended = run_here(calibration_here(), connected, config.resolve().parent)
         truth = _truth_after(simulator, before)
     if as_json:
-        click.echo(json.dumps(_document(ended, truth), allow_nan=False))
+        click.echo(json.dumps({**vars(demonstrated), **_document(ended, truth)}, allow_nan=False))
     else:
+        click.echo(demonstrated.text)
         _show(ended, truth)
     conclude(ended)
 

@@ -14,10 +14,11 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
-from agent.cli.options import PATH
+from agent.cli.options import PATH, case_options
 from agent.cli.printing import columns_table, facts_table, results_console
 from agent.files import translated
-from agent.planning.case_file import CASE_STUDY, load_case
+from agent.model_files import subject
+from agent.planning.case_file import load_case
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.comparison import VariantDesign, compare_variants
 from agent.planning.design.design_files import check_target, write_design
@@ -57,7 +58,7 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
 
 
 @click.command("design")
-@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings file [default: the shipped case study].")
+@case_options
 @click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
 @click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
 @click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along X.")
@@ -168,6 +169,8 @@ def _document(
 ) -> dict[str, object]:
     found = best.result
     return {
+        "machine": found.problem.job.machine.name,
+        "artefact": found.problem.job.artefact.name,
         "positions": [_as_json(position) for position in found.positions],
         **_worth(found),
         "held_out": [_as_json(position) for position in found.held_out],
@@ -197,6 +200,7 @@ def _show(
     choices: list[VariantDesign], best: VariantDesign, rivals: list[ReferenceSet], files: list[Path], seconds: float
 ) -> None:
     found, console = best.result, results_console()
+    console.print(subject(found.problem.job.machine.name, found.problem.job.artefact.name), markup=False)
     if len(choices) > 1:
         console.print(_comparison(choices))
     volumetric = found.valuation

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
+
+from drivers.errors import ConfigurationError
+
+SETTINGS_FILE = Path("volcal.toml")
+"""Settings file of a command that names none: that of the current directory."""
+
+_CASE = "volcal.case"
+"""Key in the context of a command under which the option `--case` stores its settings file for `--config`."""
 
 PATH = click.Path(path_type=Path)
 """Type of options whose value is a file or a folder."""
@@ -29,33 +39,104 @@ class Duration(click.ParamType[float]):
 
 
 def config_option(command: click.decorators.FC) -> click.decorators.FC:
-    """Add the option `--config`, the path of the agent's settings file, to a command."""
-    option = click.option(
+    """Add the option `--config`, the path of the agent's settings file, to a command. Without the option the settings
+    file of the current directory is used; a ConfigurationError says what to do if there is none.
+    """
+    return _config_option(_settings_file)(command)
+
+
+def case_options(command: click.decorators.FC) -> click.decorators.FC:
+    """Add the options `--config` and `--case` to a command that answers for one machine without contacting it.
+
+    The command receives the settings file as its parameter `config`: that of the option `--config`, that of the
+    shipped case which `--case` names, or that of the current directory. A ConfigurationError says what to do if there
+    is none.
+    """
+    return _config_option(_settings_file)(_case_option(command))
+
+
+def optional_case_options(command: click.decorators.FC) -> click.decorators.FC:
+    """Add the options `--config` and `--case` to a command that can do without a settings file. The parameter `config`
+    of the command is chosen as by `case_options`; it is None if no file is named and the current directory has none.
+    """
+    return _config_option(_settings_file_or_none)(_case_option(command))
+
+
+def no_settings_file() -> ConfigurationError:
+    """Return the error of a command that needs a settings file if none is named and the current directory has none."""
+    context = click.get_current_context()
+    has_case = any(parameter.name == "case" for parameter in context.command.params)
+    return ConfigurationError(
+        f"this directory has no {SETTINGS_FILE}",
+        hint="name the settings of your machine with --config, write them with `volcal init`"
+        + (", or choose a shipped machine with --case case-study" if has_case else ""),
+    )
+
+
+def _config_option(
+    callback: Callable[[click.Context, click.Parameter, Path], Path | None],
+) -> Callable[[click.decorators.FC], click.decorators.FC]:
+    return click.option(
         "--config",
         "config",
         type=PATH,
-        default=Path("volcal.toml"),
+        default=SETTINGS_FILE,
         show_default=True,
+        callback=callback,
         help="Settings file of the agent.",
+    )
+
+
+def _case_option(command: click.decorators.FC) -> click.decorators.FC:
+    option = click.option(
+        "--case",
+        metavar="NAME",
+        is_eager=True,  # before --config, whose callback reads it
+        expose_value=False,
+        callback=_store_case,
+        help="Shipped machine instead of a settings file, such as case-study.",
     )
     return option(command)
 
 
+def _store_case(context: click.Context, _: click.Parameter, name: str | None) -> None:
+    if name is not None:
+        from agent.planning.case_file import shipped_case  # noqa: PLC0415  imports the mathematics; rarely needed
+
+        context.meta[_CASE] = shipped_case(name).settings
+
+
+def _settings_file(context: click.Context, parameter: click.Parameter, path: Path) -> Path:
+    chosen = _settings_file_or_none(context, parameter, path)
+    if chosen is None:
+        raise no_settings_file()
+    return chosen
+
+
+def _settings_file_or_none(context: click.Context, _: click.Parameter, path: Path) -> Path | None:
+    """Return the settings file of `--case`, else `path`. Return None if `path` is the default and does not exist."""
+    given = context.get_parameter_source("config") is not ParameterSource.DEFAULT
+    case: Path | None = context.meta.get(_CASE)
+    if case is not None:
+        if given:
+            raise click.UsageError("--config and --case both name the machine: give one of the two")
+        return case
+    return path if given or path.exists() else None
+
+
 def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add to a command the options `--config`, `--position-set`, `--stations` and `--formulation` (whether the errors
-    of the machine are identified from ball centres or from distances).
+    """Add to a command the options `--position-set`, `--stations` and `--formulation` (whether the errors of the
+    machine are identified from ball centres or from distances).
     """
     return measured_options(click.option("--formulation", type=click.Choice(["centres", "distances"]))(command))
 
 
 def measured_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Add to a command the options `--config` (settings file), `--position-set` and `--stations` (the positions and
-    stations of the artefact that are measured).
-    """
+    """Add to a command the options `--position-set` and `--stations` (the positions and stations of the artefact that
+    are measured)."""
     for option in (
         click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations at which to measure."),
         click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),
-        config_option,
     ):
         command = option(command)
     return command

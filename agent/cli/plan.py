@@ -15,7 +15,7 @@ import click
 from rich.table import Table
 
 from agent.cli.errors import reported
-from agent.cli.options import procedure_options
+from agent.cli.options import case_options, procedure_options
 from agent.cli.printing import columns_table, facts_table, results_console
 from agent.errors import PlanRefused
 from agent.files import check_folder
@@ -32,6 +32,7 @@ from twin.units import S_PER_MIN
 
 
 @click.command("plan")
+@case_options
 @procedure_options
 @click.option("--steps", is_flag=True, help="List every step with its machine time.")
 @click.option(
@@ -108,6 +109,8 @@ def _document(
 ) -> dict[str, object]:
     balls = sum(len(p.balls) for p in preflight.measured.positions)
     return {
+        "machine": job.machine.name,
+        "artefact": job.artefact.name,
         "position_set": job.settings.procedure.position_set,
         "formulation": job.settings.identification.formulation,
         "positions": [position_key(p) for p in job.positions],

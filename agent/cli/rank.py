@@ -18,9 +18,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from agent.cli.errors import reported
-from agent.cli.options import PATH
+from agent.cli.options import PATH, case_options
 from agent.cli.printing import results_console
-from agent.planning.case_file import CASE_STUDY
+from agent.model_files import subject
 from agent.planning.identifiability import RankRequest, RankResult, rank
 from agent.reports.page.number_format import number, plural, point
 from twin.design.identifiability import Identifiability
@@ -41,12 +41,7 @@ def _shape(_: click.Context, __: click.Parameter, text: str) -> tuple[int, int, 
 
 
 @click.command("rank")
-@click.option(
-    "--config",
-    type=PATH,
-    default=CASE_STUDY,
-    help="Settings file with mount, stations and probe [default: the shipped case study].",
-)
+@case_options
 @click.option("--machine", type=PATH, help="Machine file (TOML) instead of the one in the settings.")
 @click.option("--artefact", type=PATH, help="Artefact file (TOML) instead of the one in the settings.")
 @click.option("--set", "position_set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
@@ -119,8 +114,8 @@ def _headline(found: RankResult) -> str:
     tools = ", ".join(f"{name} {point(layout.tool_offset_mm)}" for name, layout in procedure.layouts.items())
     left = f"; {plural(len(planned.left_out), 'position')} out of reach" if planned.left_out else ""
     return (
-        f"{found.job.machine.name}, {procedure.artefact.name}, {found.position_set} at "
-        f"{plural(len(procedure.stations), 'station')}, {tools}\n"
+        f"{subject(found.job.machine.name, procedure.artefact.name)}\n"
+        f"{found.position_set} at {plural(len(procedure.stations), 'station')}, {tools}\n"
         f"{plural(len(planned.positions), 'position')}, {plural(planned.observations.size, 'ball')}{left}"
     )
 

@@ -18,10 +18,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from agent.cli.errors import reported
-from agent.cli.options import PATH
+from agent.cli.options import PATH, case_options
 from agent.cli.printing import facts_table, results_console
 from agent.files import check_folder, translated
-from agent.planning.case_file import CASE_STUDY, load_case
+from agent.model_files import subject
+from agent.planning.case_file import load_case
 from agent.settings.load import naming
 from agent.settings.schema import IdentificationSettings
 from agent.studies import STUDIES
@@ -57,7 +58,7 @@ class Chosen:
 
 @click.command("study")
 @click.argument("name", type=click.Choice(sorted(STUDIES)), metavar="NAME")
-@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings file [default: the shipped case study].")
+@case_options
 @click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
 @click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
 @click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along X.")
@@ -117,7 +118,7 @@ def study_command(
             json.dumps({**said, "files": {suffix: str(path) for suffix, path in files.items()}}, allow_nan=False)
         )
     else:
-        _show(result, files)
+        _show(result, files, subject(case.machine.name, case.artefact.name))
 
 
 @contextmanager
@@ -170,8 +171,9 @@ def progress_bars() -> Iterator[StudyProgress]:
         yield show
 
 
-def _show(result: StudyResult, files: dict[str, Path]) -> None:
+def _show(result: StudyResult, files: dict[str, Path], heading: str) -> None:
     console = results_console()
+    console.print(heading, markup=False)
     console.print(facts_table(_lines(result.summary), title=result.title))
     for path in files.values():
         console.print(str(path), markup=False)

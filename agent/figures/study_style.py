@@ -98,6 +98,19 @@ def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
         return Picture(_png(figure), _svg(figure))
 
 
+def headed(draw: Draw, heading: str) -> Draw:
+    """Return a function that draws what `draw` draws, with the line `heading` above it.
+
+    A title that `draw` gives to the whole figure stays below this line.
+    """
+
+    def draw_headed(figure: Figure) -> None:
+        draw(figure)
+        figure.suptitle("\n".join(filter(None, (heading, figure.get_suptitle()))), fontsize=8.5, color=QUIET)
+
+    return draw_headed
+
+
 def from_zero(axes: Axes, label: str) -> None:
     """Set the label of the vertical axis of the plot `axes` to `label`, and start the scale of this axis at zero."""
     axes.set_ylabel(label)

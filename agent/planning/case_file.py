@@ -1,9 +1,12 @@
-"""Jobs for simulation studies and for the design of position sets. A job is a calibration prepared from a settings
-file; no device is contacted.
+"""Jobs for simulation studies and for the design of position sets, and the cases that are shipped with volcal.
+
+A job is a calibration prepared from a settings file; no device is contacted. A shipped case is a machine with its
+settings file and the scenario of its simulator.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -12,7 +15,7 @@ from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import station_locations
 from twin.errors import DataError
 
@@ -21,6 +24,36 @@ from twin.errors import DataError
 SHIPPED_CONFIGURATION = Path(str(files("volcal") / "config")).resolve()
 """Directory of the shipped configuration: package data of `volcal`."""
 CASE_STUDY = SHIPPED_CONFIGURATION / "case-study.toml"
+
+
+@dataclass(frozen=True)
+class ShippedCase:
+    """Machine that is shipped with volcal, ready to run: its settings file, which names its machine file and its
+    artefact file, and the scenario of its simulator.
+    """
+
+    name: str
+    settings: Path
+    scenario: Path
+
+
+def shipped_cases() -> dict[str, ShippedCase]:
+    """Return the shipped cases by name.
+
+    A case called NAME consists of the settings file `NAME.toml` and the scenario `simulators/NAME.toml` in
+    `SHIPPED_CONFIGURATION`. A new case is added by adding these files and the files that they name.
+    """
+    scenarios = sorted((SHIPPED_CONFIGURATION / "simulators").glob("*.toml"))
+    cases = (ShippedCase(path.stem, SHIPPED_CONFIGURATION / path.name, path) for path in scenarios)
+    return {case.name: case for case in cases if case.settings.is_file()}
+
+
+def shipped_case(name: str) -> ShippedCase:
+    """Return the shipped case called `name`. Raises InputError, which lists the shipped cases, if there is none."""
+    cases = shipped_cases()
+    if name not in cases:
+        raise InputError(f"no case '{name}' is shipped", hint=f"shipped cases: {', '.join(cases)}", key="--case")
+    return cases[name]
 
 
 def load_case(

@@ -72,6 +72,8 @@ class RankResult:
     def as_json(self) -> dict[str, Any]:
         seen, planned = self.seen, self.planned
         return {
+            "machine": self.job.machine.name,
+            "artefact": self.set_up.procedure.artefact.name,
             "position_set": self.position_set,
             "formulation": self.set_up.options.formulation,
             "tools": list(self.set_up.procedure.layouts),

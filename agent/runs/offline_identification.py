@@ -56,6 +56,9 @@ WHOLE_TRAVEL = GateSettings(allow_extrapolation=True)
 """Limits if no settings file states any. A table covers the whole travel, and no bar reaches its corners; the predicted
 error, on which the gate `gain` depends, covers the travel that was not reached too."""
 
+DEFAULT_TABLE = TableSettings()
+"""Grid and anchor of the table if no settings file states them."""
+
 MAX_NOISE_FACTOR = 5.0
 """Largest ratio, and the inverse of the smallest one, of the noise in the residuals to the stated uncertainty."""
 
@@ -68,10 +71,11 @@ class IdentificationRequest:
     measured is used. `carried_over` is the file of an earlier estimate that serves as prior. `process_noise_um` is the
     possible change of the machine's error field since that estimate. It is an rms over the workspace in µm, after
     removal of the best-fitting rigid motion. `gates` contains the limits (gates) that the estimate and the table
-    must meet, or no table is written. If `even_so` is True, the table is written in any case; it then carries a mark.
-    `temperature_uncertainty_k` is the standard uncertainty of the artefact's
-    temperature in K, common to all rows; it is None if it is not stated. In this case `thermometer_uncertainty_k`, the
-    uncertainty of the thermometer according to the settings, is used for a ball file that contains temperatures.
+    must meet, or no table is written. `table` sets the grid and the anchor of the table. If `even_so` is True, the
+    table is written in any case; it then carries a mark. `temperature_uncertainty_k` is the standard uncertainty of the
+    artefact's temperature in K, common to all rows; it is None if it is not stated. In this case
+    `thermometer_uncertainty_k`, the uncertainty of the thermometer according to the settings, is used for a ball file
+    that contains temperatures.
     """
 
     balls: Path
@@ -84,6 +88,7 @@ class IdentificationRequest:
     carried_over: Path | None = None
     process_noise_um: float = 0.0
     gates: GateSettings = WHOLE_TRAVEL
+    table: TableSettings = DEFAULT_TABLE
     even_so: bool = False
     temperature_uncertainty_k: float | None = None
     thermometer_uncertainty_k: float | None = None
@@ -143,6 +148,8 @@ class IdentificationResult:
         return {
             "state": "complete" if self.has_table else "refused",
             "run_id": self.run_id,
+            "machine": self.material.machine.name,
+            "artefact": self.material.artefact.name,
             "position_set": self.position_set,
             "formulation": estimate.formulation,
             "balls": self.material.balls.observations.size,
@@ -268,7 +275,7 @@ def _gated(material: IdentificationInput, request: IdentificationRequest) -> tup
             material.tool,
             material.balls.observations,
             material.options,
-            TableSettings(),
+            request.table,
             request.order,
         )
     _check_stated_noise(estimation, material)

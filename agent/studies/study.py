@@ -8,8 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TypeVar
 
-from agent.figures.study_style import Draw
-from agent.model_files import load_positions
+from agent.figures.study_style import Draw, headed
+from agent.model_files import load_positions, subject
 from agent.planning.job import Job
 from agent.settings.load import POSITION_FILES
 from agent.studies import STUDIES
@@ -139,8 +139,17 @@ class StudyResult:
 
 
 def run_study(name: str, case: StudyCase) -> StudyResult:
-    """Run the study called `name` and return its result, with the conditions of `case` added to the summary."""
+    """Run the study called `name` and return its result, with the conditions of `case` added to the summary.
+
+    The names of the machine and the artefact also head the figure and are the last two columns of the table.
+    """
     module, _, attribute = STUDIES[name].partition(":")
     run: Callable[[StudyCase], StudyResult] = getattr(import_module(module), attribute)
     result = run(case)
-    return replace(result, summary={**case.facts, **result.summary})
+    return replace(
+        result,
+        columns=(*result.columns, "machine_name", "artefact_name"),
+        rows=[(*row, case.machine.name, case.artefact.name) for row in result.rows],
+        summary={**case.facts, **result.summary},
+        draw=headed(result.draw, subject(case.machine.name, case.artefact.name)),
+    )

@@ -2,7 +2,7 @@
 position, in measuring order.
 
 A column `tool` is needed if several tools are used. An empty cell in this column means the tool named in the settings
-of the run.
+of the run. Lines of a CSV file that begin with ``#`` are comments.
 """
 
 from __future__ import annotations
@@ -37,39 +37,46 @@ def parse_positions(text: str, source: str) -> tuple[Position, ...]:
     Raise FormatError if the text is invalid. For TOML text the error names `source` and the key; for CSV text it names
     `source`, the row (the header is row 1) and the column.
     """
-    positions = _from_toml(text, source) if source.endswith(".toml") else _from_csv(text, source)
-    _check_listed(positions, source)
-    return tuple(positions)
+    listed = _from_toml(text, source) if source.endswith(".toml") else _from_csv(text, source)
+    _check_listed(listed, source)
+    return tuple(position for _, position in listed)
 
 
-def _from_toml(text: str, source: str) -> list[Position]:
+def _from_toml(text: str, source: str) -> list[tuple[int, Position]]:
     positions = []
     for index, listed in enumerate(read_toml(text, source, _PositionDocument).positions):
         try:
-            positions.append(Position(**listed.model_dump()))
+            positions.append((index + 2, Position(**listed.model_dump())))
         except DataError as error:
             raise FormatError(error.message, hint=error.hint, file=source, key=f"positions[{index}]") from None
     return positions
 
 
-def _from_csv(text: str, source: str) -> list[Position]:
-    reader = csv.reader(io.StringIO(text))
-    header = [name.strip() for name in next(reader, [])]
+def _from_csv(text: str, source: str) -> list[tuple[int, Position]]:
+    """Return the row number and the position of every line. Comments count as rows."""
+    rows = enumerate(csv.reader(io.StringIO(text)), start=1)
+    first, *lines = [(row, cells) for row, cells in rows if not _is_comment(cells)] or [(1, [])]
+    header = [name.strip() for name in first[1]]
     if sorted(header) not in (sorted(COLUMNS), sorted((*COLUMNS, TOOL))):
-        hint = f"The first line must be {','.join(COLUMNS)}, with {TOOL} if several tools are used"
-        raise FormatError(f"columns are {','.join(header) or 'missing'}", hint=hint, file=source, row=1)
-    positions: list[Position] = []
-    for row, cells in enumerate(reader, start=2):
-        if any(cell.strip() for cell in cells):
-            positions.append(_position(dict(zip(header, cells, strict=False)), source, row))
-    return positions
+        hint = f"The first line after comments must be {','.join(COLUMNS)}, with {TOOL} if several tools are used"
+        raise FormatError(f"columns are {','.join(header) or 'missing'}", hint=hint, file=source, row=first[0])
+    return [
+        (row, _position(dict(zip(header, cells, strict=False)), source, row))
+        for row, cells in lines
+        if any(cell.strip() for cell in cells)
+    ]
 
 
-def format_positions(positions: Iterable[Position]) -> str:
-    """Return `positions` as CSV text that `parse_positions` reads."""
+def _is_comment(cells: list[str]) -> bool:
+    return bool(cells) and cells[0].lstrip().startswith("#")
+
+
+def format_positions(positions: Iterable[Position], comment: str = "") -> str:
+    """Return `positions` as CSV text that `parse_positions` reads. If `comment` is given, it is the first line."""
     listed = list(positions)
     columns = (*COLUMNS, TOOL) if any(p.tool for p in listed) else COLUMNS
     text = io.StringIO()
+    text.write(f"# {' '.join(comment.split())}\n" if comment else "")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
     for p in listed:
@@ -100,11 +107,11 @@ def _number(cells: dict[str, str], column: str, source: str, row: int) -> float:
     return value
 
 
-def _check_listed(positions: list[Position], source: str) -> None:
-    if not positions:
+def _check_listed(listed: list[tuple[int, Position]], source: str) -> None:
+    if not listed:
         raise FormatError("no position is listed", hint="Write one line per position", file=source)
     seen: dict[Position, int] = {}
-    for row, position in enumerate(positions, start=2):
+    for number, (row, position) in enumerate(listed, start=1):
         if position in seen:
             raise FormatError(f"this position is already listed as number {seen[position]}", file=source, row=row)
-        seen[position] = row - 1
+        seen[position] = number

@@ -13,7 +13,7 @@ import click
 from rich.console import Console
 
 from agent.cli.errors import fail, reported
-from agent.cli.options import Duration, measured_options
+from agent.cli.options import Duration, config_option, measured_options
 from agent.errors import Busy, GateRefused, RunError
 from agent.execution.states import RunState
 from agent.runs.run_request import KINDS
@@ -40,6 +40,7 @@ sooner, and then reports how the run ended.
 @click.option("--full-allowed/--no-full", default=None, help="Whether a night may become a full calibration.")
 @click.option("--consent", is_flag=True, help="You are at the machine, and it may move.")
 @click.option("--wait", is_flag=True, help="Wait for the end of the run; the exit code is that of the run.")
+@config_option
 @measured_options
 @reported
 def start_command(

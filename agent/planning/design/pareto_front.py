@@ -59,14 +59,16 @@ def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> t
     return tuple(front)
 
 
-def format_front(points: Sequence[FrontPoint]) -> str:
-    """Return `points` as CSV text with one line per set of positions."""
+def format_front(points: Sequence[FrontPoint], machine: str, artefact: str) -> str:
+    """Return `points` as CSV text with one line per set of positions. The last two columns contain the names of the
+    machine and the artefact."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ("positions", "machine_minutes", "expected_vce_aligned_um", "valuation_percent", "on_front", "design")
-    )
+    columns = ("positions", "machine_minutes", "expected_vce_aligned_um", "valuation_percent", "on_front", "design")
+    writer.writerow((*columns, "machine_name", "artefact_name"))
     for p in points:
         words = ("yes" if p.best else "no", "yes" if p.design else "no")
-        writer.writerow((p.positions, f"{p.minutes:.3f}", f"{p.vce_um:.4f}", f"{p.valuation:.2f}", *words))
+        writer.writerow(
+            (p.positions, f"{p.minutes:.3f}", f"{p.vce_um:.4f}", f"{p.valuation:.2f}", *words, machine, artefact)
+        )
     return text.getvalue()
