@@ -15,6 +15,7 @@ from twin.formats.position_set_file import parse_positions
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 COARSE = ("--grid-deg", "90")
+CASE = ("--case", "case-study")
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +32,8 @@ def volcal(*arguments: str) -> dict[str, Any]:
 def refused(*arguments: str) -> tuple[int, str]:
     """Exit code and the one line; nothing may be on disk afterwards."""
     before = sorted(Path().rglob("*"))
-    result = CliRunner().invoke(main, ["design", *arguments])
+    case = () if "--config" in arguments else CASE
+    result = CliRunner().invoke(main, ["design", *case, *arguments])
     assert isinstance(result.exception, SystemExit), result.exception
     assert result.stdout == ""
     assert sorted(Path().rglob("*")) == before
@@ -49,7 +51,7 @@ def changed_settings(former: str, now: str) -> str:
 
 
 def test_a_designed_set_is_one_that_plan_takes_and_values_alike():
-    said = volcal("design", "--slot", "12min", "--verify-set", "--out", "set.csv", "--grid-deg", "45")
+    said = volcal("design", *CASE, "--slot", "12min", "--verify-set", "--out", "set.csv", "--grid-deg", "45")
     written = parse_positions(Path("set.csv").read_text(), "set.csv")
     assert [position.station for position in written] == [row["station"] for row in said["positions"]]
     assert len(written) >= 2
@@ -81,7 +83,9 @@ def _assert_front(said: dict[str, Any]) -> None:
 
 
 def test_a_target_is_kept_and_the_search_for_an_artefact_shows_every_way():
-    said = volcal("design", "--target-vce", "6.5", "--touches", "5,9", "--balls", "7", "--out", "set.csv", *COARSE)
+    said = volcal(
+        *("design", *CASE, "--target-vce", "6.5", "--touches", "5,9", "--balls", "7", "--out", "set.csv", *COARSE)
+    )
     assert said["expected_vce_um"] <= 6.5
     assert [(way["touches_per_ball"], way["artefact_balls"]) for way in said["variants"]] == [(5, 7), (9, 7)]
     [best] = [way for way in said["variants"] if way["best"]]
@@ -91,7 +95,7 @@ def test_a_target_is_kept_and_the_search_for_an_artefact_shows_every_way():
 
 
 def test_people_are_shown_what_a_machine_reads():
-    result = CliRunner().invoke(main, ["design", "--positions", "3", "--verify-set", *COARSE])
+    result = CliRunner().invoke(main, ["design", *CASE, "--positions", "3", "--verify-set", *COARSE])
     assert result.exit_code == 0, result.output
     for words in ("valuation", "S3 of the settings", "passed: no collision", "positions_deg = [[", "design.csv"):
         assert words in result.stdout

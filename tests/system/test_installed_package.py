@@ -78,9 +78,9 @@ def test_demo_runs_from_an_empty_directory(site: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("rank",),
-        ("design", "--positions", "3", "--grid-deg", "45", "--stations", "1"),
-        ("study", "volumetric-error", "--out", "study"),
+        ("rank", "--case", "case-study"),
+        ("design", "--case", "case-study", "--positions", "3", "--grid-deg", "45", "--stations", "1"),
+        ("study", "volumetric-error", "--case", "case-study", "--out", "study"),
         ("simulate", "--help"),
     ],
     ids=lambda arguments: arguments[0],

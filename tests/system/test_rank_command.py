@@ -15,6 +15,7 @@ from agent.cli.main import main
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 MACHINE = CONFIG / "machines" / "case-study.toml"
 SETTINGS = CONFIG / "case-study.toml"
+CASE = ("--case", "case-study")
 COARSE = ("--grid", "20x10x10")
 MORE_TOOLS = """
 [tools.long]
@@ -25,7 +26,7 @@ offset_mm = [0.0, 250.0, -100.0]
 
 
 def said(*arguments: str | Path) -> str:
-    result = CliRunner().invoke(main, ["rank", *map(str, arguments)])
+    result = CliRunner().invoke(main, ["rank", *CASE, *map(str, arguments)])
     assert result.exit_code == 0, result.stderr
     return result.stdout
 
@@ -133,7 +134,7 @@ def test_both_formulations_leave_the_same_field_unseen() -> None:
 class TestWrongInput:
     @staticmethod
     def refused(*arguments: str | Path) -> str:
-        result = CliRunner().invoke(main, ["rank", *map(str, arguments)])
+        result = CliRunner().invoke(main, ["rank", *CASE, *map(str, arguments)])
         assert result.exit_code == 2, (result.exit_code, result.output)
         assert result.stdout == ""
         [line] = result.stderr.strip().splitlines()

@@ -20,7 +20,8 @@ from agent.cli.main import main
 
 pytestmark = pytest.mark.timeout(300)
 
-VOLCAL = [sys.executable, "-m", "agent.cli.main", "study"]
+CASE = ["--case", "case-study"]
+VOLCAL = [sys.executable, "-m", "agent.cli.main", "study", *CASE]
 SMALL = ["monte-carlo", "--machines", "5", "--stations", "2", "--set", "S3"]
 RESULTS = ["monte-carlo.csv", "monte-carlo.json", "monte-carlo.png", "monte-carlo.svg"]
 
@@ -33,7 +34,7 @@ def volcal(*arguments: str | Path, **environment: str) -> subprocess.CompletedPr
 
 def here(*arguments: str | Path) -> Result:
     """Run the same command in this process, which saves the start of a separate one."""
-    return CliRunner().invoke(main, ["study", *map(str, arguments)])
+    return CliRunner().invoke(main, ["study", *CASE, *map(str, arguments)])
 
 
 def refused(done: Result, code: int, *words: str) -> None:

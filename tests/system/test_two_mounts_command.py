@@ -29,12 +29,13 @@ def out() -> Iterator[Path]:
 
 
 def test_a_whole_run_over_both_stations_without_an_operator(out: Path) -> None:
-    command = [sys.executable, "-m", "agent.cli.main", "demo", "--json"]
-    command += ["--config", str(SETTINGS), "--scenario", str(SCENARIO)]
+    command = [sys.executable, "-m", "agent.cli.main", "demo", "--case", "two-mounts", "--json"]
     command += ["--out", str(out / "runs")]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
     document = json.loads(ended.stdout)
     assert (ended.returncode, document["state"], document["reason"]) == (0, "complete", ""), ended.stderr[-2000:]
+    assert (document["case"], document["machine"]) == ("two-mounts", "case-study")
+    assert document["artefact"] == "ball-bar-1500 + ball-bar-1500-b"
     assert document["verified"] is True
     assert document["collisions"] == 0
     assert document["true_ve_after_um"] < 0.5 * document["true_ve_before_um"]
