@@ -14,6 +14,7 @@ from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.position_set import Position, parse_position_set
 from twin.artefact.touch_pattern import approach_directions, centre_covariance
 from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
 from twin.design.procedure import Procedure
 from twin.errors import DataError
@@ -78,11 +79,11 @@ class MeasuringSetup:
         stations.
 
         A ball bar lies along the axes (`S1`), along space diagonals (`S2`) or along the face diagonals of the planes
-        XY, ZX and YZ (`S3`).
+        XY, ZX and YZ (`S3`). Its holders face a horizontal stylus.
 
         Raises TwinError if the name is unknown.
         """
-        return parse_position_set(name, len(self.stations_mm))
+        return parse_position_set(name, len(self.stations_mm), ProbeFrame.nearest(self.tool_offset_mm).facing_deg)
 
     @cached_property
     def procedure(self) -> Procedure:

@@ -155,7 +155,7 @@ def _positions(job: Job, question: RankRequest, name: str) -> tuple[Position, ..
         return job.positions
     if name.endswith(POSITION_FILES):
         return load_positions(Path(name))
-    everywhere = parse_position_set(name, len(job.layout.locations_mm))
+    everywhere = parse_position_set(name, len(job.layout.locations_mm), job.layout.frame.facing_deg)
     stations = job.settings.procedure.stations or sorted(job.layout.locations_mm)
     return tuple(position for position in everywhere if position.station in stations)
 

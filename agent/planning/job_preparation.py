@@ -49,7 +49,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         frame = ProbeFrame.of(machine.tools[settings.tool])
     stations = tuple(settings.procedure.stations or range(1, len(settings.stations.places_mm) + 1))
     positions = _positions(
-        settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool
+        settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool, frame
     )
     allowed = (*stations, *(p.station for p in positions), *verification_stations(settings))
     probing = probing_of(settings.procedure, settings.probe.tip_radius_mm, artefacts.kind, frame)
@@ -88,7 +88,9 @@ def _held_out_choice(job: Job) -> HeldOutChoice:
     return KnownHeldOut(listed)
 
 
-def _positions(name: str, stations: Sequence[int], station_count: int, base: Path, tool: str) -> tuple[Position, ...]:
+def _positions(
+    name: str, stations: Sequence[int], station_count: int, base: Path, tool: str, frame: ProbeFrame
+) -> tuple[Position, ...]:
     """Return the positions of the named sets at `stations`, or all positions of a position file."""
     if name.endswith(POSITION_FILES):
         listed = load_positions(base / name)
@@ -101,7 +103,7 @@ def _positions(name: str, stations: Sequence[int], station_count: int, base: Pat
             )
         return tuple(_with_tool_of_run(p, number, name, tool) for number, p in enumerate(listed, start=1))
     with translated(ConfigurationError, key="procedure.position_set"):
-        everywhere = parse_position_set(name, station_count)
+        everywhere = parse_position_set(name, station_count, frame.facing_deg)
     return tuple(p for p in everywhere if p.station in stations)
 
 

@@ -84,7 +84,7 @@ class StudyCase:
             return load_positions(Path(expression))
         return tuple(
             position
-            for position in parse_position_set(expression, max(self.stations))
+            for position in parse_position_set(expression, max(self.stations), self.job.layout.frame.facing_deg)
             if position.station in self.stations
         )
 

@@ -67,18 +67,37 @@ class Pose:
         return self.centre + points @ self.rotation.T
 
 
-def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
+def parse_position_set(expression: str, stations: int, facing_deg: float = 0.0) -> tuple[Position, ...]:
     """Parse an expression of named position sets, such as `S1` or `S1+S3`, and return its positions at the stations 1
     to `stations`.
 
     All positions at station 1 come first, then those at station 2, and so on. An orientation that occurs in several
-    sets is included only once per station. Raises TwinError if a set name is unknown.
+    sets is included only once per station. `facing_deg` is added to the azimuths, see `set_orientations`. Raises
+    TwinError if a set name is unknown.
     """
     if stations < 1:
         raise DataError(f"at least one station is needed, got {stations}")
-    orientations = [pair for name in expression.split("+") for pair in _named_set(name, expression)]
+    orientations = [
+        pair for name in expression.split("+") for pair in set_orientations(_named_set(name, expression), facing_deg)
+    ]
     unique = list(dict.fromkeys(orientations))
     return tuple(Position(station, az, el) for station in range(1, stations + 1) for az, el in unique)
+
+
+def set_orientations(name: str, facing_deg: float = 0.0) -> tuple[tuple[float, float], ...]:
+    """Return the pairs (azimuth, elevation) in degrees of the set called `name`, with `facing_deg` added to the
+    azimuths.
+
+    At azimuth 0, the holders of a bar point along -Y, towards a stylus that points along +Y. With `facing_deg` equal to
+    90 or -90 they point towards a stylus along -X or +X, and with 180 towards one along -Y. The bar lies along the same
+    lines as without it.
+    """
+    return tuple((_wrapped(azimuth + facing_deg), elevation) for azimuth, elevation in POSITION_SETS[name])
+
+
+def _wrapped(angle_deg: float) -> float:
+    """Return the angle plus or minus a full turn, more than -180° and at most 180°."""
+    return angle_deg - 360.0 * math.ceil((angle_deg - 180.0) / 360.0)
 
 
 def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, elevation_rad: float) -> Pose:
@@ -119,9 +138,9 @@ def is_reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_
     return np.asarray(inside.all(axis=1), dtype=np.bool_)
 
 
-def _named_set(name: str, expression: str) -> tuple[tuple[float, float], ...]:
-    found = POSITION_SETS.get(name.strip().upper())
-    if found is None:
+def _named_set(name: str, expression: str) -> str:
+    found = name.strip().upper()
+    if found not in POSITION_SETS:
         raise TwinError(
             f"unknown position set '{name.strip()}' in '{expression}'",
             hint=f"Known sets: {', '.join(POSITION_SETS)}; combine them as in S1+S3",

@@ -80,6 +80,13 @@ class ProbeFrame:
         """Indices of the horizontal machine axes that are perpendicular to the stylus, in ascending order."""
         return tuple(index for index in self.across if index != VERTICAL)
 
+    @property
+    def facing_deg(self) -> float:
+        """Azimuth of the mount in degrees at which the holders of a bar, which point along -Y at azimuth 0, point
+        towards the stylus. It is 0 if the stylus is vertical.
+        """
+        return {(0, 1): -90.0, (0, -1): 90.0, (1, -1): 180.0}.get((self.axis, self.sign), 0.0)
+
     def retreat_end(self, limits: Sequence[tuple[float, float]]) -> float:
         """Return the end of travel in mm from which the stylus points into the travel: the lower end of its axis if it
         points along the positive direction, else the upper end. `limits` contains the ends of travel of X, Y and Z.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.artefact.position_set import POSITION_SETS, Position
+from twin.artefact.position_set import POSITION_SETS, Position, set_orientations
 from twin.design.identifiability import EvaluatedTool, Identifiability, assess_identifiability
 from twin.design.measurement_setup import SetUp, shortest_reach_mm
 from twin.machine.kinematic_chain import AXES
@@ -173,5 +173,6 @@ def _new_positions(set_up: SetUp, name: str) -> tuple[Position, ...]:
     first tool are omitted."""
     there = {(p.station, p.azimuth_deg, p.elevation_deg) for p in set_up.first_positions()}
     stations = sorted({station for station, _, _ in there})
-    wanted = [(station, *orientation) for station in stations for orientation in POSITION_SETS[name]]
+    orientations = set_orientations(name, set_up.procedure.layout().frame.facing_deg)
+    wanted = [(station, *orientation) for station in stations for orientation in orientations]
     return tuple(Position(*key) for key in wanted if key not in there)

@@ -1,6 +1,7 @@
 """The six directions of a stylus: everything that is computed for a rotated machine is the rotated result."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin.artefact.artefact import ball_bar
 from twin.artefact.mount_geometry import MountGeometry
-from twin.artefact.position_set import mount_pose
+from twin.artefact.position_set import Position, mount_pose, parse_position_set
 from twin.artefact.touch_pattern import approach_directions
 from twin.collision.accessibility import accessible_balls, measuring_scene
 from twin.collision.bodies import TABLE, Body, mount_bodies, table_body
@@ -123,6 +124,28 @@ def test_stations_stand_along_a_horizontal_axis_across_the_stylus(tool: list[flo
         BAR, MOUNT, PROBE, {1: PLACE}, np.array(tool), np.zeros(3), np.array([1000.0, 2000.0, 3000.0]), 15.5, 8.0
     )
     assert layout.station_axis == axis
+
+
+@pytest.mark.parametrize("frame", [frame for frame in FRAMES if not frame.is_vertical])
+def test_a_named_set_lays_the_bar_along_the_same_lines_with_its_holders_towards_the_stylus(frame: ProbeFrame) -> None:
+    plain, turned = parse_position_set("S1+S2+S3", 1), parse_position_set("S1+S2+S3", 1, frame.facing_deg)
+    for before, after in zip(plain, turned, strict=True):
+        poses = [
+            mount_pose(np.zeros(3), MOUNT, math.radians(one.azimuth_deg), math.radians(one.elevation_deg)).rotation
+            for one in (before, after)
+        ]
+        holder = frame.to_frame(-poses[1][:, 1])
+        assert holder == pytest.approx(-poses[0][:, 1], abs=1e-12)
+    lines = [
+        {tuple(np.round(np.outer(row, row).ravel(), 9) + 0.0) for row in _bars(positions)}
+        for positions in (plain, turned)
+    ]
+    assert lines[0] == lines[1]
+
+
+def _bars(positions: Sequence[Position]) -> list[NDArray[np.float64]]:
+    angles = [(math.radians(one.azimuth_deg), math.radians(one.elevation_deg)) for one in positions]
+    return [mount_pose(np.zeros(3), MOUNT, *pair).rotation[:, 0] for pair in angles]
 
 
 def test_the_table_is_under_everything_unless_a_horizontal_ram_comes_from_before_it() -> None:
