@@ -53,7 +53,8 @@ def _order(_context: click.Context, _option: click.Parameter, text: str | None) 
 @click.option(
     "--formulation",
     type=click.Choice(["centres", "distances"]),
-    help="Ball centres with free poses, or pairwise distances [default: settings; centres].",
+    help="Ball centres with free poses, or pairwise distances [default: settings; centres]. The published studies' own "
+    "method, which truncates singular values, is only for `volcal study`.",
 )
 @click.option(
     "--prior",

@@ -26,6 +26,7 @@ from agent.planning.case_file import load_case
 from agent.settings.load import naming
 from agent.settings.schema import IdentificationSettings
 from agent.studies import STUDIES
+from agent.studies.identification_variants import PUBLISHED, PUBLISHED_STUDIES
 from agent.studies.study import Progress as StudyProgress
 from agent.studies.study import StudyCase, StudyResult, run_study
 from agent.studies.study_files import as_plain, document, write_result
@@ -44,16 +45,38 @@ class Chosen:
     option that is None is taken from the settings.
     """
 
-    formulation: Literal["centres", "distances"] | None
+    formulation: Literal["centres", "distances", "published"] | None
     prior: Literal["on", "off"] | None
     weights: Literal["full", "unit"] | None
 
-    def options(self, settings: IdentificationSettings) -> Options:
+    def options(self, study: str, settings: IdentificationSettings) -> Options:
+        """Return the identification options for the study called `study`, with the defaults of the settings.
+
+        Raises ConfigurationError if the published method is chosen for a study that the publication does not contain,
+        or together with another prior or other weights.
+        """
+        if self.formulation == "published":
+            return self._published(study)
         return Options(
             formulation=self.formulation or settings.formulation,
             use_prior=settings.prior if self.prior is None else self.prior == "on",
             weights=self.weights or settings.weights,
         )
+
+    def _published(self, study: str) -> Options:
+        if study not in PUBLISHED_STUDIES:
+            raise ConfigurationError(
+                f"the publication has no study '{study}', so its method is not offered for it",
+                hint=f"choose one of {', '.join(PUBLISHED_STUDIES)}, or --formulation distances",
+                key="--formulation",
+            )
+        if self.prior == "on" or self.weights == "full":
+            raise ConfigurationError(
+                "the published method has unit weights and no prior",
+                hint="omit --prior and --weights, or choose --formulation distances",
+                key="--formulation",
+            )
+        return PUBLISHED
 
 
 @click.command("study")
@@ -63,7 +86,11 @@ class Chosen:
 @click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
 @click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along X.")
 @click.option("--set", "position_set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
-@click.option("--formulation", type=click.Choice(["centres", "distances"]))
+@click.option(
+    "--formulation",
+    type=click.Choice(["centres", "distances", "published"]),
+    help="How the errors are estimated; `published`: the published studies' method, as read by volcal (studies only).",
+)
 @click.option("--prior", type=click.Choice(["on", "off"]))
 @click.option("--weights", type=click.Choice(["full", "unit"]))
 @click.option(
@@ -85,7 +112,7 @@ def study_command(
     artefact: Path | None,
     stations: int | None,
     position_set: str | None,
-    formulation: Literal["centres", "distances"] | None,
+    formulation: Literal["centres", "distances", "published"] | None,
     prior: Literal["on", "off"] | None,
     weights: Literal["full", "unit"] | None,
     machines: int,
@@ -99,11 +126,11 @@ def study_command(
     started = wall_seconds()
     check_folder(out)
     job = load_case(config, machine=machine, artefact=artefact, stations=stations)
-    chosen = Chosen(formulation, prior, weights)
+    options = Chosen(formulation, prior, weights).options(name, job.settings.identification)
     with naming(config), hired(workers, cluster) as team, progress_bars() as progress, translated(ConfigurationError):
         case = StudyCase(
             job=job,
-            options=chosen.options(job.settings.identification),
+            options=options,
             seed=seed,
             machines=machines,
             workers=team,

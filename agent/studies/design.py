@@ -3,8 +3,8 @@
 
 Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`). This closed form
 includes the deflection stated in the machine file; the error model and the search for designs do not include the
-deflection. The named sets are also evaluated with the published formulation, which uses distances with unit weights and
-no prior.
+deflection. The named sets are also evaluated with the published method as read here (see
+`agent.studies.identification_variants`), and with distances of unit weights and the family as prior.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from agent.planning.design.design_result import find_design
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import Variant, variants_of
 from agent.planning.job import Job
+from agent.studies.identification_variants import PUBLISHED, UNWEIGHTED, IdentificationVariant
+from agent.studies.monte_carlo import with_stated_scales
 from agent.studies.study import Cell, StudyCase, StudyResult
 from twin.artefact.position_set import Position
 from twin.design.goals import Goal, TargetErrorGoal, TimeSlotGoal
@@ -57,12 +59,13 @@ COLUMNS = (
     "criterion_vce_um",
     "vce_um",
     "published_vce_um",
-    "published_with_prior_vce_um",
+    "distances_with_prior_vce_um",
     "valuation_percent",
 )
-PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False, estimate_scales=False, outliers="none")
-WITH_PRIOR = replace(PUBLISHED, use_prior=True)
-CENTRES = Options(estimate_scales=False, outliers="none")
+CENTRES, PUBLISHED_METHOD, DISTANCES = (
+    IdentificationVariant(with_stated_scales(options))
+    for options in (Options(), PUBLISHED, replace(UNWEIGHTED, use_prior=True))
+)
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,8 @@ class EvaluatedSet:
 
     `criterion_um` is the expected volumetric compensated error (VCE) without the elastic deflection of the machine,
     which is the criterion of the search for designed sets. `vce_um` is the expected VCE with deflection. `published_um`
-    and `with_prior_um` are the expected VCE with the published formulation (distances between balls, equal weights),
-    without and with the machine family as prior; both are None for a designed set.
+    is the expected VCE with the published method, and `distances_um` that with distances between balls, equal weights
+    and the machine family as prior; both are None for a designed set.
     """
 
     name: str
@@ -86,7 +89,7 @@ class EvaluatedSet:
     criterion_um: float
     vce_um: float
     published_um: float | None
-    with_prior_um: float | None
+    distances_um: float | None
     valuation: float
 
 
@@ -162,7 +165,12 @@ class SetEvaluator:
         job = _job(variant)
         planned = job.procedure.plan(positions)
         worth = valuation_of(job, positions)
-        expected = partial(error_budget_of_form, self.field, job.machine.family, job.artefact, planned.observations)
+
+        def expected_um(variant: IdentificationVariant) -> float:
+            field = replace(self.field, assumptions=variant.assumptions(self.field.assumptions))
+            seen, options = planned.observations, variant.options
+            return error_budget_of_form(field, job.machine.family, job.artefact, seen, options).expected.aligned_um
+
         return EvaluatedSet(
             name=name,
             kind=kind,
@@ -173,9 +181,9 @@ class SetEvaluator:
             balls=planned.observations.size,
             minutes=minutes,
             criterion_um=worth.after.aligned_um,
-            vce_um=expected(CENTRES).expected.aligned_um,
-            published_um=expected(PUBLISHED).expected.aligned_um if published else None,
-            with_prior_um=expected(WITH_PRIOR).expected.aligned_um if published else None,
+            vce_um=expected_um(CENTRES),
+            published_um=expected_um(PUBLISHED_METHOD) if published else None,
+            distances_um=expected_um(DISTANCES) if published else None,
             valuation=worth.percent,
         )
 
@@ -215,7 +223,7 @@ def _summary(
     rivals = {
         "reference": reference.vce_um,
         "published": reference.published_um or evaluator.before_um,
-        "published_with_prior": reference.with_prior_um or evaluator.before_um,
+        "distances_with_prior": reference.distances_um or evaluator.before_um,
     }
     return {
         "set": REFERENCE,
@@ -264,13 +272,11 @@ def _draw_sets(axes: Axes, named: Sequence[EvaluatedSet], designs: Sequence[Eval
     )
     for one in named:
         axes.annotate(one.name, (one.minutes, one.vce_um), (4, 4), textcoords="offset points", fontsize=8)
-    axes.plot(
-        [one.minutes for one in named],
-        [one.with_prior_um or 0.0 for one in named],
-        "v",
-        color=ORANGE,
-        label="named sets, distances, unit weights (no prior: off the scale)",
-    )
+    for values, marker, colour, label in (
+        ([one.published_um for one in named], "^", PURPLE, "named sets, published method as read"),
+        ([one.distances_um for one in named], "v", ORANGE, "named sets, distances, unit weights, prior"),
+    ):
+        axes.plot([one.minutes for one in named], [v or 0.0 for v in values], marker, color=colour, label=label)
     axes.axhline(before_um, color=INK, linewidth=0.8, linestyle=":", label="without compensation")
     axes.set_xlabel("machine time / min")
     axes.set_xlim(0.0, 1.15 * max(one.minutes for one in (*named, *designs)))

@@ -5,7 +5,7 @@ error is computed in closed form, and also simulated on many machines.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from agent.studies.identification_variants import IdentificationVariant
@@ -102,7 +102,8 @@ class ProcedureEvaluator:
             identify(family.model, trial.planned, trial.artefact, family, variant.options)
         except SingularSet:
             return None
-        return error_budget_of_form(self.field, family, trial.artefact, trial.planned, variant.options)
+        field = replace(self.field, assumptions=variant.assumptions(self.case.assumptions))
+        return error_budget_of_form(field, family, trial.artefact, trial.planned, variant.options)
 
     def evaluate(
         self, trials: Sequence[ProcedureVariant], variants: Sequence[IdentificationVariant], simulated: Sequence[int]
@@ -165,7 +166,7 @@ class ProcedureEvaluator:
             planned=trial.planned,
             artefact=trial.artefact,
             family=case.machine.family,
-            assumptions=case.assumptions,
+            assumptions=variant.assumptions(case.assumptions),
             options=variant.options,
             tool_offset=case.tool_offset,
             seed=case.seed,

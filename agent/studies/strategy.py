@@ -28,7 +28,8 @@ EXPRESSIONS = tuple(
     "+".join(sets) for size in range(1, len(POSITION_SETS) + 1) for sets in combinations(POSITION_SETS, size)
 )
 
-_NAME_OFFSET = (5, 5)
+_NAME_OFFSET = 5  # points between a marker and the corner of its name
+_CROWDED_SHARE = 0.04  # of the longest machine time: the name of a set with a later set this near is at its lower left
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,18 +140,22 @@ def _draw_variant(panel: BrokenAxes, found: Sequence[Strategy], variant: int, na
         )
         for one in others:
             draw_simulated(axes, [one.minutes], [one.verdicts[variant]], SERIES[variant])
+    near = _CROWDED_SHARE * max(one.minutes for one in found)
     for one in found:
         value = aligned_um(one.verdicts[variant])
         if value is not None:
-            _name(panel.axes_for(value), one, value, bold=one.name in names)
+            crowded = any(0.0 < other.minutes - one.minutes < near for other in found)
+            _name(panel.axes_for(value), one, value, bold=one.name in names, left=crowded)
 
 
-def _name(axes: Axes, one: Strategy, value_um: float, *, bold: bool) -> None:
+def _name(axes: Axes, one: Strategy, value_um: float, *, bold: bool, left: bool) -> None:
     axes.annotate(
         one.name,
         (one.minutes, value_um),
-        _NAME_OFFSET,
+        (-_NAME_OFFSET, -_NAME_OFFSET) if left else (_NAME_OFFSET, _NAME_OFFSET),
         textcoords="offset points",
+        ha="right" if left else "left",
+        va="top" if left else "baseline",
         fontsize=7.5,
         fontweight="bold" if bold else "normal",
         bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0.0, "pad": 0.6},

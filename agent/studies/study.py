@@ -115,6 +115,7 @@ class StudyCase:
             "formulation": self.options.formulation,
             "prior": self.options.use_prior,
             "weights": self.options.weights,
+            "cut_off": self.options.cut_off,
             "machines": self.machines,
             "seed": self.seed,
         }

@@ -168,14 +168,20 @@ def _draw(figure: Figure, tried: Sequence[SimulatedSet], before_um: float) -> No
             label=label,
         )
     for one in named:
-        below = one.name.count("+") > 1
-        axes.annotate(one.name, (one.valuation, one.simulated_um), (6, -14 if below else 4), textcoords="offset points")
+        both = one.name.count("+") == 1  # as good as all sets together: its name goes to the other side
+        offset, side = ((-6, -14), "right") if both else ((6, -14 if "+" in one.name else 4), "left")
+        axes.annotate(one.name, (one.valuation, one.simulated_um), offset, textcoords="offset points", ha=side)
     axes.plot(
-        [0.0, 100.0], [before_um, 0.0], ":", color=INK, linewidth=0.9, label="VE of these machines, so much of it less"
+        [0.0, 100.0],
+        [before_um, 0.0],
+        ":",
+        color=INK,
+        linewidth=0.9,
+        label="VE of these machines, reduced by the valuation",
     )
     rank = float(-spearmanr([one.valuation for one in tried], [one.simulated_um for one in tried]).statistic)
     axes.set_xlabel("valuation before anything moves / %")
     axes.set_xlim(0.0, 100.0)
-    axes.set_title(f"What {len(tried)} sets are worth, told before and found after (rank correlation {rank:.3f})")
+    axes.set_title(f"Valuation and simulated VCE of {len(tried)} sets (rank correlation {rank:.3f})")
     from_zero(axes, "simulated VCE, rigidly aligned, rms over machines / µm")
     axes.legend()

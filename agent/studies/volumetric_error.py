@@ -94,7 +94,7 @@ def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
     where = f"Z = {height_mm:g} mm"
     return (
         Plane(f"{where}, as defined", x_mm, y_mm, maps[0]),
-        Plane(f"{where}, best rigid motion of the workspace taken out", x_mm, y_mm, maps[1]),
+        Plane(f"{where}, best rigid motion of the workspace removed", x_mm, y_mm, maps[1]),
     )
 
 

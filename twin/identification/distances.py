@@ -8,6 +8,11 @@ t the tool offset, d the deviation of the model with the parameters E, and b(T) 
 temperature T. Distances that share a ball are correlated, and not all pairwise distances of a position are independent.
 With full weights, the distances of each position are whitened with the pseudo-inverse of their covariance (generalised
 least squares). With unit weights, all distances have the same weight, as published.
+
+A cut-off removes the poorly determined directions of the parameters from equations with unit weights (truncated
+singular value decomposition). The singular values are those of the design matrix A = U S Vᵀ of the parameters in units
+of the family. The columns V_r with singular values of at least the cut-off times the largest one are retained. With the
+design A V_r V_rᵀ, the minimum-norm solution of the equations is V_r S_r⁻¹ U_rᵀ y.
 """
 
 from __future__ import annotations
@@ -46,7 +51,8 @@ class DistanceEquations:
     """Whitened equations of all positions of the artefact, which compare measured with calibrated distances of balls.
 
     `white` (M, P) is the design matrix of the M whitened equations for the P unknowns. `noise` contains the noise
-    covariance (r, r) of the r whitened equations of each position.
+    covariance (r, r) of the r whitened equations of each position. `omitted` is the sum of the squared singular values
+    that a cut-off removed, 0 without a cut-off.
     """
 
     problem: IdentificationProblem
@@ -55,9 +61,12 @@ class DistanceEquations:
     noise: tuple[Array, ...]
     matrix: Array
     rows: int
+    omitted: float = 0.0
 
     @classmethod
-    def build(cls, problem: IdentificationProblem, unit_weights: bool) -> DistanceEquations:
+    def build(
+        cls, problem: IdentificationProblem, unit_weights: bool, cut_off: float | None = None
+    ) -> DistanceEquations:
         points = tool_points(problem.observations)
         unit = _unit_deviation(problem) if unit_weights else None
         pairs, white, noise = [], [], []
@@ -72,7 +81,8 @@ class DistanceEquations:
         if not white:
             raise SingularSet("no position holds two balls, so there is no distance at all")
         stacked = np.concatenate(white)
-        return cls(problem, tuple(pairs), stacked, tuple(noise), stacked.T @ stacked, len(stacked))
+        omitted = 0.0 if cut_off is None else _truncate(stacked[:, problem.blocks.parameters], cut_off)
+        return cls(problem, tuple(pairs), stacked, tuple(noise), stacked.T @ stacked, len(stacked), omitted)
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
         """Return three values: the right side Aᵀy (P,) of the normal equations for the P unknowns, the square |y|², and
@@ -135,6 +145,15 @@ def _position(
     whitening = _whitening(spread) if unit is None else np.eye(len(first)) / unit
     rows = whitening @ (flat @ design.reshape(3 * (end - start), -1))
     return PositionPairs(first, second, whitening), rows, whitening @ spread @ whitening.T
+
+
+def _truncate(design: Array, cut_off: float) -> float:
+    """Remove the directions with a singular value of less than `cut_off` times the largest one from a design matrix (M,
+    p), in place. Return the sum of the squares of the removed singular values."""
+    _, values, directions = np.linalg.svd(design, full_matrices=False)
+    retained = directions[values >= cut_off * values[0]]
+    design[:] = (design @ retained.T) @ retained
+    return float(np.sum(values[len(retained) :] ** 2))
 
 
 def _whitening(covariance: Array) -> Array:

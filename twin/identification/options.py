@@ -35,6 +35,11 @@ class Options:
     distances have the same weight; the nuisance unknowns (all unknowns except the parameters and the poses) are then
     omitted.
 
+    `cut_off` is a share of the largest singular value of the unweighted distance equations, with the parameters in
+    units of the family. The estimate is zero along every direction whose singular value is smaller, and fits the
+    distances with the smallest norm otherwise. If it is None, only directions that the distances do not determine are
+    zero. It is meant for studies of published methods, not for the calibration of a machine.
+
     `estimate_scales` is True if the scales (factors on the standard deviations) of touch noise, prior and misfit are
     estimated by maximum marginal likelihood. If it is False, all scales are 1.
 
@@ -63,6 +68,7 @@ class Options:
     carried_over: CarriedOverPrior | None = None
     weights: Weights = "full"
     estimate_scales: bool = True
+    cut_off: float | None = None
     outliers: OutlierPolicy = "reject"
     false_alarm: float = 0.01
     misfit_mm: float = 0.001
@@ -82,6 +88,8 @@ class Options:
         _check_word("outliers", self.outliers, ("reject", "none"))
         if not 0.0 < self.false_alarm < 1.0:
             raise DataError(f"false_alarm must lie between 0 and 1, not {self.false_alarm}")
+        if self.cut_off is not None:
+            self._check_cut_off(self.cut_off)
         if not self.misfit_mm >= 0.0:
             raise DataError(f"misfit_mm must not be negative, not {self.misfit_mm}")
         thermometer_k = self.temperature_standard_uncertainty_k
@@ -89,6 +97,15 @@ class Options:
             raise DataError("temperature_standard_uncertainty_k must not be negative")
         if self.carried_over is not None:
             self._check_carried()
+
+    def _check_cut_off(self, cut_off: float) -> None:
+        if not 0.0 < cut_off < 1.0:
+            raise DataError(f"cut_off must lie between 0 and 1, not {cut_off}")
+        if self.formulation != "distances" or self.weights != "unit" or self.use_prior:
+            raise DataError(
+                "a cut-off of singular values needs distances with unit weights and no prior",
+                hint="omit the cut-off, or use formulation='distances', weights='unit' and use_prior=False",
+            )
 
     def _check_carried(self) -> None:
         """Check that the options agree with the carried-over estimate, which already includes every prior and the units

@@ -112,10 +112,12 @@ def log_evidence_and_scales(
     return log_evidence(normal, precision, scales), scales
 
 
-def _equations(problem: IdentificationProblem, formulation: Formulation, unit_weights: bool) -> Equations:
+def _equations(
+    problem: IdentificationProblem, formulation: Formulation, unit_weights: bool, cut_off: float | None = None
+) -> Equations:
     if formulation == "centres":
         return CentreEquations.build(problem, unit_weights)
-    return DistanceEquations.build(problem, unit_weights)
+    return DistanceEquations.build(problem, unit_weights, cut_off)
 
 
 def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[NormalEquations, Poses, Sides]:
@@ -190,7 +192,7 @@ def _solve_unit_weights(problem: IdentificationProblem, options: Options, formul
     The covariance is computed for this estimator under the full model (sandwich covariance). The stated accuracy is
     therefore still correct.
     """
-    equations = _equations(problem, formulation, unit_weights=True)
+    equations = _equations(problem, formulation, unit_weights=True, cut_off=options.cut_off)
     block, size = problem.blocks.parameters, problem.blocks.size
     information = equations.matrix[block, block]
     alone = UnknownBlocks.of(block.stop, 0, 0)
@@ -241,4 +243,6 @@ def _sandwich(equations: Equations, posterior: Posterior, problem: Identificatio
     full[rest, block] = -others.T
     expected = float((own * error).sum()) + float(np.trace(equations.matrix[rest, rest])) + total
     expected -= 2.0 * (float((shared * others).sum()) + float(np.trace(noise)))
+    if isinstance(equations, DistanceEquations):
+        expected += equations.omitted  # a parameter of unit variance along each direction below the cut-off
     return full, max(expected, 1e-300)

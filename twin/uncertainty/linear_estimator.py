@@ -79,7 +79,7 @@ def _with_influences(problem: IdentificationProblem, influences: Array) -> Ident
 def _equations(problem: IdentificationProblem, options: Options) -> CentreEquations | DistanceEquations:
     if options.formulation == "centres":
         return CentreEquations.build(problem, options.weights == "unit")
-    return DistanceEquations.build(problem, options.weights == "unit")
+    return DistanceEquations.build(problem, options.weights == "unit", options.cut_off)
 
 
 def _posterior(matrix: Array, blocks: UnknownBlocks, options: Options) -> Posterior:

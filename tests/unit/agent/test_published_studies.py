@@ -18,7 +18,7 @@ from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.bar_variants import Bar
 from agent.planning.job import Job
 from agent.studies import ball_count, misalignment, strategy, trajectory, volumetric_error
-from agent.studies.identification_variants import PUBLISHED, identification_variants
+from agent.studies.identification_variants import PUBLISHED, UNWEIGHTED, identification_variants
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase
 from agent.studies.study_files import document, format_rows, write_result
@@ -29,6 +29,7 @@ from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.position_set import parse_position_set
 from twin.errors import DataError
 from twin.identification import Options
+from twin.machine.deflection import CASE_STUDY_NODES, CantileverStructure, DeflectionGrid, cantilever_deflection
 from twin.machine.forward_model import exact_deviation
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.uncertainty.monte_carlo import draw_truth
@@ -153,13 +154,15 @@ class TestWays:
     def test_the_way_asked_for_stands_before_the_published_one(self) -> None:
         assert [variant.label for variant in identification_variants(Options())] == [
             "centres, full weights, prior",
+            "published, cut-off 0.01",
             "distances, unit weights, prior",
             "distances, unit weights, no prior",
         ]
 
     def test_none_stands_twice(self) -> None:
-        assert [variant.label for variant in identification_variants(PUBLISHED)] == [
+        assert [variant.label for variant in identification_variants(UNWEIGHTED)] == [
             "distances, unit weights, no prior",
+            "published, cut-off 0.01",
             "distances, unit weights, prior",
         ]
 
@@ -189,7 +192,7 @@ class TestWorth:
         made = case(machines=160)
         bar = Bar.of(made.artefact)
         trials = [ProcedureVariant.of(made, bar.with_(balls=balls), made.positions("S3")) for balls in (5, 6)]
-        rows = ProcedureEvaluator(made).evaluate(trials, identification_variants(made.options)[:2], [0, 1])
+        rows = ProcedureEvaluator(made).evaluate(trials, identification_variants(made.options)[:3], [0, 1])
         deviation = worst_deviation(rows)
         assert deviation is not None and deviation < 3.5
         for found in (found for row in rows for found in row):
@@ -210,6 +213,49 @@ class TestWorth:
         assert trial.planned is None
         ((found,),) = ProcedureEvaluator(made).evaluate([trial], identification_variants(made.options)[:1], [0])
         assert found == Verdict(None)
+
+
+class TestPublishedMethod:
+    """The reading of the published method shows the published behaviour on the case study."""
+
+    def vce(self, made: StudyCase, artefact: Artefact, *sets: str) -> list[float]:
+        variant, evaluator = identification_variants(PUBLISHED)[0], ProcedureEvaluator(made)
+        trials = [ProcedureVariant.of(made, artefact, made.positions(name)) for name in sets]
+        ((*found,),) = zip(*evaluator.evaluate(trials, [variant], []), strict=True)
+        return [one.expected.aligned_um for one in found if one.expected is not None]
+
+    def bent_by(self, deflection: DeflectionGrid | None) -> StudyCase:
+        return case(stations=None, job=replace(job(), machine=replace(job().machine, deflection=deflection)))
+
+    def test_s3_stands_at_the_bend(self) -> None:
+        made = self.bent_by(cantilever_deflection(*CASE_STUDY_NODES, CantileverStructure(column_rail_wave_mm=0.0)))
+        sets = ("S1", "S2", "S1+S2", "S3", "S1+S3", "S2+S3", "S1+S2+S3")
+        found = dict(zip(sets, self.vce(made, made.artefact, *sets), strict=True))
+        assert found["S1"] > found["S2"] > found["S1+S2"] > found["S3"] > found["S1+S3"]
+        assert found["S1"] - found["S3"] > 4.0 * (found["S3"] - found["S1+S2+S3"])
+
+    def test_balls_beyond_seven_add_nothing(self) -> None:
+        made = self.bent_by(None)
+        bar, before = Bar.of(made.artefact), ProcedureEvaluator(made).before.aligned_um
+        found = {balls: self.vce(made, bar.with_(balls=balls), "S3")[0] for balls in (3, 7, 11, 15)}
+        assert before - found[3] < 0.8 * (before - min(found.values()))
+        assert before - found[7] > ball_count.SUFFICIENT_SHARE * (before - min(found.values()))
+
+    def test_tilt_helps_s2_and_hardly_s2_with_s3(self) -> None:
+        made = case(stations=None)
+        straight, tilted = (Bar.of(made.artefact).with_(tilt_deg=tilt) for tilt in (0.0, 30.0))
+        (alone, both), (alone_tilted, both_tilted) = (self.vce(made, one, "S2", "S2+S3") for one in (straight, tilted))
+        assert alone_tilted < 0.65 * alone
+        assert both_tilted == pytest.approx(both, rel=0.03)
+
+    def test_it_is_measured_without_errors_of_touches_and_artefact(self) -> None:
+        made = case()
+        variant, rough = identification_variants(PUBLISHED)[0], 25.0 * Bar.of(made.artefact).certified.covariance
+        trial = ProcedureVariant.of(made, replace(made.artefact, covariance=rough), made.positions("S3"))
+        budget = ProcedureEvaluator(made).budget(trial, variant)
+        assert budget is not None
+        parts = {name: part.raw_um for name, part in budget.contributions.items() if part.raw_um > 0.0}
+        assert set(parts) == {"misfit", "unseen"}
 
 
 class TestBallCount:
@@ -235,7 +281,7 @@ class TestBallCount:
 
     def test_the_study_has_a_row_for_each_count_and_way(self, tmp_path: Path) -> None:
         result = ball_count.run(case(position_set="S3"))
-        assert len(result.rows) == 3 * len(ball_count.COUNTS)
+        assert len(result.rows) == 4 * len(ball_count.COUNTS)
         assert "share of the largest gain" in write_result(result, tmp_path)["svg"].read_text()
 
 

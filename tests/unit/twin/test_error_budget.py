@@ -150,10 +150,11 @@ MIXED = [
     Case(4, "S1+S2", replace(FIXED, formulation="distances")),
     Case(4, "S3", replace(FIXED, weights="unit")),
     Case(3, "S1+S3", replace(FIXED, use_prior=False)),
+    Case(4, "S3", replace(PUBLISHED, cut_off=0.02)),
 ]
 
 
-@pytest.mark.parametrize("case", MIXED, ids=["distances, full", "centres, unit", "centres, no prior"])
+@pytest.mark.parametrize("case", MIXED, ids=["distances, full", "centres, unit", "centres, no prior", "cut-off"])
 def test_it_holds_for_every_way_of_identifying(case: Case) -> None:
     agree(case, MILD, 60)
 

@@ -182,13 +182,19 @@ class TestUncertainty:
         assert estimate.rejected == ()
 
 
-@pytest.mark.parametrize("prior", [True, False])
-@pytest.mark.parametrize("weights", ["full", "unit"])
-@pytest.mark.parametrize("formulation", ["centres", "distances"])
-def test_normalised_chi2_is_one_where_all_is_as_stated(formulation: Formulation, weights: Weights, prior: bool) -> None:
+@pytest.mark.parametrize(
+    ("formulation", "weights", "prior", "cut_off"),
+    [
+        *((f, w, p, None) for f in ("centres", "distances") for w in ("full", "unit") for p in (True, False)),
+        ("distances", "unit", False, 0.05),
+    ],
+)
+def test_normalised_chi2_is_one_where_all_is_as_stated(
+    formulation: Formulation, weights: Weights, prior: bool, cut_off: float | None
+) -> None:
     """Truth, certificate and noise are drawn from their priors, with noise that differs between balls."""
     model, family = case_study(3)
-    options = dataclasses.replace(PLAIN, formulation=formulation, weights=weights, use_prior=prior)
+    options = dataclasses.replace(PLAIN, formulation=formulation, weights=weights, use_prior=prior, cut_off=cut_off)
     found = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -278,6 +284,9 @@ class TestTooLittle:
             {"outliers": "yes"},
             {"misfit_mm": -1.0},
             {"false_alarm": 2.0},
+            {"formulation": "distances", "weights": "unit", "use_prior": False, "cut_off": 0.0},
+            {"formulation": "distances", "weights": "unit", "cut_off": 0.01},
+            {"weights": "unit", "use_prior": False, "cut_off": 0.01},
         ],
     )
     def test_options_are_checked(self, wrong: dict) -> None:
@@ -320,6 +329,29 @@ class TestDistances:
         plain = dataclasses.replace(PLAIN, formulation="distances", weights="unit")
         estimate = identify(model, seen, artefact, family, plain)
         assert estimate.parameters / scale == pytest.approx(reference.x, abs=2e-4)
+
+    def test_a_cut_off_gives_the_shortest_solution_from_the_large_singular_values(self) -> None:
+        """The reference is numpy's pseudo-inverse of a Jacobian by differences of exact distances. The parameters are
+        in half-widths there, in standard deviations here: a factor common to all columns changes nothing."""
+        model, family, _, truth = machine(4, 27)
+        artefact = bar(5)
+        seen = measured("S2", 2, artefact, truth, np.random.default_rng(28), sigma_mm=1e-7)
+        pairs = np.array([(i, j) for i in range(seen.size) for j in range(i) if seen.position[i] == seen.position[j]]).T
+        unit = family.half_widths
+
+        def distances(u: np.ndarray) -> np.ndarray:
+            at = seen.axis_positions + TOOL + exact_deviation(model, seen.axis_positions, TOOL, unit * u)
+            return np.linalg.norm(at[pairs[0]] - at[pairs[1]], axis=1)
+
+        balls = artefact.balls[seen.ball]
+        wanted = np.linalg.norm(balls[pairs[0]] - balls[pairs[1]], axis=1)
+        jacobian = np.stack([(distances(10 * e) - distances(-10 * e)) / 20 for e in np.eye(model.size)], axis=1)
+        published = dataclasses.replace(PLAIN, formulation="distances", weights="unit", use_prior=False, cut_off=1e-2)
+        found = identify(model, seen, artefact, family, published).parameters / unit
+        shortest = np.linalg.pinv(jacobian, rcond=1e-2) @ (wanted - distances(np.zeros(model.size)))
+        assert found == pytest.approx(shortest, abs=1e-3)
+        plain = identify(model, seen, artefact, family, dataclasses.replace(published, cut_off=None)).parameters / unit
+        assert np.linalg.norm(plain) > 1.5 * np.linalg.norm(found)
 
     def test_a_straight_bar_never_reaches_full_rank(self) -> None:
         model, family = case_study(4, ("b0", "b1", "b2", "c0", "c1"))

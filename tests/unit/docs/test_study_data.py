@@ -1,0 +1,96 @@
+"""Data and pages of the studies against the program: cycle times and closed forms are computed again and compared with
+the stored tables, and the tables of the pages with both."""
+
+from __future__ import annotations
+
+import csv
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.cycle_time import machine_minutes
+from agent.planning.design.bar_variants import Bar
+from agent.studies import ball_count, misalignment, strategy
+from agent.studies.identification_variants import identification_variants
+from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant
+from agent.studies.study import StudyCase
+from agent.studies.workers import LocalWorkers
+from twin.artefact.artefact import Artefact
+from twin.identification import Options
+
+DOCS = Path(__file__).parents[3] / "docs"
+VARIANTS = identification_variants(Options())
+CLOSE = 2e-4
+"""Relative tolerance. Processors round differently, and unrestrained distances enlarge rounding."""
+
+
+def table(name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader((DOCS / "data" / "studies" / f"{name}.csv").read_text().splitlines()))
+
+
+@cache
+def case() -> StudyCase:
+    return StudyCase(load_case(CASE_STUDY), Options(), 1, 2, LocalWorkers(1), lambda *_: None)
+
+
+@cache
+def evaluator() -> ProcedureEvaluator:
+    return ProcedureEvaluator(case())
+
+
+def agree(name: str, row: dict[str, str], artefact: Artefact, expression: str) -> None:
+    variant = next(one for one in VARIANTS if one.label == row["identification"])
+    trial = ProcedureVariant.of(case(), artefact, case().positions(expression))
+    budget = evaluator().budget(trial, variant)
+    assert trial.planned is not None and budget is not None
+    found = (trial.planned.size, budget.expected.raw_um, budget.expected.aligned_um)
+    stored = (int(row["ball_centres"]), float(row["vce_raw_um"]), float(row["vce_aligned_um"]))
+    assert stored == pytest.approx(found, rel=CLOSE), f"run `volcal study {name}` again and correct its page: {row}"
+
+
+def test_times_and_errors_of_the_sets_are_those_of_the_program() -> None:
+    rows = table("strategy")
+    assert {(row["sets"], row["identification"]) for row in rows} == {
+        (name, variant.label) for name in strategy.EXPRESSIONS for variant in VARIANTS
+    }
+    minutes = {name: machine_minutes(case().job, case().positions(name)).total for name in ("S1", "S2", "S3")}
+    for row in rows:
+        assert float(row["machine_minutes"]) == pytest.approx(minutes.get(row["sets"], float(row["machine_minutes"])))
+        agree("strategy", row, case().artefact, row["sets"])
+
+
+def test_errors_over_balls_and_tilts_are_those_of_the_program() -> None:
+    bar = Bar.of(case().artefact)
+    for row in table("ball-count"):
+        if int(row["balls"]) in ball_count.CHECKED:
+            agree("ball-count", row, bar.with_(balls=int(row["balls"])), "S3")
+    for row in table("misalignment"):
+        if float(row["tilt_deg"]) in misalignment.CHECKED_DEG:
+            agree("misalignment", row, bar.with_(tilt_deg=float(row["tilt_deg"])), row["set"])
+
+
+def section(page: str, heading: str) -> dict[str, list[list[float]]]:
+    """Return first cell → numbers of the further cells for the first table below a heading."""
+    text = (DOCS / "explanation" / page).read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
+    rows = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("|")]
+    numbers = re.compile(r"\d+(?:\.\d+)?")
+    return {first.strip(): [[float(n) for n in numbers.findall(cell)] for cell in cells] for first, *cells in rows}
+
+
+def test_the_tables_of_the_page_are_the_stored_data() -> None:
+    page = "published-studies.md"
+    sets, order = section(page, "Combinations of sets"), ("S1", "S2", "S1+S2", "S3", "S1+S3", "S2+S3", "S1+S2+S3")
+    minutes = {row["sets"]: float(row["machine_minutes"]) for row in table("strategy")}
+    assert [cell[0] for cell in sets["machine minutes"]] == [round(minutes[name], 1) for name in order]
+    balls = section(page, "Number of balls")
+    for variant in VARIANTS:
+        digits = 0 if variant.label == "distances, unit weights, no prior" else 2
+        stored = {row["sets"]: row for row in table("strategy") if row["identification"] == variant.label}
+        wanted = [round(float(stored[name]["vce_aligned_um"]), digits) for name in order]
+        assert [cell[0] for cell in sets[variant.label]] == wanted, variant.label
+        counted = {row["balls"]: row for row in table("ball-count") if row["identification"] == variant.label}
+        wanted = [round(float(counted[str(n)]["vce_aligned_um"]), digits) for n in ball_count.CHECKED]
+        assert [cell[0] for cell in balls[variant.label][:4]] == wanted, variant.label
