@@ -6,6 +6,7 @@
     └── RunError                  decision of the run itself                          exit code 4
         ├── PlanRefused           the preflight found a violated limit, a collision or an unreachable ball
         ├── GateRefused           the estimate must not become a table
+        ├── ForecastRefused       a gate is expected to refuse a run with these settings  exit code 7
         ├── MeasurementFault      a ball, a probe check or a drift is out of its limits
         ├── PlanDiverged          recorded steps do not match the rebuilt plan
         ├── JournalFailed         events can no longer be recorded durably (disk full, disk gone)
@@ -32,6 +33,10 @@ class PlanRefused(RunError):
 
 class GateRefused(RunError):
     pass
+
+
+class ForecastRefused(RunError):
+    exit_code = 7
 
 
 class MeasurementFault(RunError):

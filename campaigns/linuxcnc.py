@@ -186,7 +186,7 @@ SHORT_CHANGES = {
     "limit_um = 3.5": "limit_um = 5.0",
     "[probe_check]": "[reversal]\nenabled = false\n\n[probe_check]",
     # the other three quarters of the travel remain uncertain
-    "[gates]": "[gates]\nmax_remaining_fraction = 0.8",
+    "[timing]": "[gates]\nmax_remaining_fraction = 0.8\n\n[timing]",
 }
 """Changes of the settings that make the run short enough to be repeated after every change of the source."""
 SHORT_SCENARIO = {

@@ -22,7 +22,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """Travel and dynamics of the three axes, as reported by the controller."""
+    """Travel and dynamics of the three axes, as reported by the controller; NaN where it does not report a value."""
 
     lower_mm: tuple[float, float, float]
     upper_mm: tuple[float, float, float]
@@ -288,10 +288,13 @@ class Operator(Protocol):
 
 @dataclass(frozen=True)
 class DiagnosticFinding:
-    """One result of a device's self-diagnosis (`volcal doctor`)."""
+    """One result of a device's self-diagnosis (`volcal doctor`).
+
+    `ok` is None if the device could not read the value that is to be judged.
+    """
 
     subject: str
-    ok: bool
+    ok: bool | None
     text: str
 
 

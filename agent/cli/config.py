@@ -10,7 +10,9 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import VolcalGroup, reported
+from agent.cli.printing import gates_table, results_console
 from agent.planning.job_preparation import prepare_job
+from agent.results.gate_forecast import forecast_gates, require_forecast
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
 
@@ -24,11 +26,14 @@ def config_group() -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @reported
 def check(file: Path) -> None:
-    """Read the settings and every file they name; no device is contacted."""
+    """Read the settings and every file they name, and forecast the gates; no device is contacted."""
     settings = load_settings(file)
     with naming(file):
         job = prepare_job(settings, file.resolve().parent)
-        held_out = job.held_out
+        held_out, gates = job.held_out, forecast_gates(job)
+    results_console().print(gates_table(gates))
+    with naming(file):
+        require_forecast(gates)
     click.echo(
         f"{file}: good. Machine {job.machine.name}, artefact {job.artefact.name}, "
         f"{len(job.positions)} positions, {len(held_out)} held out, {len(settings.devices)} devices."

@@ -1,11 +1,16 @@
 """Command `volcal doctor`, which tests every device named in the settings.
 
-The command connects to each device, reads from it and measures its latency. It moves nothing and writes nothing.
+The command connects to each device, reads from it and measures its latency. It compares the limits of the controller
+with the machine file, and forecasts the gates of a run. It moves nothing and writes nothing.
 """
 
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import click
@@ -15,11 +20,17 @@ from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.cli.printing import columns_table, results_console
 from agent.execution.device_assembly import assemble, closing_clock, make_clock
+from agent.execution.rig import Rig
+from agent.planning.controller_comparison import compare_with_controller
+from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
 from agent.settings.load import load_settings, naming
-from agent.settings.schema import Settings
 from drivers.errors import DeviceError, VolcalError
 from drivers.roles import Device, DiagnosticFinding
+
+GATES = "gates of a run"
+"""Name under which the findings on the gates are listed; the blanks keep it apart from the name of any device."""
 
 
 @click.command("doctor")
@@ -27,43 +38,71 @@ from drivers.roles import Device, DiagnosticFinding
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def doctor_command(config: Path, as_json: bool) -> None:
-    """Check settings, links and devices without moving anything."""
+    """Check settings, links, devices and the expected gates of a run without moving anything."""
     settings = load_settings(config)
-    base = config.resolve().parent
     with naming(config):
-        prepare_job(settings, base)
-    findings = examine(settings, base)
+        job = prepare_job(settings, config.resolve().parent)
+        diagnosis = examine(job, config.resolve().parent)
+        gates = forecast_gates(job, diagnosis.store_limit_mm)
+    findings = {**diagnosis.findings, GATES: [_gate_finding(gate) for gate in gates]}
     if as_json:
-        document = {name: [vars(f) for f in lines] for name, lines in findings.items()}
-        click.echo(json.dumps(document))
+        click.echo(json.dumps({name: [vars(f) for f in lines] for name, lines in findings.items()}))
     else:
         results_console().print(_table(findings))
-    if any(not finding.ok for lines in findings.values() for finding in lines):
+    if any(finding.ok is False for lines in diagnosis.findings.values() for finding in lines):
         raise SystemExit(DeviceError.exit_code)
+    with naming(config):
+        require_forecast(gates)
 
 
-def examine(settings: Settings, base: Path) -> dict[str, list[DiagnosticFinding]]:
-    """Test every device and return a mapping from the name of each device to its findings. Each finding says whether
-    one property of the device is in order.
+@dataclass
+class Diagnosis:
+    """Findings about each device by its name, and the largest correction in mm that the controller accepts, which is
+    infinite if it could not be read."""
+
+    findings: dict[str, list[DiagnosticFinding]] = field(default_factory=dict)
+    store_limit_mm: float = math.inf
+
+
+def examine(job: Job, base: Path) -> Diagnosis:
+    """Test every device, and compare the limits of the controller with the machine file. `base` is the directory to
+    which relative paths in the settings refer.
 
     If a device cannot be opened, one of its findings states this, and the other devices are still tested.
     """
+    diagnosis, settings = Diagnosis(), job.settings
     with closing_clock(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)
-        return {name: _examined(device) for name, device in rig.devices.items()}
+        for name, device in rig.devices.items():
+            diagnosis.findings[name] = _examined(device, partial(_while_open, rig, name, job, diagnosis))
+    return diagnosis
 
 
-def _examined(device: Device) -> list[DiagnosticFinding]:
+def _while_open(rig: Rig, name: str, job: Job, diagnosis: Diagnosis) -> list[DiagnosticFinding]:
+    """Return the comparison of the open device `name` with the machine file if it is the controller; if it is the
+    store, note its limit in `diagnosis`."""
+    roles = job.settings.roles
+    if name == roles.store:
+        diagnosis.store_limit_mm = rig.store.store_limits().max_correction_mm
+    if name != roles.machine:
+        return []
+    return list(compare_with_controller(rig.machine.limits(), job.machine, job.settings.procedure))
+
+
+def _examined(device: Device, while_open: Callable[[], list[DiagnosticFinding]]) -> list[DiagnosticFinding]:
     try:
         device.open()
     except VolcalError as error:
         return [DiagnosticFinding("open", ok=False, text=str(error)), *_without_opening(device)]
+    findings: list[DiagnosticFinding] = []
     try:
-        return device.diagnose()
+        findings.extend(device.diagnose())
+        findings.extend(while_open())
     except DeviceError as error:
-        return [DiagnosticFinding("diagnose", ok=False, text=str(error))]
+        findings.append(DiagnosticFinding("diagnose", ok=False, text=str(error)))
     finally:
         device.close()
+    return findings
 
 
 def _without_opening(device: Device) -> list[DiagnosticFinding]:
@@ -76,10 +115,15 @@ def _without_opening(device: Device) -> list[DiagnosticFinding]:
         return []
 
 
+def _gate_finding(gate: GateForecast) -> DiagnosticFinding:
+    remedy = f"; {gate.remedy}" if gate.remedy else ""
+    return DiagnosticFinding(gate.gate, gate.passes, f"{gate.figures} ({gate.key}): {gate.text}{remedy}")
+
+
 def _table(findings: dict[str, list[DiagnosticFinding]]) -> Table:
     table = columns_table(("device", "subject", "", "finding"), whole=("device",))
+    marks = {True: "[green]ok[/green]", False: "[red]no[/red]", None: "[yellow]not read[/yellow]"}
     for name, lines in findings.items():
         for finding in lines:
-            mark = "[green]ok[/green]" if finding.ok else "[red]no[/red]"
-            table.add_row(name, finding.subject, mark, finding.text)
+            table.add_row(name, finding.subject, marks[finding.ok], finding.text)
     return table

@@ -10,6 +10,7 @@ Exit codes of `volcal`:
 - 4: error in the run itself, such as a refused plan, a failed check or another run in progress
 - 5: abort by a person, or interruption of the run
 - 6: the service declined to start a run at this time
+- 7: a run with these settings is expected to be refused by a gate (plan, config check, doctor)
 """
 
 from __future__ import annotations

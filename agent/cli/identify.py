@@ -21,8 +21,8 @@ from agent.model_files import subject
 from agent.results.estimation import order_text
 from agent.results.gates import reasons
 from agent.runs.offline_identification import (
+    DEFAULT_GATES,
     DEFAULT_TABLE,
-    WHOLE_TRAVEL,
     IdentificationRequest,
     IdentificationResult,
     identify_files,
@@ -142,7 +142,7 @@ def identify(
         order=stated.order if order is None else order,
         carried_over=carried_over,
         process_noise_um=process_noise_um or 0.0,
-        gates=WHOLE_TRAVEL if settings is None else settings.gates,
+        gates=DEFAULT_GATES if settings is None else settings.gates,
         table=DEFAULT_TABLE if settings is None else settings.table,
         even_so=even_so,
         temperature_uncertainty_k=temperature_uncertainty,

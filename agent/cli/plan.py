@@ -16,7 +16,7 @@ from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import case_options, procedure_options
-from agent.cli.printing import columns_table, facts_table, results_console
+from agent.cli.printing import columns_table, facts_table, gates_table, results_console
 from agent.errors import PlanRefused
 from agent.files import check_folder
 from agent.planning.cycle_time import PARTS, minutes_by_part, walk_plan, without_optimisation
@@ -25,6 +25,7 @@ from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
 from agent.probing.run_plan import position_key
+from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
 from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
 from agent.settings.load import load_settings, naming, with_overrides
 from twin.design.valuation import Valuation
@@ -60,6 +61,7 @@ def plan_command(
     )
     with naming(config):
         job = prepare_job(settings, config.resolve().parent)
+        gates = forecast_gates(job)
     draw = _drawing(job, preview) if preview else None
     try:
         preflight = run_preflight(job)
@@ -74,8 +76,9 @@ def plan_command(
     files = draw(None) if draw else []
     if as_json:
         click.echo(
-            json.dumps(_document(job, preflight, before_minutes, expectation, valuation, files), allow_nan=False)
+            json.dumps(_document(job, preflight, before_minutes, expectation, valuation, gates, files), allow_nan=False)
         )
+        require_forecast(gates)
         return
     console = results_console()
     if steps:
@@ -83,8 +86,10 @@ def plan_command(
             click.echo(f"{seconds:10.2f} s  {key}")
     console.print(_table(job, preflight, before_minutes, expectation, valuation))
     console.print(_minutes_table(minutes_by_part(preflight.steps)))
+    console.print(gates_table(gates))
     for path in files:
         click.echo(str(path))
+    require_forecast(gates)
 
 
 def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path]]:
@@ -105,6 +110,7 @@ def _document(
     before_minutes: float,
     expectation: PredictedAccuracy,
     valuation: Valuation,
+    gates: tuple[GateForecast, ...],
     files: list[Path],
 ) -> dict[str, object]:
     balls = sum(len(p.balls) for p in preflight.measured.positions)
@@ -134,6 +140,7 @@ def _document(
         "predicted_vce_um": expectation.vce.aligned_um,
         "predicted_vce_raw_um": expectation.vce.raw_um,
         "valuation_percent": round(valuation.percent, 2),
+        "gates": [forecast.as_json() for forecast in gates],
         "wall_seconds": round(preflight.wall_seconds, 3),
         "files": [str(path) for path in files],
     }

@@ -14,6 +14,8 @@ from agent.results.travel_parts import TravelParts
 if TYPE_CHECKING:
     from rich.console import JustifyMethod
 
+    from agent.results.gate_forecast import GateForecast
+
 UNLIMITED = 100_000
 """Width in characters of output to a pipe or file. It is so large that every line is written whole."""
 
@@ -52,6 +54,17 @@ def facts_table(rows: Iterable[tuple[str, str]], *, title: str | None = None) ->
     table.add_column(overflow="fold")
     for name, value in rows:
         table.add_row(name, value)
+    return table
+
+
+def gates_table(forecasts: Iterable[GateForecast]) -> Table:
+    """Return a table with the expected value and the limit of each gate of a run, and what to do if it is expected to
+    refuse the run."""
+    table = columns_table(("gate", "expected", "limit", "", "settings key", "remedy"), title="forecast of the gates")
+    for forecast in forecasts:
+        mark = "[green]pass[/green]" if forecast.passes else "[red]refuse[/red]"
+        expected = "no bound" if forecast.expected is None else f"{forecast.expected:.3g}"
+        table.add_row(forecast.gate, expected, f"{forecast.limit:.3g}", mark, forecast.key, forecast.remedy)
     return table
 
 

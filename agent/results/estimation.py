@@ -36,11 +36,12 @@ from drivers.clock import utc_timestamp
 from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import held_out_test
 from twin.artefact.observations import Observations
-from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
+from twin.compensation.table import Anchor, CompensationTable, Nodes, build_table, regular_nodes
 from twin.formats.estimate_file import VolumetricSection, format_estimate
 from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
 from twin.identification.checks.measured_shape import check_shape
 from twin.identification.predicted import field_forms
+from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.thermometer_effect import ThermometerEffect, thermometer_effect
@@ -81,10 +82,7 @@ def estimate_with_table(
     offset = machine.tool(tool)
     estimate = estimate_machine(machine, artefact, observations, options, order)
     model = estimate.model
-    nodes = regular_nodes(model.ranges_mm, table.step_mm)
-    requested = table.anchor_mm or (0.0, 0.0, 0.0)
-    clipped = [np.clip(value, low, high) for value, (low, high) in zip(requested, model.ranges_mm, strict=True)]
-    anchor = Anchor(np.array(clipped))
+    nodes, anchor = table_grid(model, table)
     forms = field_forms(estimate, evaluation_grid(model.ranges_mm), offset)
     return EstimationResult(
         observations,
@@ -94,6 +92,14 @@ def estimate_with_table(
         build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions),
         thermometer_effect(estimate, forms),
     )
+
+
+def table_grid(model: ErrorModel, table: TableSettings) -> tuple[Nodes, Anchor]:
+    """Return the nodes and the anchor of the compensation table of `model` with the settings `table`. The anchor is
+    moved into the range of the axes."""
+    requested = table.anchor_mm or (0.0, 0.0, 0.0)
+    clipped = [np.clip(value, low, high) for value, (low, high) in zip(requested, model.ranges_mm, strict=True)]
+    return regular_nodes(model.ranges_mm, table.step_mm), Anchor(np.array(clipped))
 
 
 def estimate_machine(

@@ -3,13 +3,14 @@ free of side effects."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agent.errors import GateRefused
 from agent.results.facts import VolumetricSummary
+from agent.results.travel_parts import TravelParts
 from agent.settings.schema import GateSettings
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
@@ -22,6 +23,20 @@ collision, and must then be calibrated again."""
 
 CERTIFICATE = "certificate"
 """Name of the gate for the agreement of the balls with their certificate."""
+
+GATE_KEYS: Mapping[str, str] = {
+    "fit": "gates.max_chi2",
+    "redundancy": "gates.min_degrees_of_freedom",
+    "gain": "gates.max_remaining_fraction",
+    CERTIFICATE: "gates.max_certificate_sigma",
+    CHANGE: "gates.max_change",
+    "night": "gates.night_false_alarm",
+    "correction": "gates.max_correction_um",
+    "slope": "gates.max_slope_um_per_mm",
+    "extrapolation": "gates.allow_extrapolation",
+    "unmeasured": "gates.max_unmeasured_fraction",
+}
+"""Settings key of the limit of each gate, by the name of the gate."""
 
 MORE_POSITIONS = "more positions or another position set lower the predicted VCE; see the report"
 BETTER_CERTIFICATE = (
@@ -51,32 +66,42 @@ def estimate_gates(estimate: Estimate, volumetric: VolumetricSummary, limits: Ga
     `volumetric` contains the volumetric error that the table corrects, without the errors that were not determined, and
     the predicted volumetric error with the table active.
     """
-    before_um, after_um = volumetric.table_ve_um, volumetric.after_aligned.value_um
-    share = after_um / before_um if before_um > 0.0 else float("inf")
     return (
-        Gate(
-            "fit",
-            estimate.chi2_normalised <= limits.max_chi2,
-            estimate.chi2_normalised,
-            limits.max_chi2,
-            "normalised χ² of the residuals: the model and the stated noise explain what was measured",
-        ),
-        Gate(
-            "redundancy",
-            estimate.degrees_of_freedom >= limits.min_degrees_of_freedom,
-            float(estimate.degrees_of_freedom),
-            float(limits.min_degrees_of_freedom),
-            "degrees of freedom left: enough measurements to notice a wrong one",
-        ),
-        Gate(
-            "gain",
-            share <= limits.max_remaining_fraction,
-            share,
-            limits.max_remaining_fraction,
-            f"predicted VCE {after_um:.2f} µm as a share of the VE {before_um:.2f} µm that the table corrects "
-            "(aligned): the improvement must stand out of its uncertainty",
-        ),
+        fit_gate(estimate.chi2_normalised, limits),
+        redundancy_gate(estimate.degrees_of_freedom, limits),
+        gain_gate(volumetric.table_ve_um, volumetric.after_aligned.value_um, limits),
         certificate_gate(estimate.certificate_check, limits),
+    )
+
+
+def fit_gate(chi2_normalised: float, limits: GateSettings) -> Gate:
+    return _gate_below(
+        "fit",
+        chi2_normalised,
+        limits.max_chi2,
+        "normalised χ² of the residuals: the model and the stated noise explain what was measured",
+    )
+
+
+def redundancy_gate(degrees_of_freedom: float, limits: GateSettings) -> Gate:
+    return Gate(
+        "redundancy",
+        degrees_of_freedom >= limits.min_degrees_of_freedom,
+        float(degrees_of_freedom),
+        float(limits.min_degrees_of_freedom),
+        "degrees of freedom left: enough measurements to notice a wrong one",
+    )
+
+
+def gain_gate(before_um: float, after_um: float, limits: GateSettings) -> Gate:
+    """Return the gate (limit) for the predicted VCE `after_um` as a share of the VE `before_um` that the table
+    corrects."""
+    return _gate_below(
+        "gain",
+        _share(after_um, before_um),
+        limits.max_remaining_fraction,
+        f"predicted VCE {after_um:.2f} µm as a share of the VE {before_um:.2f} µm that the table corrects "
+        "(aligned): the improvement must stand out of its uncertainty",
     )
 
 
@@ -118,55 +143,78 @@ def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> G
     `change_um` is the rms of the change over the workspace after removal of the best-fitting rigid motion.
     `expected_um` is the rms that is expected from the uncertainties and from the drift since that night.
     """
-    share = change_um / expected_um if expected_um > 0.0 else float("inf")
-    return Gate(
+    return _gate_below(
         CHANGE,
-        share <= limits.max_change,
-        share,
+        _share(change_um, expected_um),
         limits.max_change,
         f"change against the last accepted night, {change_um:.2f} µm, in units of its uncertainty {expected_um:.2f} µm",
     )
 
 
-def table_gates(table: CompensationTable, store: StoreLimits, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the gates (limits) that `table` must pass before it is written to the controller."""
-    return (*shape_gates(table, store, limits), extrapolation_gate(table, limits))
+def table_gates(
+    table: CompensationTable, travel: TravelParts, store: StoreLimits, limits: GateSettings
+) -> tuple[Gate, ...]:
+    """Return the gates (limits) that `table` must pass before it is written to the controller. `travel` contains the
+    volumetric error with and without the table outside the measured region."""
+    part = travel.unmeasured
+    return (
+        *shape_gates(table, store, limits),
+        extrapolation_gate(float(np.mean(table.extrapolated)), limits),
+        unmeasured_gate(*((0.0, 0.0) if part is None else (part.estimated_ve_um, part.predicted_vce_um)), limits),
+    )
 
 
 def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateSettings) -> tuple[Gate, ...]:
     """Return the two gates (limits) for the values of the table: one limits the largest correction, the other the
     steepest slope."""
-    largest_um = float(np.abs(table.corrections).max()) * 1e3
-    allowed_um = min(limits.max_correction_um, store.max_correction_mm * 1e3)
-    slope = _largest_slope_um_per_mm(table)
+    largest_um = float(np.abs(table.corrections).max()) * UM_PER_MM
     return (
-        Gate(
-            "correction",
-            largest_um <= allowed_um,
-            largest_um,
-            allowed_um,
-            "largest correction of one axis in µm",
-        ),
-        Gate(
-            "slope",
-            slope <= limits.max_slope_um_per_mm,
-            slope,
-            limits.max_slope_um_per_mm,
-            "steepest change between neighbouring nodes in µm/mm",
-        ),
+        correction_gate(largest_um, store.max_correction_mm * UM_PER_MM, limits),
+        slope_gate(_largest_slope_um_per_mm(table), limits),
     )
 
 
-def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
-    """Return the gate (limit) for the fraction of the table's nodes that lie outside the measured region."""
-    outside = float(np.mean(table.extrapolated))
-    return Gate(
+def correction_gate(largest_um: float, store_um: float, limits: GateSettings) -> Gate:
+    """Return the gate (limit) for the largest correction. `store_um` is the largest correction that the controller
+    accepts."""
+    allowed_um = min(limits.max_correction_um, store_um)
+    return _gate_below("correction", largest_um, allowed_um, "largest correction of one axis in µm")
+
+
+def slope_gate(slope_um_per_mm: float, limits: GateSettings) -> Gate:
+    return _gate_below(
+        "slope", slope_um_per_mm, limits.max_slope_um_per_mm, "steepest change between neighbouring nodes in µm/mm"
+    )
+
+
+def extrapolation_gate(outside: float, limits: GateSettings) -> Gate:
+    """Return the gate (limit) for the fraction `outside` of the table's nodes that lie outside the measured region."""
+    return _gate_below(
         "extrapolation",
-        outside == 0.0 or limits.allow_extrapolation,
         outside,
         1.0 if limits.allow_extrapolation else 0.0,
         "share of nodes outside the measured region, where only the prior and the polynomials speak",
     )
+
+
+def unmeasured_gate(before_um: float, after_um: float, limits: GateSettings) -> Gate:
+    """Return the gate (limit) for the predicted VCE `after_um` outside the measured region as a share of the VE
+    `before_um` that the table corrects there. Both are 0 if the whole travel was measured."""
+    return _gate_below(
+        "unmeasured",
+        0.0 if after_um == 0.0 else _share(after_um, before_um),
+        limits.max_unmeasured_fraction,
+        f"outside the measured region, predicted VCE {after_um:.2f} µm as a share of the VE {before_um:.2f} µm that "
+        "the table corrects there: the corrections must be larger than their uncertainty",
+    )
+
+
+def _gate_below(name: str, value: float, limit: float, text: str) -> Gate:
+    return Gate(name, value <= limit, value, limit, text)
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole > 0.0 else float("inf")
 
 
 def with_consent(gates: Sequence[Gate]) -> list[Gate]:
@@ -185,7 +233,7 @@ def names_of_failed(gates: Sequence[Gate]) -> tuple[str, ...]:
 def reasons(gates: Sequence[Gate]) -> str:
     """Return a text that names every one of `gates` that was not passed, with its value and its limit."""
     return "; ".join(
-        f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({gate.text})"
+        f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({GATE_KEYS[gate.name]}; {gate.text})"
         for gate in gates
         if not gate.passed
     )
@@ -215,4 +263,4 @@ def _largest_slope_um_per_mm(table: CompensationTable) -> float:
         change = np.abs(np.diff(table.corrections, axis=axis))
         spacing = np.diff(nodes).reshape([-1 if i == axis else 1 for i in range(4)])
         steepest = max(steepest, float((change / spacing).max(initial=0.0)))
-    return steepest * 1e3
+    return steepest * UM_PER_MM

@@ -8,6 +8,7 @@ values.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from agent.files import translated
@@ -17,6 +18,7 @@ from agent.probing.run_plan import MeasuredPositions
 from agent.results.observations import no_correction, observations_of
 from drivers.errors import ConfigurationError
 from twin.artefact.held_out_check import held_out_residuals, held_out_test
+from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.design.procedure import MIN_BALLS
 from twin.identification import Estimate, Options, identify, predicted_vce, residual_covariance
@@ -73,6 +75,17 @@ def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
 
     Raises ConfigurationError if the position set cannot identify the machine.
     """
+    with _position_set_named(job):
+        balls = job.balls_of(measured, held_out=False)
+        return planned_estimate(job, observations_of(balls, job.tool_offset_mm, no_correction))
+
+
+def planned_estimate(job: Job, observations: Observations) -> Estimate:
+    """Return the estimate from planned observations (ball centres that an error-free machine measures). Its covariance
+    is the covariance predicted for a run of `job`.
+
+    Raises ConfigurationError if the observations cannot identify the machine.
+    """
     chosen = job.settings.identification
     options = Options(
         formulation=chosen.formulation,
@@ -82,6 +95,9 @@ def preflight_estimate(job: Job, measured: MeasuredPositions) -> Estimate:
         estimate_scales=False,
         outliers="none",
     )
-    with translated(ConfigurationError, key="procedure.position_set", set=job.settings.procedure.position_set):
-        observations = observations_of(job.balls_of(measured, held_out=False), job.tool_offset_mm, no_correction)
+    with _position_set_named(job):
         return identify(job.machine.model, observations, job.artefact, job.machine.family, options)
+
+
+def _position_set_named(job: Job) -> AbstractContextManager[None]:
+    return translated(ConfigurationError, key="procedure.position_set", set=job.settings.procedure.position_set)

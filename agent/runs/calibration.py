@@ -77,7 +77,7 @@ class CalibrationRun(GuardedRun):
         with translated(MeasurementFault):
             estimation = estimate_from_balls(job, balls, self._correction)
         self._store_estimate(estimation, balls)
-        gates = table_gates(estimation.table, self._rig.store.store_limits(), job.gate_limits)
+        gates = table_gates(estimation.table, estimation.travel, self._rig.store.store_limits(), job.gate_limits)
         self._pass_gates((*self._estimate_gates(estimation), *gates))
         self._write_and_prove(estimation, progress.measured)
 

@@ -52,9 +52,8 @@ NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE
 
 TABLE_FILES = ("table.csv", "table.json")
 
-WHOLE_TRAVEL = GateSettings(allow_extrapolation=True)
-"""Limits if no settings file states any. A table covers the whole travel, and no bar reaches its corners; the predicted
-error, on which the gate `gain` depends, covers the travel that was not reached too."""
+DEFAULT_GATES = GateSettings()
+"""Limits if no settings file states any."""
 
 DEFAULT_TABLE = TableSettings()
 """Grid and anchor of the table if no settings file states them."""
@@ -87,7 +86,7 @@ class IdentificationRequest:
     order: Order = "evidence"
     carried_over: Path | None = None
     process_noise_um: float = 0.0
-    gates: GateSettings = WHOLE_TRAVEL
+    gates: GateSettings = DEFAULT_GATES
     table: TableSettings = DEFAULT_TABLE
     even_so: bool = False
     temperature_uncertainty_k: float | None = None
@@ -281,7 +280,7 @@ def _gated(material: IdentificationInput, request: IdentificationRequest) -> tup
     _check_stated_noise(estimation, material)
     gates = (
         *estimate_gates(estimation.estimate, estimation.volumetric, request.gates),
-        *table_gates(estimation.table, NO_STORE, request.gates),
+        *table_gates(estimation.table, estimation.travel, NO_STORE, request.gates),
         *(() if material.night is None else (night_gate(material.night, request.gates),)),
     )
     return estimation, gates

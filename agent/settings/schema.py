@@ -132,7 +132,7 @@ class ProbeCheckSettings(StrictModel):
 
     enabled: bool = True
     touches: int = Field(default=5, ge=3, le=50)
-    limit_um: PositiveFloat = 2.0
+    limit_um: PositiveFloat = 3.0
 
 
 class QualificationSettings(StrictModel):
@@ -195,7 +195,9 @@ class GateSettings(StrictModel):
     says so.
 
     A run takes the limits from its settings file. `volcal identify` takes them from the settings file that it is given
-    or, without a settings file, uses these defaults with `allow_extrapolation = true`.
+    or, without a settings file, uses these defaults. No artefact reaches the corners of the travel, so a table always
+    has nodes outside the measured region. They are accepted as long as their corrections are larger than their
+    uncertainty (`max_unmeasured_fraction`), or never if `allow_extrapolation` is False.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -215,7 +217,8 @@ class GateSettings(StrictModel):
     max_change: PositiveFloat = 3.0
     night_false_alarm: float = Field(default=0.001, gt=0.0, lt=1.0)
     max_certificate_sigma: PositiveFloat = 5.0
-    allow_extrapolation: bool = False
+    allow_extrapolation: bool = True
+    max_unmeasured_fraction: float = Field(default=1.0, gt=0.0, le=10.0)
 
 
 class VerificationSettings(StrictModel):

@@ -55,7 +55,12 @@ def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
             "max_remaining_fraction": 1.0,
             "max_chi2": 1e3,
         },
-        "gates": {"min_degrees_of_freedom": 1, "max_remaining_fraction": 1.0, "max_chi2": 1e3},
+        "gates": {
+            "min_degrees_of_freedom": 1,
+            "max_remaining_fraction": 1.0,
+            "max_unmeasured_fraction": 10.0,
+            "max_chi2": 1e3,
+        },
         "table": {"step_mm": (500.0, 325.0, 500.0)},
     }
     for name in {*changes, *sections}:

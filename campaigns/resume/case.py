@@ -231,7 +231,7 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
             "min_degrees_of_freedom": 1,
             "max_remaining_fraction": 1.0,
             "max_chi2": 1e3,
-            "allow_extrapolation": True,
+            "max_unmeasured_fraction": 10.0,
         },
         "identification": {"order": 5},
         "table": {"step_mm": [500.0, 325.0, 500.0]},

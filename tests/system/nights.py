@@ -49,10 +49,8 @@ def document(state: Path, **sections: Any) -> dict[str, Any]:
         },
         "roles": dict.fromkeys(roles, "twin"),
         "stations": {"places_mm": PLACES_MM, "standing_at": 1},
-        "probe_check": {"limit_um": 3.0},
         "verification": {"stations": [1, 4]},
         "temperature": {"standard_uncertainty_k": 0.1},
-        "gates": {"allow_extrapolation": True},
     }
     return merged(base, sections)
 
@@ -73,7 +71,12 @@ def short_document(state: Path, **sections: Any) -> dict[str, Any]:
             "max_remaining_fraction": 1.0,
             "max_chi2": 1e3,
         },
-        "gates": {"min_degrees_of_freedom": 1, "max_remaining_fraction": 1.0, "max_chi2": 1e3},
+        "gates": {
+            "min_degrees_of_freedom": 1,
+            "max_remaining_fraction": 1.0,
+            "max_unmeasured_fraction": 10.0,
+            "max_chi2": 1e3,
+        },
         "table": {"step_mm": [500.0, 325.0, 500.0]},
     }
     return merged(document(state, **short), sections)

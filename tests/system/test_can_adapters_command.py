@@ -15,6 +15,7 @@ from test_demo_command import bad_machine, short_settings
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
 from agent.cli.simulator_process import SimulatorProcess
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 
@@ -75,7 +76,7 @@ def test_doctor_over_a_serial_adapter_lists_what_is_wrong_and_the_other_mount(tm
         document["devices"]["mount-1"]["options"]["azimuth"]["serial_number"] = 1
         document["devices"]["mount-2"]["options"]["azimuth"]["encoder_counts_per_revolution"] = 65536
         document["devices"]["mount-2"]["options"]["elevation"]["serial_number"] = 3
-        findings = examine(Settings.model_validate(document), CONFIG)
+        findings = examine(prepare_job(Settings.model_validate(document), CONFIG), CONFIG).findings
     assert [line.text for line in findings["mount-1"] if not line.ok] == []
     assert findings["mount-1"][0].text == "the adapter reports no error"
     bad = [line.text for line in findings["mount-2"] if not line.ok]

@@ -12,6 +12,7 @@ from test_demo_command import demo
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
 from agent.cli.simulator_process import SimulatorProcess
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -36,10 +37,10 @@ def test_doctor_on_a_serial_line_and_where_the_controller_really_answers() -> No
             SCENARIO, can="socketcand:127.0.0.1:0", log=out / "simulator.log", modbus_rtu="any@38400,8N2"
         ) as simulator:
             settings = connect(load_settings(SETTINGS), simulator.ready, out)
-            good = {line.subject: line for line in examine(settings, CONFIG)["cnc"]}
+            good = {line.subject: line for line in examine(prepare_job(settings, CONFIG), CONFIG).findings["cnc"]}
             serial = settings.devices["cnc"].options["serial"]
             serial["baud"] = 19200
-            wrong = {line.subject: line for line in examine(settings, CONFIG)["cnc"]}
+            wrong = {line.subject: line for line in examine(prepare_job(settings, CONFIG), CONFIG).findings["cnc"]}
     assert [line for line in good.values() if not line.ok] == []
     assert "a poll takes 49 ms of the line at 38400 baud 8N2" in good["line"].text
     assert good["line faults"].text.startswith("0 requests repeated, 0 stray bytes")

@@ -38,7 +38,11 @@ def shortened(config: Path, positions: str) -> Path:
             "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
             "max_remaining_fraction = 1.0\nmax_chi2 = 1e3",
         ),
-        ("[gates]", "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3"),
+        (
+            "[timing]",
+            "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_unmeasured_fraction = 10.0\n"
+            "max_chi2 = 1e3\n\n[timing]",
+        ),
     ):
         assert former in text, former
         text = text.replace(former, now)

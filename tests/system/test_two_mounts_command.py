@@ -15,6 +15,7 @@ from stored_run import stored_run
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
 from agent.cli.simulator_process import SimulatorProcess
+from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
 
 pytestmark = pytest.mark.timeout(300)
@@ -54,7 +55,8 @@ def kinds_of_steps(state: Path) -> dict[str, object]:
 
 def test_doctor_looks_at_each_mount(out: Path) -> None:
     with SimulatorProcess(SCENARIO, can="socketcand:127.0.0.1:0", log=out / "simulator.log") as simulator:
-        findings = examine(connect(load_settings(SETTINGS), simulator.ready, out), SETTINGS.parent)
+        job = prepare_job(connect(load_settings(SETTINGS), simulator.ready, out), SETTINGS.parent)
+        findings = examine(job, SETTINGS.parent).findings
     for mount, nodes in (("mount-1", (1, 2)), ("mount-2", (3, 4))):
         lines = findings[mount]
         assert all(line.ok for line in lines)

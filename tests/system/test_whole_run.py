@@ -19,7 +19,10 @@ from agent.execution.encoding import table_digest
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.execution.steps import STEPS_WITH_EFFECT
+from agent.planning.job_preparation import prepare_job
+from agent.results.gate_forecast import forecast_gates
 from agent.runs.session import RunResult
+from agent.settings.schema import Settings
 from drivers.roles import TableImage
 from twin.compensation.table_file import parse_table
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
@@ -77,6 +80,23 @@ def test_a_night_is_accepted_and_its_table_is_active(nights: TwoNights) -> None:
     assert outcome.predicted_vce_limits_um[0] < after < outcome.predicted_vce_limits_um[1]
     assert nights.night.world is not None
     assert nights.night.world.collisions == []
+
+
+def test_every_gate_was_forecast_with_its_verdict_and_its_size(nights: TwoNights) -> None:
+    job = prepare_job(Settings.model_validate(document(nights.state)), Path.cwd())
+    forecast = {gate.gate: gate for gate in forecast_gates(job)}
+    judged = {row.record["name"]: row.record for row in nights.stored(nights.first).decisions if row.kind == "gate"}
+    assert set(forecast) - set(judged) == {"probe", "change", "night", "proof", "proof fit"}
+    for name, record in judged.items():
+        assert record["passed"] is forecast[name].passes, name
+        assert forecast[name].expected is not None
+    assert judged["redundancy"]["value"] == pytest.approx(forecast["redundancy"].expected, rel=0.05)
+    assert judged["extrapolation"]["value"] == pytest.approx(forecast["extrapolation"].expected, abs=0.02)
+    proof = nights.first.outcome.proof
+    assert proof is not None
+    judged["proof"] = {"value": proof.after_um / proof.before_um}
+    for name in ("fit", "gain", "certificate", "correction", "slope", "unmeasured", "proof"):
+        assert 0.4 < judged[name]["value"] / (forecast[name].expected or 0.0) < 2.5, name
 
 
 def test_active_bank_holds_the_table_of_the_files(nights: TwoNights) -> None:

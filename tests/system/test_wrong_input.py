@@ -45,7 +45,7 @@ def changed(former: str, now: str) -> Callable[[str], str]:
 
 
 SETTINGS = {
-    "unknown key": (changed("[gates]", "[gates]\ncolour = 1"), ["'colour'", "gates.colour"]),
+    "unknown key": (changed("[timing]", "[gates]\ncolour = 1\n[timing]"), ["'colour'", "gates.colour"]),
     "unknown key of a role": (changed("[roles]", "[roles]\ncolour = 1"), ["'colour'", "roles.colour"]),
     "unknown option of a driver": (
         changed("port = 5020", "port = 5020\ncolour = 1"),
@@ -57,7 +57,7 @@ SETTINGS = {
     "no such tool": (changed('tool = "probe"', 'tool = "drill"'), ["'drill'", "key tool"]),
     "no number": (changed("[700.0,", "[nan,"), ["stations.places_mm[0][0]", "nan"]),
     "outside its bounds": (
-        changed("[gates]", "[gates]\nmax_remaining_fraction = 2.0"),
+        changed("[timing]", "[gates]\nmax_remaining_fraction = 2.0\n[timing]"),
         ["gates.max_remaining_fraction"],
     ),
     "no TOML": (lambda text: text + "x = [", ["not valid TOML"]),

@@ -3,6 +3,7 @@ tool reaches its nominal position."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from twin.arrays import Array, as_points, as_vector
 from twin.errors import DataError, ModelError
+from twin.machine.deviation_basis import deviation_basis
 from twin.machine.error_model import ErrorModel, Ranges
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import AXES
@@ -177,7 +179,8 @@ def build_table(
     _check_anchor(anchor, nodes)
     shape = (len(nodes[0]), len(nodes[1]), len(nodes[2]))
     points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
-    motion = _rigid(points, anchor, _anchoring_motion(model, values, nodes, offset, anchor))
+    moved = _anchoring_motion(lambda at: exact_deviation(model, at, offset, values)[:, :, None], nodes, anchor)[:, 0]
+    motion = _rigid(points, anchor, moved)
     # fixed point of c = r(X) - d(X + c)
     correction = np.zeros_like(points)
     for _ in range(_STEPS):
@@ -194,6 +197,22 @@ def build_table(
     )
 
 
+def linear_corrections(
+    model: ErrorModel, axis_positions: ArrayLike, nodes: Nodes, tool_offset: ArrayLike, anchor: Anchor
+) -> Array:
+    """Return the derivatives (n, 3, p) of a table's corrections at axis positions (n, 3) in mm with respect to the p
+    parameters of the error model, for a table on the grid `nodes` with the anchor `anchor`.
+
+    To first order in the parameters, the correction at X is c(X) = r(X) - d(X), see `build_table`.
+    """
+    points, offset = as_points(axis_positions, "axis positions"), as_vector(tool_offset, 3, "tool offset")
+    motion = _anchoring_motion(lambda at: deviation_basis(model, at, offset), nodes, anchor)
+    return np.asarray(
+        np.einsum("nij,jp->nip", rigid_fields(points, anchor.point_mm, 1.0), motion)
+        - deviation_basis(model, points, offset)
+    )
+
+
 def _check_anchor(anchor: Anchor, nodes: Nodes) -> None:
     for axis, node, value in zip(AXES, nodes, anchor.point_mm.tolist(), strict=True):
         if not node[0] <= value <= node[-1]:
@@ -201,12 +220,13 @@ def _check_anchor(anchor: Anchor, nodes: Nodes) -> None:
             raise ModelError(message, axis=axis, hint="choose an anchor inside the travel")
 
 
-def _anchoring_motion(model: ErrorModel, values: Array, nodes: Nodes, offset: Array, anchor: Anchor) -> Array:
-    """Return the small rigid motion (6,) that has the same six anchor quantities as the deviation field."""
+def _anchoring_motion(fields: Callable[[Array], Array], nodes: Nodes, anchor: Anchor) -> Array:
+    """Return the small rigid motions (6, m) that have the same six anchor quantities as m deviation fields. `fields`
+    returns the deviations (n, 3, m) at axis positions (n, 3)."""
     lines = _anchor_points(nodes, anchor)
-    held = _constraints(exact_deviation(model, lines, offset, values)[:, :, None], lines, anchor)
+    held = _constraints(fields(lines), lines, anchor)
     motions = _constraints(rigid_fields(lines, anchor.point_mm, 1.0), lines, anchor)
-    return np.asarray(np.linalg.solve(motions, held[:, 0]))
+    return np.asarray(np.linalg.solve(motions, held))
 
 
 def _anchor_points(nodes: Nodes, anchor: Anchor) -> Array:

@@ -9,12 +9,14 @@ import pytest
 
 from agent.errors import GateRefused
 from agent.results.gates import Gate, require_passed, table_gates
+from agent.results.travel_parts import TravelPart, TravelParts
 from agent.settings.schema import GateSettings
 from drivers.roles import Activation, StoreLimits
 from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError
 
 LIMITS = GateSettings()
+ALL_MEASURED = TravelParts(None, None)
 STORE = StoreLimits((1, 2), (64, 64, 64), 20000, 1e-4, 0.2, Activation.IMMEDIATE)
 
 
@@ -31,8 +33,10 @@ def table(corrections: np.ndarray, *, outside: bool = False) -> CompensationTabl
     )
 
 
-def verdicts(of: CompensationTable, limits: GateSettings = LIMITS) -> dict[str, bool]:
-    return {gate.name: gate.passed for gate in table_gates(of, STORE, limits)}
+def verdicts(
+    of: CompensationTable, limits: GateSettings = LIMITS, travel: TravelParts = ALL_MEASURED
+) -> dict[str, bool]:
+    return {gate.name: gate.passed for gate in table_gates(of, travel, STORE, limits)}
 
 
 def test_correction_is_held_to_the_smaller_of_both_limits() -> None:
@@ -53,19 +57,26 @@ def test_slope_is_per_mm_along_each_axis(axis: int, spacing_mm: float) -> None:
     assert not verdicts(table(corrections))["slope"]
 
 
-def test_extrapolation_needs_its_flag() -> None:
+def test_extrapolation_can_be_forbidden() -> None:
     flat = np.zeros((2, 2, 2, 3))
-    assert verdicts(table(flat))["extrapolation"]
-    assert not verdicts(table(flat, outside=True))["extrapolation"]
-    allowed = GateSettings(allow_extrapolation=True)
-    assert verdicts(table(flat, outside=True), allowed)["extrapolation"]
+    forbidden = GateSettings(allow_extrapolation=False)
+    assert verdicts(table(flat), forbidden)["extrapolation"]
+    assert not verdicts(table(flat, outside=True), forbidden)["extrapolation"]
+    assert verdicts(table(flat, outside=True))["extrapolation"]
+
+
+def test_corrections_outside_the_measured_region_must_exceed_their_uncertainty() -> None:
+    flat = table(np.zeros((2, 2, 2, 3)), outside=True)
+    for left_um, passed in ((9.99, True), (10.01, False)):
+        outside = TravelPart(0.4, 10.0, (5.0, 15.0), left_um, (5.0, 15.0))
+        assert verdicts(flat, travel=TravelParts(None, outside))["unmeasured"] is passed
 
 
 def test_refusal_names_every_gate_that_did_not_pass() -> None:
     gates = [Gate("fit", False, 3.0, 2.0, "x"), Gate("gain", True, 0.1, 0.5, "y"), Gate("slope", False, 1.0, 0.5, "z")]
     with pytest.raises(GateRefused) as caught:
         require_passed(gates)
-    assert "gate fit: 3 against 2" in str(caught.value)
+    assert "gate fit: 3 against 2 (gates.max_chi2; " in str(caught.value)
     assert "gate slope" in str(caught.value)
     assert "gate gain" not in str(caught.value)
     require_passed([gates[1]])

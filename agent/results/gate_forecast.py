@@ -1,0 +1,250 @@
+"""Forecast of the gates (limits) that the estimate, the table and the proof of a run must pass, from settings and files
+alone.
+
+The covariance of an estimate depends on the positions of the balls, not on the measured values. The expected results
+for a machine of the prior population therefore follow in closed form. Let E be the errors of the machine with the prior
+covariance P0, and P the posterior covariance. The estimate, and with it the table, has the covariance P0 - P. The
+forecast makes the gates by the same functions as a run, from expected values in place of measured ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property, partial
+
+import numpy as np
+from scipy.special import chdtri
+
+from agent.errors import ForecastRefused
+from agent.files import translated
+from agent.planning.job import Job
+from agent.results.estimation import allowed_share, table_grid
+from agent.results.gates import (
+    CERTIFICATE,
+    CHANGE,
+    GATE_KEYS,
+    Gate,
+    change_gate,
+    correction_gate,
+    extrapolation_gate,
+    fit_gate,
+    gain_gate,
+    redundancy_gate,
+    slope_gate,
+    unmeasured_gate,
+)
+from agent.results.night_gate import NIGHT
+from agent.results.predicted_accuracy import planned_estimate
+from drivers.errors import ConfigurationError
+from twin.arrays import Array
+from twin.artefact.held_out_check import held_out_residuals, held_out_test
+from twin.artefact.observations import Observations
+from twin.compensation.table import Anchor, MeasuredRegion, Nodes, linear_corrections
+from twin.identification import Estimate, expected_rms, regional_forms, residual_covariance
+from twin.identification.predicted import field_forms
+from twin.machine.deviation_basis import deviation_basis
+from twin.machine.volumetric import evaluation_grid
+from twin.units import UM_PER_MM
+
+PROBE, PROOF, PROOF_FIT = "probe", "proof", "proof fit"
+
+_KEYS: Mapping[str, str] = {
+    **GATE_KEYS,
+    PROBE: "probe_check.limit_um",
+    PROOF: "verification.max_remaining_fraction",
+    PROOF_FIT: "verification.max_chi2",
+}
+_MORE = "measure more positions (`procedure.position_set`, `procedure.stations`; `volcal rank` says which help)"
+_REMEDIES: Mapping[str, str] = {
+    PROBE: "set it to twice `procedure.touch_sigma_um` or more, or state there how well the probe repeats",
+    "fit": "set it to more than 1, which is the expected value",
+    "redundancy": f"{_MORE}, or lower the limit",
+    "gain": f"{_MORE}, or raise the limit",
+    CERTIFICATE: "raise the limit; the largest of several right balls reaches this value",
+    CHANGE: "raise the limit; an unchanged machine reaches this value",
+    NIGHT: "lower the limit; a night that fits reaches this probability",
+    "correction": "raise the limit, or check `model.family` in the machine file",
+    "slope": "raise the limit, or check `model.family` in the machine file",
+    "extrapolation": "allow it, or narrow `axes.*.range_mm` in the machine file to the travel that the balls reach",
+    "unmeasured": f"{_MORE}, narrow `axes.*.range_mm` in the machine file, or raise the limit",
+    PROOF: f"{_MORE}, or raise the limit",
+    PROOF_FIT: "set it to more than 1, which is the expected value",
+}
+
+_COARSE = 9  # nodes per axis at which the size of the corrections is evaluated; their series are smooth
+_LARGE = 2.0  # standard deviations of the largest correction: 19 of 20 machines stay below at this node
+
+
+@dataclass(frozen=True)
+class GateForecast:
+    """Expected result of one gate of a run.
+
+    `key` is the settings key of the limit. `expected` is the value expected for a machine of the prior population, in
+    the unit that `text` states; it is None if it is not finite. `remedy` says what to do if the gate is expected to
+    refuse the run (`passes` is False), and is empty otherwise.
+    """
+
+    gate: str
+    key: str
+    expected: float | None
+    limit: float
+    passes: bool
+    text: str
+    remedy: str
+
+    @classmethod
+    def of(cls, gate: Gate) -> GateForecast:
+        finite = gate.value if math.isfinite(gate.value) else None
+        remedy = "" if gate.passed else _REMEDIES[gate.name]
+        return cls(gate.name, _KEYS[gate.name], finite, gate.limit, gate.passed, gate.text, remedy)
+
+    @property
+    def figures(self) -> str:
+        """Expected value and limit as a text."""
+        return f"{'no bound' if self.expected is None else f'{self.expected:.3g}'} against {self.limit:.3g}"
+
+    def as_json(self) -> dict[str, object]:
+        """Return the forecast as the JSON object that docs/reference/json.md describes."""
+        return asdict(self)
+
+
+def forecast_gates(job: Job, store_limit_mm: float = math.inf) -> tuple[GateForecast, ...]:
+    """Return the forecast of every gate of the first run of `job`, in the order of the run.
+
+    `store_limit_mm` is the largest correction that the controller accepts, if it is known. Raises ConfigurationError if
+    the positions cannot identify the machine.
+    """
+    with translated(ConfigurationError, key="procedure.position_set"):
+        planned = job.procedure.plan(job.positions).observations
+    design = _Design(job, planned, planned_estimate(job, planned))
+    gates = (
+        *_probe_gates(job),
+        *design.estimate_gates(),
+        *design.table_gates(store_limit_mm * UM_PER_MM),
+        *design.proof_gates(),
+    )
+    return tuple(GateForecast.of(gate) for gate in gates)
+
+
+def require_forecast(forecasts: Sequence[GateForecast]) -> None:
+    """Raise ForecastRefused, which names the key of every limit that is expected to refuse the run, if there is one."""
+    refused = [forecast for forecast in forecasts if not forecast.passes]
+    if refused:
+        named = "; ".join(f"gate {forecast.gate}: {forecast.figures} ({forecast.text})" for forecast in refused)
+        raise ForecastRefused(
+            f"a run with these settings is expected to be refused: {named}",
+            hint="; ".join(f"{forecast.key}: {forecast.remedy}" for forecast in refused),
+            key=", ".join(forecast.key for forecast in refused),
+        )
+
+
+def _probe_gates(job: Job) -> tuple[Gate, ...]:
+    check, stated_um = job.settings.probe_check, 2.0 * job.settings.procedure.touch_sigma_um
+    if not check.enabled:
+        return ()
+    text = "2σ in µm of touches of the probe, as procedure.touch_sigma_um states"
+    return (Gate(PROBE, stated_um <= check.limit_um, stated_um, check.limit_um, text),)
+
+
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """Planned observations of `job` and the estimate expected from them, of which only the covariance is used."""
+
+    job: Job
+    planned: Observations
+    estimate: Estimate
+
+    @cached_property
+    def known(self) -> Array:
+        """Covariance (p, p) of the estimated parameters over the machines of the prior population."""
+        prior, posterior = np.diag(self.estimate.prior_scale**2), self.estimate.covariance
+        # without the prior an estimate is the machine plus its error; with it, it is the part that is known
+        return prior - posterior if self.job.settings.identification.prior else prior + posterior
+
+    def estimate_gates(self) -> tuple[Gate, ...]:
+        limits, offset = self.job.gate_limits, self.job.tool_offset_mm
+        form = field_forms(self.estimate, evaluation_grid(self.estimate.model.ranges_mm), offset)[1]
+        return (
+            fit_gate(1.0, limits),
+            redundancy_gate(self.estimate.degrees_of_freedom, limits),
+            gain_gate(*self._errors_um(form), limits),
+            self._certificate(limits.max_certificate_sigma),
+            self._change(),
+            Gate(NIGHT, limits.night_false_alarm <= 0.5, 0.5, limits.night_false_alarm, "probability of a night"),
+        )
+
+    def _errors_um(self, form: Array) -> tuple[float, float]:
+        """Return the rms volumetric errors in µm that the table is expected to correct and to leave, for a quadratic
+        form (p + q, p + q) of the error field with p parameters and q misfit coefficients."""
+        size = self.estimate.model.size
+        corrected = math.sqrt(max(float(np.vdot(form[:size, :size], self.known)), 0.0))
+        return UM_PER_MM * corrected, UM_PER_MM * expected_rms(self.estimate, form)
+
+    def _certificate(self, limit: float) -> Gate:
+        """Return the gate for the largest contradiction t of n balls with a right certificate: t² has a χ² distribution
+        with three degrees of freedom, and the median of the largest is where its distribution function is 2^(-1/n)."""
+        balls = sum(check.certified for check in self.estimate.certificate_check)
+        value = math.sqrt(float(chdtri(3.0, -math.expm1(-math.log(2.0) / balls)))) if balls else 0.0
+        text = f"largest contradiction of {balls} right balls with their certificate, in standard deviations"
+        return Gate(CERTIFICATE, value <= limit, value, limit, text)
+
+    def _change(self) -> Gate:
+        gate = change_gate(1.0, 1.0, self.job.gate_limits)
+        text = "change of an unchanged machine since the last accepted night, in units of its uncertainty"
+        return Gate(CHANGE, gate.passed, gate.value, gate.limit, text)
+
+    def table_gates(self, store_um: float) -> tuple[Gate, ...]:
+        model, limits, offset = self.estimate.model, self.job.gate_limits, self.job.tool_offset_mm
+        nodes, anchor = table_grid(model, self.job.settings.table)
+        region = MeasuredRegion.around(self.planned.axis_positions)
+        outside = ~region.contains(np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3))
+        grid = evaluation_grid(model.ranges_mm)
+        form = regional_forms(self.estimate, grid, region.contains(grid), offset)[1]
+        largest, steepest = self._largest_corrections(nodes, anchor)
+        return (
+            correction_gate(UM_PER_MM * largest, store_um, limits),
+            slope_gate(UM_PER_MM * steepest, limits),
+            extrapolation_gate(float(outside.mean()), limits),
+            unmeasured_gate(*((0.0, 0.0) if form is None else self._errors_um(form)), limits),
+        )
+
+    def _largest_corrections(self, nodes: Nodes, anchor: Anchor) -> tuple[float, float]:
+        """Return the largest expected correction in mm and the steepest expected slope between neighbouring nodes."""
+        corrections = partial(
+            linear_corrections, self.estimate.model, nodes=nodes, tool_offset=self.job.tool_offset_mm, anchor=anchor
+        )
+        lines = [line[np.unique(np.linspace(0, len(line) - 1, _COARSE).astype(int))] for line in nodes]
+        points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+        slopes = []
+        for axis, line in enumerate(nodes):
+            spacing, lower = float(line[1] - line[0]), points.copy()
+            lower[:, axis] = np.minimum(lower[:, axis], line[-2])
+            upper = lower + spacing * np.eye(3)[axis]
+            slopes.append(self._largest((corrections(upper) - corrections(lower)) / spacing))
+        return self._largest(corrections(points)), max(slopes)
+
+    def _largest(self, fields: Array) -> float:
+        """Return twice the largest standard deviation of linear functions (n, 3, p) of the estimated parameters."""
+        rows = fields.reshape(-1, fields.shape[-1])
+        return _LARGE * math.sqrt(max(float(np.einsum("rp,rp->r", rows @ self.known, rows).max()), 0.0))
+
+    def proof_gates(self) -> tuple[Gate, ...]:
+        limits, artefact, offset = self.job.settings.verification, self.job.artefact, self.job.tool_offset_mm
+        seen = self.job.procedure.plan(self.job.held_out).observations
+        placed = held_out_residuals(seen, seen.axis_positions + offset, artefact)
+        left = residual_covariance(self.estimate, seen.axis_positions, offset)
+        # the machine's deviations before: those that the table corrects, and independent of them those that it leaves
+        fields = deviation_basis(self.estimate.model, seen.axis_positions, offset).reshape(-1, len(self.known))
+        after_um, before_um = (
+            UM_PER_MM * held_out_test(seen, placed, artefact, covariance).predicted_mm
+            for covariance in (left, left + fields @ self.known @ fields.T)
+        )
+        share = after_um / before_um
+        allowed = allowed_share(share, limits.max_remaining_fraction)
+        text = f"rms of held-out balls, {after_um:.2f} µm as a share of {before_um:.2f} µm without a table"
+        return (
+            Gate(PROOF, share <= allowed, share, allowed, text),
+            Gate(PROOF_FIT, limits.max_chi2 >= 1.0, 1.0, limits.max_chi2, "normalised χ² of held-out balls"),
+        )
