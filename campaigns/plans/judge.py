@@ -3,7 +3,7 @@
 The check shares no distance function with the planner or the simulated world. It takes only facts from the world: the
 axis positions at an instant, the mount angles, and the location of the artefact. A capsule (cylinder with spherical
 ends) at rest is represented by a row of points with a radius, at a fixed spacing (`SPACING_MM`). The probe is
-represented by a point for the tip, two segments along Y, and a box.
+represented by a point for the tip, two segments along the stylus, and a box. The stylus is parallel to a machine axis.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ TURN_STEP_MM = 3.0
 TOLERANCE_MM = 0.05
 """Error of a computed clearance of zero, caused by the spacing, the steps and the machine's own error."""
 CHUNK = 256
+HEIGHT = 2
+"""Index of the vertical axis."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,11 @@ class JudgeResult:
 
 
 class ProbeDimensions:
-    """Dimensions of the probe in mm, taken from the settings."""
+    """Dimensions of the probe in mm, taken from the settings, and its direction, taken from the machine file.
+
+    The stylus is parallel to the machine axis with the index `axis` and points in the direction `sign`. `has_edge` is
+    True if the table begins at the origin: the stylus is horizontal and points from the origin towards the mounts.
+    """
 
     def __init__(self, job: Job, overtravel_mm: float) -> None:
         probe = job.settings.probe
@@ -68,6 +74,12 @@ class ProbeDimensions:
         self.half, self.ram = probe.ram_half_width_mm, probe.ram_length_mm
         self.overtravel = overtravel_mm
         self.table_z = job.settings.mount.table_z_mm
+        tool = np.asarray(job.tool_offset_mm)
+        self.axis = int(np.abs(tool).argmax())
+        self.sign = 1.0 if tool[self.axis] > 0.0 else -1.0
+        self.aside = [axis for axis in range(3) if axis != self.axis]
+        self.is_vertical = self.axis == HEIGHT
+        self.has_edge = not self.is_vertical and self.sign * job.settings.stations.places_mm[0][self.axis] > 0.0
 
 
 class CollisionJudge:
@@ -212,14 +224,19 @@ def _near(tips: Array, cloud: PointCloud, dimensions: ProbeDimensions) -> NDArra
     low, high = tips.min(axis=0), tips.max(axis=0)
     room = max(dimensions.half, dimensions.body_radius, dimensions.tip) + 10.0
     low, high = low - room, high + room
-    low[1] -= dimensions.reach + dimensions.ram
+    behind = dimensions.reach + dimensions.ram
+    if dimensions.sign > 0.0:
+        low[dimensions.axis] -= behind
+    else:
+        high[dimensions.axis] += behind
     wide = cloud.radii[:, None]
     return np.asarray(((cloud.points > low - wide) & (cloud.points < high + wide)).all(axis=1))
 
 
 def _pairs(seen: JudgeResult, tips: Array, cloud: PointCloud, dimensions: ProbeDimensions) -> None:
     gap = cloud.points[None] - tips[:, None]
-    x, y, z = gap[..., 0], gap[..., 1], gap[..., 2]
+    x, z = (gap[..., axis] for axis in dimensions.aside)
+    y = dimensions.sign * gap[..., dimensions.axis]
     aside = x * x + z * z
     tip = np.sqrt(aside + y * y) - dimensions.tip - cloud.radii
     is_ball = cloud.ball >= 0
@@ -260,18 +277,32 @@ def _note(seen: JudgeResult, name: str, distance: Array, meant: NDArray[np.bool_
 
 
 def _table(seen: JudgeResult, tips: Array, dimensions: ProbeDimensions) -> None:
-    """Check the clearance to the table, whose top is a plane for y >= 0, unbounded in X and towards positive Y."""
-    ahead, low = tips[:, 1], tips[:, 2]
-    for name, front, radius in (
-        ("tip", 0.0, dimensions.tip),
-        ("stem", 0.0, dimensions.stem_radius),
-        ("probe body", -dimensions.stem - dimensions.body_radius, dimensions.body_radius),
+    """Check the clearance to the table, whose top is a plane, unbounded or beginning at the origin in the direction of
+    the stylus.
+    """
+    front, back = -dimensions.stem - dimensions.body_radius, -dimensions.reach + dimensions.body_radius
+    for name, first, last, radius in (
+        ("tip", 0.0, 0.0, dimensions.tip),
+        ("stem", 0.0, -dimensions.stem, dimensions.stem_radius),
+        ("probe body", front, back, dimensions.body_radius),
     ):
-        # Part of the body above the table; a rounded end that only overhangs the edge is left to the next sample.
-        above = np.where(ahead + front >= 0.0, low - radius - dimensions.table_z, np.inf)
-        _note_table(seen, name, float(above.min()))
-    ram = np.where(ahead - dimensions.reach >= 0.0, low - dimensions.half - dimensions.table_z, np.inf)
-    _note_table(seen, "ram", float(ram.min()))
+        _note_table(seen, name, _height_above_table(tips, dimensions, first, last, radius))
+    behind = -dimensions.reach - dimensions.ram
+    width = 0.0 if dimensions.is_vertical else dimensions.half
+    _note_table(seen, "ram", _height_above_table(tips, dimensions, -dimensions.reach, behind, width))
+
+
+def _height_above_table(tips: Array, dimensions: ProbeDimensions, first: float, last: float, radius: float) -> float:
+    """Return the smallest height in mm above the table of a body from `first` to `last` along the stylus, relative to
+    the tip, at all tip positions.
+
+    A rounded end that only overhangs the edge of the table is left to the next sample.
+    """
+    ends = (dimensions.sign * first, dimensions.sign * last) if dimensions.is_vertical else (0.0,)
+    height = tips[:, HEIGHT] + min(ends) - radius - dimensions.table_z
+    if dimensions.has_edge:
+        height = np.where(dimensions.sign * tips[:, dimensions.axis] + first >= 0.0, height, np.inf)
+    return float(height.min())
 
 
 def _note_table(seen: JudgeResult, name: str, clearance: float) -> None:

@@ -33,12 +33,14 @@ POSITION_TOLERANCE_MM = 0.01
 class PlanTrial:
     """Result of the trial of one plan.
 
+    `spindle` is the direction of the stylus, such as `-Z`; it is empty if the agent refused the files of the case.
     `refused` is the reason if the agent refused the plan before any motion. `stopped` is the reason if the first run
     moved but ended with an error. `failures` lists the violated conditions. `seen` is the result of the independent
     collision check, or None if the plan was not checked.
     """
 
     seed: int
+    spindle: str = ""
     refused: str = ""
     stopped: str = ""
     failures: list[str] = field(default_factory=list)
@@ -59,6 +61,7 @@ def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
     with memory_directory("plan") as directory:
         try:
             drawn = draw(seed, Path(directory))
+            trial.spindle = drawn.spindle.name
             kind = MotionOnlyKind()
             _run(trial, drawn, kind, judged)
             if not (trial.refused or trial.stopped):
@@ -111,7 +114,9 @@ def _interrupted(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind) -> No
     expected = {"abort": (RunState.ABORTED,), "hold": (RunState.COMPLETE,), "fault": (RunState.FAULTED,)}
     if state not in (*expected[drawn.interruption], RunState.COMPLETE):
         trial.failures.append(f"{drawn.interruption}: ended {state.value}: {ended.error}")
-    retreated = abs(float(world.controller.displayed_position()[1]) - world.controller.limits().lower_mm[1])
+    limits, axis = world.controller.limits(), drawn.spindle.axis
+    plane_mm = (limits.lower_mm if drawn.spindle.sign > 0 else limits.upper_mm)[axis]
+    retreated = abs(float(world.controller.displayed_position()[axis]) - plane_mm)
     if drawn.interruption == "abort" and retreated > POSITION_TOLERANCE_MM:
         trial.failures.append(f"abort: the axes stand {retreated:.1f} mm before the retreat plane")
 
@@ -146,6 +151,7 @@ def summarise(trials: list[PlanTrial]) -> dict[str, object]:
     return {
         "plans": len(trials),
         "accepted": len(accepted),
+        "accepted_by_spindle": dict(sorted(Counter(trial.spindle for trial in accepted).items())),
         "refused": dict(Counter(trial.refused for trial in trials if trial.refused).most_common()),
         "stopped": dict(Counter(trial.stopped for trial in accepted if trial.stopped).most_common()),
         "completed": sum(not trial.stopped for trial in accepted),

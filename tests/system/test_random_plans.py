@@ -30,6 +30,7 @@ def test_random_plans_end_without_a_collision_and_most_are_accepted() -> None:
     assert result["passed"]
     assert result["plans"] == COUNT
     assert result["accepted"] >= 0.7 * COUNT
+    assert {"-X", "+X", "-Z"} < set(result["accepted_by_spindle"]), "machines of every kind must be among them"
     assert result["accepted"] + sum(result["refused"].values()) == COUNT
     assert result["completed"] >= 0.9 * result["accepted"]
     assert sum(result["interrupted"].values()) == result["completed"]

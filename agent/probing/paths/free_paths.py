@@ -27,8 +27,9 @@ from agent.probing.paths.approach_points import (
 )
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import Pose
 from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
-from twin.collision.bodies import TIP, ball_name, post_name
+from twin.collision.bodies import TIP, artefact_bodies, ball_name, post_name
 from twin.collision.free_paths import (
     AxisDynamics,
     Clearances,
@@ -434,8 +435,8 @@ class FreePathFinder:
     def _stationary_shapes(self, pose: ArtefactPose) -> list[Shape]:
         """Return the shapes that do not turn with the mount: its pedestal, the table and all other bodies."""
         scene = self._posed(pose).prefiltered.scene
-        carried = self._artefact(pose).count
-        turning_names = {"shaft", "bar", *map(ball_name, range(carried)), *map(post_name, range(carried))}
+        artefact, posed = self._artefact(pose), Pose(np.zeros(3), np.eye(3))
+        turning_names = {"shaft", *(body.name for body in artefact_bodies(artefact, posed))}
         return [body.shape for body in scene.obstacles if body.name not in turning_names]
 
     def _straight_times(self, start: Array, end: Array) -> Array:
