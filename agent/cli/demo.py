@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import click
 
@@ -18,13 +18,29 @@ from agent.cli.printing import columns_table, results_console
 from agent.cli.simulator_process import SimulatorProcess
 from agent.files import translated
 from agent.model_files import load_machine, subject
-from agent.planning.case_file import CASE_STUDY, ShippedCase, shipped_case
+from agent.planning.case_file import CASE_STUDY, shipped_case
 from agent.planning.stations import load_artefacts
 from agent.runs.session import RunResult
 from agent.settings.load import load_settings, naming, with_overrides
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError, LinkError
 from twin.formats.toml_reading import validate_document
+
+ANY_SOCKETCAND = "socketcand:127.0.0.1:0"
+"""CAN of a simulator over TCP, on any free port."""
+
+
+SIMULATED_DRIVE = {
+    "encoder_counts_per_revolution": 131072,
+    "gear_motor_revolutions": 100,
+    "speed_deg_per_s": 20.0,
+    "acceleration_deg_per_s2": 40.0,
+}
+"""Driver options of each drive of a simulated mount."""
+LIMITS_OF_DRIVE = {
+    "azimuth": {"lower_deg": -180.0, "upper_deg": 180.0},
+    "elevation": {"lower_deg": -90.0, "upper_deg": 90.0},
+}
 
 
 @dataclass(frozen=True)
@@ -52,11 +68,11 @@ class Demonstrated:
     artefact: str
 
     @classmethod
-    def of(cls, settings: Settings, config: Path, case: ShippedCase) -> Demonstrated:
-        """Read the names from the files that the settings of the file `config` name."""
+    def of(cls, settings: Settings, case: str | None) -> Self:
+        """Read the names of machine and artefact from the files that the settings name."""
         machine = load_machine(settings.machine)
         artefact = load_artefacts(settings.artefact, settings.stations).all
-        return cls(case.name if config == case.settings else None, machine.name, artefact.name)
+        return cls(case, machine.name, artefact.name)
 
     @property
     def text(self) -> str:
@@ -79,7 +95,7 @@ class Demonstrated:
 @click.option("--formulation", type=click.Choice(["centres", "distances"]))
 @click.option(
     "--can",
-    default="socketcand:127.0.0.1:0",
+    default=ANY_SOCKETCAND,
     show_default=True,
     help="CAN between the processes, in the form of `volcal simulate --can`.",
 )
@@ -106,8 +122,30 @@ def demo_command(
     case = shipped_case(case_name)
     config = config or case.settings
     settings = with_overrides(load_settings(config), position_set=position_set, formulation=formulation)
-    demonstrated = Demonstrated.of(settings, config, case)
-    scenario = scenario or case.scenario
+    named = case.name if config == case.settings else None
+    calibrate_simulated(
+        settings, config, scenario or case.scenario, out, case=named, can=can, modbus_rtu=modbus_rtu, as_json=as_json
+    )
+
+
+def calibrate_simulated(
+    settings: Settings,
+    config: Path,
+    scenario: Path,
+    out: Path,
+    *,
+    case: str | None = None,
+    can: str = ANY_SOCKETCAND,
+    modbus_rtu: str | None = None,
+    as_json: bool,
+) -> None:
+    """Start the machine of a scenario as a process of its own, calibrate it with `settings` over its links, and print
+    the result and the truth.
+
+    `config` is the file of the settings, `case` the name of the shipped case to which it belongs, and `out` the state
+    directory of the run. Raises SystemExit if the new table is not active at the end.
+    """
+    demonstrated = Demonstrated.of(settings, case)
     with SimulatorProcess(scenario, can=can, log=out / "simulator.log", modbus_rtu=modbus_rtu) as simulator:
         before = _aligned_um(simulator.ask("truth"), "active")
         connected = connect(settings, simulator.ready, out)
@@ -125,12 +163,15 @@ def demo_command(
 
 def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
     """Return a copy of `settings` that refers to the running simulator and uses `out` as state directory, in which the
-    run stores its journal and results.
+    run stores its journal and results. If the settings are those of a real machine, the simulated devices replace all
+    of its devices.
 
     `ready` is the report by which the simulator announces that it is ready. The report contains the addresses of the
     simulated devices and of the simulator's clock.
     """
     document = settings.model_dump(mode="json")
+    if settings.clock.kind != "lockstep":
+        document |= _simulated_devices(settings, ready)
     devices = document["devices"]
     roles = document["roles"]
     machine = devices[roles["machine"]]
@@ -144,6 +185,24 @@ def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
     document["state_directory"] = str(out.resolve())
     with translated(ConfigurationError):
         return validate_document(document, "settings of the demonstration", Settings)
+
+
+def _simulated_devices(settings: Settings, ready: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections `devices` and `roles` of a machine whose devices are those of the simulator. Like the real
+    machine, it has one mount, or one at each station."""
+    several = not isinstance(settings.roles.mount, str)
+    mounts = {f"mount-{number}": nodes for number, nodes in ready["can_mounts"].items()}
+    devices: dict[str, Any] = {
+        "cnc": {"driver": "modbus-cnc", "options": {}},
+        "operator": {"driver": "simulated-operator", "options": {}},
+    }
+    for name, nodes in mounts.items():
+        axes = {axis: {"node_id": node, **SIMULATED_DRIVE, **LIMITS_OF_DRIVE[axis]} for axis, node in nodes.items()}
+        devices[name] = {"driver": "canopen-mount", "options": {"sdo_timeout_s": 1.0, **axes}}
+    roles: dict[str, Any] = dict.fromkeys(("machine", "probe", "store", "thermometer"), "cnc")
+    roles["operator"] = "operator"
+    roles["mount"] = {number: f"mount-{number}" for number in ready["can_mounts"]} if several else "mount-1"
+    return {"devices": devices, "roles": roles}
 
 
 def _truth_after(simulator: SimulatorProcess, before_um: float) -> Truth:

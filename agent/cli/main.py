@@ -85,6 +85,10 @@ OWN_COMMANDS = {
         "agent.cli.history:history_group", "List every run of this machine and its trends.", logs=False
     ),
     "identify": OwnCommand("agent.cli.identify:identify", "Identify a machine from measured ball centres."),
+    "init": OwnCommand(
+        "agent.cli.new_machine.init:init_command",
+        "Ask about a machine and write machine, artefact, settings and simulator files into DIRECTORY, ready to run.",
+    ),
     "nightly": OwnCommand(
         "agent.cli.nightly:nightly_command",
         "Verify the machine and, within limits, fuse the measurements of the slot with earlier nights.",

@@ -131,7 +131,7 @@ def _refuse_overlap(positions: Sequence[Position], held_out: Sequence[Position])
 
 
 def _refuse_nothing_reachable(job: Job) -> None:
-    if all(_reached(job, position) < MIN_BALLS for position in job.positions):
+    if all(reached_balls(job, position) < MIN_BALLS for position in job.positions):
         raise ConfigurationError(
             "no position has three balls within the travel",
             key="stations.places_mm",
@@ -146,7 +146,7 @@ def _refuse_unreachable_entry(job: Job) -> None:
     measurable.
     """
     for number, position in enumerate(job.positions, start=1):
-        reached = _reached(job, position)
+        reached = reached_balls(job, position)
         if reached < MIN_BALLS:
             raise ConfigurationError(
                 f"position {number} (station {position.station}, azimuth {position.azimuth_deg:g}°, elevation "
@@ -156,5 +156,6 @@ def _refuse_unreachable_entry(job: Job) -> None:
             )
 
 
-def _reached(job: Job, position: Position) -> int:
+def reached_balls(job: Job, position: Position) -> int:
+    """Return the number of balls that the probe can measure in `position`: within the travel and accessible."""
     return int(job.layout.reachable(position, job.layout.nominal(position)).sum())

@@ -1,0 +1,175 @@
+"""Text of the settings file of a new machine."""
+
+from __future__ import annotations
+
+from agent.planning.setup_files.geometry_text import add_mount, add_probe
+from agent.planning.setup_files.toml_text import TomlText
+from agent.planning.setup_proposal.controller_setup import (
+    LINUXCNC,
+    MODBUS,
+    SERIAL,
+    SIMULATOR_HOST,
+    SIMULATOR_PORTS,
+    ControllerSetup,
+)
+from agent.planning.setup_proposal.machine_setup import MachineSetup
+from agent.planning.setup_proposal.station_setup import StationSetup, station_axis
+
+CONTROLLER_PAGES = {
+    MODBUS: "docs/how-to/plc-side-of-the-modbus-link.md",
+    SERIAL: "docs/how-to/use-volcal-on-grbl.md",
+    LINUXCNC: "docs/how-to/use-volcal-on-linuxcnc.md",
+}
+SIMULATOR_COMMAND = (
+    "volcal simulate --config simulator.toml --modbus 127.0.0.1:{modbus} --can socketcand:127.0.0.1:{can} "
+    "--control 127.0.0.1:{control} --clock lockstep --time 127.0.0.1:{time}"
+)
+AXES_OF_MOUNT = (("azimuth", 1, 180.0), ("elevation", 2, 90.0))
+"""Name, proposed CANopen node and limit in degrees of each axis of the mount."""
+
+
+def settings_text(
+    machine: MachineSetup,
+    controller: ControllerSetup,
+    stations: StationSetup,
+    *,
+    position_set: str,
+    machine_file: str,
+    artefact_file: str,
+) -> str:
+    """Return the settings file of the agent, in which every line is explained."""
+    text = TomlText()
+    text.comment(
+        "Settings of volcal for this machine, written by `volcal init`. Every command reads this file if it is called "
+        "in this directory. Paths are relative to it. All keys: docs/reference/settings.md; check a change with "
+        "`volcal config check volcal.toml`."
+    )
+    text.key("machine", machine_file, "travel, chain, tools and error family")
+    text.key("artefact", artefact_file, "ball centres and their uncertainty")
+    text.key("tool", "probe", "tool of the machine file with which is measured")
+    text.key("state_directory", "runs", "journal, tables and reports")
+    _add_clock(text, controller)
+    _add_controller(text, machine, controller)
+    _add_mount_device(text, controller)
+    _add_operator(text, controller)
+    _add_roles(text)
+    add_mount(text, machine, stations)
+    add_probe(text, machine)
+    _add_procedure(text, machine, stations, position_set)
+    _add_limits(text, machine, controller)
+    return str(text)
+
+
+def _add_clock(text: TomlText, controller: ControllerSetup) -> None:
+    if not controller.is_simulated:
+        return
+    command = SIMULATOR_COMMAND.format(**SIMULATOR_PORTS)
+    text.section("clock", "`volcal calibrate --simulated` starts the simulator. To start it by hand: " + command)
+    text.key("kind", "lockstep", "the agent advances machine time; a real machine has no section [clock]")
+    text.key("host", SIMULATOR_HOST)
+    text.key("port", SIMULATOR_PORTS["time"])
+
+
+def _add_controller(text: TomlText, machine: MachineSetup, controller: ControllerSetup) -> None:
+    where = "The controller" if controller.is_simulated else f"The controller: {CONTROLLER_PAGES[controller.kind]}"
+    text.section("devices.cnc", f"{where}. `volcal doctor` tests the connection and moves nothing.")
+    text.key("driver", controller.driver)
+    text.section("devices.cnc.options")
+    for name, value in controller.connection_options().items():
+        text.key(name, value)
+    if controller.kind == SERIAL:
+        zeros = [float(-high) for _, high in machine.limits_mm]
+        text.key(
+            "axis_zero_mm",
+            zeros,
+            "machine coordinates (MPos) at which the axes of the machine file are 0; GRBL homes at the upper ends, "
+            "where MPos is 0",
+        )
+        text.key("declared_temperatures_c", {"artefact": 20.0, "machine": 20.0}, "read a thermometer before each run")
+        text.section("devices.cnc.options.banks")
+        text.key("directory", "banks", "GRBL stores no tables: they are files here; part programs are corrected")
+    elif controller.kind == LINUXCNC:
+        text.section("devices.cnc.options.compensation")
+        text.key("method", "external-offsets", "how LinuxCNC applies a table")
+        text.key("directory", "tables", "[VOLCAL]DIRECTORY of the INI file, relative to this file")
+        text.section("devices.cnc.options.temperatures", "HAL pins of your thermometers, in °C: replace the names.")
+        text.key("artefact", "thermometer.artefact")
+        text.key("machine", "thermometer.machine")
+
+
+def _add_mount_device(text: TomlText, controller: ControllerSetup) -> None:
+    text.section("devices.mount", "Rotary mount with two CANopen drives: docs/reference/canopen-mount.md.")
+    text.key("driver", "canopen-mount")
+    text.section("devices.mount.options")
+    if controller.is_simulated:
+        text.key("interface", "socketcand", "CAN of the simulator over TCP; on a machine socketcan or slcan")
+        text.key("channel", "can0")
+        text.key("options", {"host": SIMULATOR_HOST, "port": SIMULATOR_PORTS["can"], "tcp_tune": True})
+        text.key("sdo_timeout_s", 1.0, "wall time: on a busy computer the simulator may answer late")
+    else:
+        text.key("interface", "socketcan", "CAN adapter of the kernel; or slcan with options = { bitrate = 500000 }")
+        text.key("channel", "can0")
+    for name, node, limit in AXES_OF_MOUNT:
+        text.section(f"devices.mount.options.{name}")
+        text.key("node_id", node, "CANopen node of the drive")
+        text.key("encoder_counts_per_revolution", 131072, "increments per turn of the motor")
+        text.key("gear_motor_revolutions", 100, "turns of the motor per turn of the mount")
+        text.key("lower_deg", -limit)
+        text.key("upper_deg", limit)
+        text.key("speed_deg_per_s", 20.0)
+        text.key("acceleration_deg_per_s2", 40.0)
+
+
+def _add_operator(text: TomlText, controller: ControllerSetup) -> None:
+    text.section("devices.operator", "Person who carries the artefact from station to station on request.")
+    if controller.is_simulated:
+        text.key("driver", "simulated-operator", "on a machine: console-operator")
+        text.section("devices.operator.options")
+        text.key("host", SIMULATOR_HOST)
+        text.key("port", SIMULATOR_PORTS["control"])
+    else:
+        text.key("driver", "console-operator", "asked in the terminal in which the command was typed")
+
+
+def _add_roles(text: TomlText) -> None:
+    text.section("roles", "Which device does what.")
+    for role in ("machine", "probe", "store", "thermometer"):
+        text.key(role, "cnc")
+    text.key("mount", "mount")
+    text.key("operator", "operator")
+
+
+def _add_procedure(text: TomlText, machine: MachineSetup, stations: StationSetup, position_set: str) -> None:
+    origin = stations.origins.get
+    text.section("stations")
+    text.comment(
+        f"Places of the mount along {station_axis(machine)}: the point of its azimuth axis at the height of the middle "
+        "of the bar (vertical spindle: at which the elevation axis meets it), in the workpiece frame (axis position + "
+        f"tool offset, so of a stylus centre that would stand there). {origin('places_mm', 'Proposed.')}"
+    )
+    text.key("places_mm", [list(place) for place in stations.places_mm])
+    text.section("procedure", "How is measured; `volcal plan` shows balls, minutes and the expected result.")
+    text.key("position_set", position_set, "S1 along the axes, S3 along the diagonals of the planes; or a file")
+    text.section("verification", "Fresh positions that prove a new table are measured at these stations.")
+    count = len(stations.places_mm)
+    text.key("stations", sorted({1, count}), "the first and the last")
+
+
+def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSetup) -> None:
+    text.section("temperature")
+    text.key(
+        "standard_uncertainty_k",
+        0.1 if controller.is_simulated else 0.5,
+        "of the artefact's temperature: 0.1 a calibrated sensor on the bar, 0.5 a sensor nearby, 1 a guess",
+    )
+    if controller.is_simulated:
+        text.section("timing", "Latencies of the simulated links, for predicted minutes.")
+        text.key("command_latency_s", 0.001)
+        text.key("touch_latency_s", 0.079)
+        text.key("turn_latency_s", 0.505)
+    else:
+        text.section("timing", "For predicted minutes. `volcal timing runs/RUN` suggests values after the first run.")
+        text.key("relocation_minutes", 3.0, "a person moves mount and bar to the next station")
+    if machine.kind.tolerance_share > 1.0:
+        text.section("gates", "A table that does not pass these limits is never written.")
+        text.key("max_correction_um", 1000.0, f"a {machine.kind.name} may have large errors")

@@ -1,0 +1,91 @@
+"""Machine as stated by a person, read from its controller or proposed from its class."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from agent.planning.setup_proposal.machine_class import MachineClass
+from twin.collision.probe_frame import ProbeFrame
+from twin.errors import DataError
+from twin.machine.kinematic_chain import AXES, parse_chain
+
+Limits = tuple[float, float]
+Triple = tuple[float, float, float]
+
+SHORTEST_TRAVEL_MM = 100.0
+LONGEST_TRAVEL_MM = 20000.0
+STEM_SHARE = 0.5
+"""Length of the thin stem of the probe relative to the distance from the ram reference to the stylus centre."""
+LONGEST_STEM_MM = 100.0
+BODY_SHARE = 0.13
+THICKEST_BODY_RADIUS_MM = 25.0
+WIDE_TIP_FROM_MM = 200.0
+"""Stylus length from which a tip of 6 mm instead of 4 mm diameter is proposed."""
+
+
+@dataclass(frozen=True)
+class MachineSetup:
+    """Machine with three linear axes and a probe in its spindle.
+
+    `limits_mm` are the lowest and highest axis position of X, Y and Z. `stylus_mm` is the distance from the ram
+    reference to the stylus centre along `spindle`. `origins` maps the name of a field to the origin of its value, for
+    the comments of the machine file.
+    """
+
+    name: str
+    kind: MachineClass
+    limits_mm: tuple[Limits, Limits, Limits]
+    spindle: ProbeFrame
+    chain: str
+    stylus_mm: float
+    rapid_mm_per_min: Triple
+    feed_mm_per_min: Triple
+    acceleration_mm_per_s2: Triple
+    origins: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        parse_chain(self.chain)
+        for letter, (low, high) in zip(AXES, self.limits_mm, strict=True):
+            if not SHORTEST_TRAVEL_MM <= high - low <= LONGEST_TRAVEL_MM:
+                raise DataError(
+                    f"{letter} from {low:g} to {high:g} mm is no travel between {SHORTEST_TRAVEL_MM:g} and "
+                    f"{LONGEST_TRAVEL_MM:g} mm",
+                    hint="state lengths in mm, or LOWEST:HIGHEST axis position",
+                    key="travel",
+                )
+        if not self.stylus_mm > 0.0:
+            raise DataError(f"the stylus length must be positive, got {self.stylus_mm:g}", key="stylus")
+
+    @property
+    def travel_mm(self) -> Triple:
+        """Lengths of the travels of X, Y and Z in mm."""
+        (x_low, x_high), (y_low, y_high), (z_low, z_high) = self.limits_mm
+        return x_high - x_low, y_high - y_low, z_high - z_low
+
+    @property
+    def tool_offset_mm(self) -> Triple:
+        x, y, z = (self.stylus_mm * self.spindle.stylus_axis).tolist()
+        return x, y, z
+
+    def stylus_range(self, axis: int) -> Limits:
+        """Return the lowest and highest position of the stylus centre along an axis, in the workpiece frame, in mm."""
+        low, high = self.limits_mm[axis]
+        offset = self.tool_offset_mm[axis]
+        return low + offset, high + offset
+
+    @property
+    def probe(self) -> dict[str, float]:
+        """Proposed dimensions in mm of the section `[probe]`: a thin stem, the probe body, and the ram behind it."""
+        return {
+            "tip_radius_mm": 2.0 if self.stylus_mm < WIDE_TIP_FROM_MM else 3.0,
+            "stem_length_mm": _rounded(min(LONGEST_STEM_MM, STEM_SHARE * self.stylus_mm)),
+            "body_radius_mm": _rounded(min(THICKEST_BODY_RADIUS_MM, BODY_SHARE * self.stylus_mm)),
+            "reach_mm": self.stylus_mm,
+            "ram_half_width_mm": self.kind.ram_half_width_mm,
+            "ram_length_mm": _rounded(self.travel_mm[self.spindle.axis] + 100.0),
+        }
+
+
+def _rounded(value: float) -> float:
+    return float(round(value))

@@ -1,0 +1,166 @@
+"""Mount, stations and orientations of the artefact: stated by a person, or proposed from machine and artefact."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agent.planning.setup_proposal.artefact_setup import TOUCHED_MM, BarSetup
+from agent.planning.setup_proposal.machine_setup import MachineSetup
+from agent.planning.setup_proposal.spindle import spindle_name
+from twin.artefact.position_set import Position
+from twin.collision.probe_frame import VERTICAL, ProbeFrame
+from twin.machine.kinematic_chain import AXES
+
+Triple = tuple[float, float, float]
+
+MOST_STATIONS = 6
+OVERLAP = 1.5
+"""Number of bar lengths per travel along which the stations stand: neighbouring stations overlap by a half."""
+END_SHARE = 0.93
+"""Distance of the outer stations from the ends of the travel, relative to half the bar."""
+SHAFT_TOWARDS_SPINDLE = 0.85
+"""Component of the shaft along the spindle, relative to its length, as a mean over the orientations."""
+TABLE_BELOW_MM = 20.0
+"""Distance of the table below the lowest point that the stylus or, with a horizontal spindle, the ram reaches."""
+FULL_ELEVATION_DEG = 45.0
+APPROACH_AZIMUTH_DEG = {"+Y": 0.0, "-X": 90.0, "-Y": 180.0, "+X": -90.0}
+"""Azimuth of the mount at which the holders point against a horizontal spindle, by spindle direction."""
+
+
+@dataclass(frozen=True)
+class MountSize:
+    """Dimensions of a rotary mount in mm: shaft, and radius and head of the pedestal. The shaft is so long that the bar
+    passes the pedestal at an elevation of 45°."""
+
+    shaft_mm: float
+    pedestal_radius_mm: float
+    head_mm: float
+
+
+MOUNT_SIZES = (
+    (800.0, MountSize(120.0, 50.0, 30.0)),
+    (300.0, MountSize(80.0, 40.0, 25.0)),
+    (0.0, MountSize(50.0, 25.0, 15.0)),
+)
+"""Proposed mount by the least length of its bar in mm."""
+
+
+@dataclass(frozen=True)
+class StationSetup:
+    """Stations of the mount, and the orientations in which the artefact is measured at each.
+
+    `places_mm` are points of the azimuth axis at the height of the middle of the artefact, workpiece frame.
+    `table_z_mm` is the height of the table surface, `shaft_mm` the distance from the azimuth axis to the axis of the
+    bar. The pedestal of the mount has the radius `pedestal_radius_mm` and ends `head_mm` above the place.
+    `elevation_deg` is the elevation of the inclined orientations.
+    """
+
+    places_mm: tuple[Triple, ...]
+    shaft_mm: float
+    table_z_mm: float
+    pedestal_radius_mm: float
+    head_mm: float
+    elevation_deg: float
+    origins: Mapping[str, str] = field(default_factory=dict)
+
+
+def propose_stations(
+    machine: MachineSetup,
+    bar: BarSetup,
+    *,
+    count: int | None = None,
+    first_mm: Triple | None = None,
+    shaft_mm: float | None = None,
+    table_z_mm: float | None = None,
+) -> StationSetup:
+    """Return the stations along the longest horizontal axis, each with the bar in the middle of the other travels.
+
+    `count`, `first_mm` (place of the mount, of which the coordinates across the stations are used), `shaft_mm` and
+    `table_z_mm` replace proposals.
+    """
+    mount = propose_mount(bar)
+    shaft = shaft_mm or mount.shaft_mm
+    along = max(machine.spindle.horizontal_across, key=lambda axis: machine.travel_mm[axis])
+    middle = first_mm or _middle(machine, bar, shaft)
+    low, high = machine.stylus_range(along)
+    inset = min(0.5 * END_SHARE * bar.length_mm, 0.5 * (high - low))
+    number = count or min(MOST_STATIONS, max(2, math.ceil(OVERLAP * (high - low) / bar.length_mm)))
+    steps = [0.5 * (low + high)] if number == 1 else np.linspace(low + inset, high - inset, number).tolist()
+    places = tuple(_replaced(middle, along, round(value)) for value in steps)
+    return StationSetup(
+        places_mm=places,
+        shaft_mm=float(round(shaft)),
+        table_z_mm=_table_height(machine) if table_z_mm is None else table_z_mm,
+        pedestal_radius_mm=mount.pedestal_radius_mm,
+        head_mm=mount.head_mm,
+        elevation_deg=_elevation(machine, bar),
+    )
+
+
+def propose_mount(bar: BarSetup) -> MountSize:
+    """Return the dimensions of a mount that carries the bar."""
+    return next(size for length, size in MOUNT_SIZES if bar.length_mm >= length)
+
+
+def orientations(spindle: ProbeFrame, elevation_deg: float) -> tuple[tuple[float, float], ...]:
+    """Return azimuth and elevation in degrees of the proposed orientations: the bar along the diagonals of the three
+    planes, as in set S3 but with the given elevation, and along X, Y and Z as far as they can be reached.
+
+    On a machine with a horizontal spindle, azimuths are counted from the one at which the holders point against the
+    spindle.
+    """
+    base = APPROACH_AZIMUTH_DEG.get(spindle_name(spindle), 0.0)
+    e = elevation_deg
+    pairs = ((45.0, 0.0), (-45.0, 0.0), (0.0, e), (0.0, -e), (90.0, e), (90.0, -e), (0.0, 0.0), (90.0, 0.0))
+    return tuple((_wrapped(base + azimuth), elevation) for azimuth, elevation in pairs)
+
+
+def positions_of(stations: StationSetup, spindle: ProbeFrame) -> tuple[Position, ...]:
+    """Return all orientations at all stations."""
+    return tuple(
+        Position(station, azimuth, elevation)
+        for station in range(1, len(stations.places_mm) + 1)
+        for azimuth, elevation in orientations(spindle, stations.elevation_deg)
+    )
+
+
+def station_axis(machine: MachineSetup) -> str:
+    """Return the letter of the axis along which the stations stand."""
+    return AXES[max(machine.spindle.horizontal_across, key=lambda axis: machine.travel_mm[axis])]
+
+
+def _middle(machine: MachineSetup, bar: BarSetup, shaft_mm: float) -> Triple:
+    """Return the place of the mount at which the bar is in the middle of the volume that the stylus reaches.
+
+    Along the spindle it is farther away by half the holders, which take part of the travel in front of the bar, and by
+    most of the shaft, which holds the bar before or above the mount.
+    """
+    place = [0.5 * sum(machine.stylus_range(axis)) for axis in range(3)]
+    spindle = machine.spindle
+    place[spindle.axis] += spindle.sign * (0.5 * bar.holder_mm + SHAFT_TOWARDS_SPINDLE * shaft_mm)
+    return float(round(place[0])), float(round(place[1])), float(round(place[2]))
+
+
+def _table_height(machine: MachineSetup) -> float:
+    beside = 0.0 if machine.spindle.is_vertical else machine.kind.ram_half_width_mm
+    return machine.stylus_range(VERTICAL)[0] - beside - TABLE_BELOW_MM
+
+
+def _elevation(machine: MachineSetup, bar: BarSetup) -> float:
+    """Return the largest elevation up to 45° at which the bar fits into the vertical travel, in whole degrees."""
+    share = max(machine.travel_mm[VERTICAL] - TOUCHED_MM, 0.0) / bar.length_mm
+    return float(min(FULL_ELEVATION_DEG, max(10.0, math.floor(math.degrees(math.asin(min(1.0, share)))))))
+
+
+def _replaced(place: Triple, axis: int, value: float) -> Triple:
+    changed = list(place)
+    changed[axis] = float(value)
+    return changed[0], changed[1], changed[2]
+
+
+def _wrapped(angle_deg: float) -> float:
+    return (angle_deg + 180.0) % 360.0 - 180.0
