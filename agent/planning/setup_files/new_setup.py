@@ -15,7 +15,6 @@ from agent.planning.setup_files.settings_text import settings_text
 from agent.planning.setup_proposal.artefact_setup import BarSetup
 from agent.planning.setup_proposal.controller_setup import ControllerSetup
 from agent.planning.setup_proposal.machine_setup import MachineSetup
-from agent.planning.setup_proposal.spindle import spindle_name
 from agent.planning.setup_proposal.station_setup import FULL_ELEVATION_DEG, StationSetup, positions_of
 from agent.settings.load import load_settings
 from twin.design.procedure import MIN_BALLS
@@ -28,8 +27,6 @@ SCENARIO_FILE = "simulator.toml"
 POSITIONS_FILE = "positions.csv"
 """Names of the files in the directory of a machine. The file of positions exists only if no named set is proposed."""
 NAMED_SET = "S1+S3"
-SPINDLES_OF_NAMED_SETS = ("+Y", "-Z")
-"""Spindle directions for which the named sets present the balls to the probe."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +50,7 @@ class NewSetup:
         """Position set that needs no file: the one that a person named, else the proposed one if it exists by name."""
         if self.position_set is not None:
             return self.position_set
-        usual = spindle_name(self.machine.spindle) in SPINDLES_OF_NAMED_SETS
-        return NAMED_SET if usual and self.stations.elevation_deg == FULL_ELEVATION_DEG else None
+        return NAMED_SET if self.stations.elevation_deg == FULL_ELEVATION_DEG else None
 
     def texts(self, position_set: str) -> dict[str, str]:
         """Return the texts of machine, artefact, settings and scenario file by file name."""

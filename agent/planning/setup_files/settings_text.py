@@ -173,3 +173,4 @@ def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSet
     if machine.kind.tolerance_share > 1.0:
         text.section("gates", "A table that does not pass these limits is never written.")
         text.key("max_correction_um", 1000.0, f"a {machine.kind.name} may have large errors")
+        text.key("max_slope_um_per_mm", 2.0, "the same")

@@ -10,7 +10,6 @@ import numpy as np
 
 from agent.planning.setup_proposal.artefact_setup import TOUCHED_MM, BarSetup
 from agent.planning.setup_proposal.machine_setup import MachineSetup
-from agent.planning.setup_proposal.spindle import spindle_name
 from twin.artefact.position_set import Position
 from twin.collision.probe_frame import VERTICAL, ProbeFrame
 from twin.machine.kinematic_chain import AXES
@@ -27,8 +26,6 @@ SHAFT_TOWARDS_SPINDLE = 0.85
 TABLE_BELOW_MM = 20.0
 """Distance of the table below the lowest point that the stylus or, with a horizontal spindle, the ram reaches."""
 FULL_ELEVATION_DEG = 45.0
-APPROACH_AZIMUTH_DEG = {"+Y": 0.0, "-X": 90.0, "-Y": 180.0, "+X": -90.0}
-"""Azimuth of the mount at which the holders point against a horizontal spindle, by spindle direction."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +110,9 @@ def orientations(spindle: ProbeFrame, elevation_deg: float) -> tuple[tuple[float
     On a machine with a horizontal spindle, azimuths are counted from the one at which the holders point against the
     spindle.
     """
-    base = APPROACH_AZIMUTH_DEG.get(spindle_name(spindle), 0.0)
     e = elevation_deg
     pairs = ((45.0, 0.0), (-45.0, 0.0), (0.0, e), (0.0, -e), (90.0, e), (90.0, -e), (0.0, 0.0), (90.0, 0.0))
-    return tuple((_wrapped(base + azimuth), elevation) for azimuth, elevation in pairs)
+    return tuple((_wrapped(spindle.facing_deg + azimuth), elevation) for azimuth, elevation in pairs)
 
 
 def positions_of(stations: StationSetup, spindle: ProbeFrame) -> tuple[Position, ...]:
