@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
+
+from agent.files import translated
 from agent.model_files import load_artefact, load_machine
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
@@ -17,6 +20,8 @@ from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import station_locations
+from twin.collision.measuring_layout import station_axis_of
+from twin.collision.probe_frame import ProbeFrame
 from twin.errors import DataError
 
 # A directory on disk, not an archive member: settings name their machine and artefact files relative to themselves, and
@@ -68,7 +73,7 @@ def load_case(
 
     If `machine`, `artefact` or `tool` is given, it replaces the machine file, the artefact file or the tool of the
     settings. If `stations` is given, the stations of the settings are replaced by this number of stations, spaced
-    evenly along X.
+    evenly along the axis on which the stations stand.
 
     Raises ConfigurationError, which names the file and the key, if the settings cannot be used.
     """
@@ -88,13 +93,17 @@ def load_case(
 
 
 def _with_stations(settings: Settings, count: int) -> Settings:
-    """Return the settings with `count` stations spaced along X, at the Y and Z of the first station in `settings`. The
-    distance of the outer stations from the ends of the travel is half of the artefact's length along X, with the
-    overhang of a bar."""
+    """Return the settings with `count` stations spaced along the station axis (the horizontal axis across the stylus
+    along which stations stand). The other coordinates are those of the first station in `settings`. The distance of the
+    outer stations from the ends of the travel is half of the artefact's length, with the overhang of a bar."""
     machine, artefact = load_machine(settings.machine), load_artefact(settings.artefact)
-    _, y_mm, z_mm = settings.stations.places_mm[0]
+    with translated(ConfigurationError, key="tool"):
+        frame = ProbeFrame.nearest(machine.tool(settings.tool))
+    travel, stated = np.array(machine.limits), settings.stations.places_mm
+    along = station_axis_of(frame, stated, np.ptp(travel, axis=1))
+    first, second = np.delete(stated[0], along).tolist()
     try:
-        places = station_locations(count, machine.limits[0], artefact.half_span_mm, y_mm, z_mm)
+        places = station_locations(count, machine.limits[along], artefact.half_span_mm, first, second, along)
     except DataError as error:
         raise ConfigurationError(error.message, hint=error.hint, key="stations") from error
     stations = settings.stations.model_copy(

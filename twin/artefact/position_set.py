@@ -113,19 +113,29 @@ def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, 
     return Pose(np.asarray(location_mm, dtype=np.float64) + rotation @ np.array(geometry.shaft_vector_mm), rotation)
 
 
-def station_locations(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:
-    """Return the locations of the mount at `count` stations that are evenly spaced along X, as an array (count, 3) in
-    mm.
+def station_locations(
+    count: int,
+    travel_mm: tuple[float, float],
+    half_span_mm: float,
+    first_other_mm: float,
+    second_other_mm: float,
+    axis: int = 0,
+) -> Array:
+    """Return the locations of the mount at `count` stations that are evenly spaced along the machine axis with the
+    index `axis`, as an array (count, 3) in mm. The other two coordinates, in ascending order of their axes, are
+    `first_other_mm` and `second_other_mm`.
 
-    The first and the last location are `half_span_mm` inside the ends of `x_range`.
+    The first and the last location are `half_span_mm` inside the ends of `travel_mm`.
     """
-    low, high = x_range[0] + half_span_mm, x_range[1] - half_span_mm
+    low, high = travel_mm[0] + half_span_mm, travel_mm[1] - half_span_mm
     if count < 1 or high < low:
         raise DataError(
-            f"{count} station(s) of half span {half_span_mm} mm do not fit into X {x_range[0]}…{x_range[1]}"
+            f"{count} station(s) of half span {half_span_mm} mm do not fit into {'XYZ'[axis]} "
+            f"{travel_mm[0]}…{travel_mm[1]}"
         )
-    x = np.linspace(low, high, count) if count > 1 else np.array([0.5 * (low + high)])
-    return np.column_stack([x, np.full(count, y_mm), np.full(count, z_mm)])
+    along = np.linspace(low, high, count) if count > 1 else np.array([0.5 * (low + high)])
+    others = np.tile([first_other_mm, second_other_mm], (count, 1))
+    return np.asarray(np.insert(others, axis, along, axis=1))
 
 
 def is_reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_mm: Array) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -24,6 +24,17 @@ from twin.errors import DataError
 
 Mask = NDArray[np.bool_]
 _AccessKey = tuple[float, float, Point, int]
+
+
+def station_axis_of(frame: ProbeFrame, locations_mm: Sequence[Array | Sequence[float]], lengths_mm: Array) -> int:
+    """Return the index of the horizontal machine axis, perpendicular to the stylus, along which the stations stand.
+
+    If there are two such axes (the stylus is vertical), it is the one along which the locations (3,) of the stations
+    extend further. If they extend equally far along both, it is the one with the longer travel. `lengths_mm` (3,)
+    contains the lengths of travel of X, Y and Z.
+    """
+    extents = np.ptp(np.array(locations_mm), axis=0)
+    return max(frame.horizontal_across, key=lambda axis: (extents[axis], lengths_mm[axis]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,16 +82,12 @@ class MeasuringLayout:
 
     @cached_property
     def station_axis(self) -> int:
-        """Index of the horizontal machine axis, perpendicular to the stylus, along which the stations stand.
-
-        If there are two such axes (the stylus is vertical), it is the one along which the stations extend further. If
-        the stations extend equally far along both, it is the one with the longer travel.
+        """Index of the machine axis along which the stations stand, see `station_axis_of`.
 
         A displacement of the mount along this axis changes nothing in the surroundings of the mount, because the table
         has no limits in this direction.
         """
-        extents = np.ptp(np.array(list(self.locations_mm.values())), axis=0)
-        return max(self.frame.horizontal_across, key=lambda k: (extents[k], self.upper_mm[k] - self.lower_mm[k]))
+        return station_axis_of(self.frame, list(self.locations_mm.values()), self.upper_mm - self.lower_mm)
 
     def across_stations(self, location_mm: Array) -> Point:
         """Return the location (3,) of a mount in mm with the coordinate 0 along the station axis."""

@@ -45,6 +45,7 @@ def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence
         position_set=job.settings.procedure.position_set,
         travel=_travel(job),
         table=_table(job),
+        frame=job.layout.frame,
         probe=job.layout.probe.bodies(job.layout.frame),
         placements=placements,
         visits=visits,

@@ -1,6 +1,7 @@
 """Preview of a plan as one picture with three views.
 
-One view is three-dimensional. The other two are views to scale: from above (XY) and along X (YZ).
+One view is three-dimensional. The other two are views to scale: from above (XY) and from one side. The side view shows
+the direction of the stylus.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ SLAB_MM = 40.0
 
 ROOM_MM = 40.0
 BEHIND_MM = 300.0
-"""Length along Y by which the drawing extends behind the travel to show the ram."""
+"""Length along the stylus by which the drawing extends behind the travel to show the ram."""
 
 _SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 _EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7))
@@ -55,7 +56,8 @@ def _draw(figure: Figure, preview: Preview) -> None:
     space: Axes3D = figure.add_axes((0.14, 0.40, 0.86, 0.56), projection="3d", computed_zorder=False)
     _draw_space(space, preview)
     _draw_plane(figure.add_axes((0.06, 0.05, 0.58, 0.34)), preview, (0, 1), "XY, from above")
-    _draw_plane(figure.add_axes((0.71, 0.05, 0.28, 0.34)), preview, (1, 2), "YZ, along X")
+    side, along = ((0, 2), "XZ, along Y") if preview.frame.axis == 0 else ((1, 2), "YZ, along X")
+    _draw_plane(figure.add_axes((0.71, 0.05, 0.28, 0.34)), preview, side, along)
     figure.suptitle(_title(preview), y=0.985, fontsize=11, color=RED if preview.refusal else INK)
     figure.legend(handles=_legend(preview), loc="center left", bbox_to_anchor=(0.01, 0.82))
 
@@ -134,8 +136,10 @@ def _draw_plane(axes: Axes, preview: Preview, plane: tuple[int, int], title: str
     if preview.refusal:
         axes.plot(*np.array([preview.refusal.tip_mm])[:, plane].T, **_MEETING)
     low, high = _extent(preview)
-    (u, v), room = plane, np.array([BEHIND_MM if axis == 1 else 0.0 for axis in plane])
-    axes.set(xlim=(low[u] - room[0], high[u]), ylim=(low[v] - room[1], high[v]), aspect="equal")
+    behind = BEHIND_MM * preview.frame.stylus_axis
+    low, high = low - np.maximum(behind, 0.0), high - np.minimum(behind, 0.0)
+    u, v = plane
+    axes.set(xlim=(low[u], high[u]), ylim=(low[v], high[v]), aspect="equal")
     axes.set_title(title)
     axes.set_xlabel(f"{AXES[plane[0]]} / mm")
     axes.set_ylabel(f"{AXES[plane[1]]} / mm")

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from twin.artefact.position_set import Position
 from twin.collision.bodies import Body
 from twin.collision.geometry import Box, Point
+from twin.collision.probe_frame import ProbeFrame
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,8 @@ class Preview:
     """Preview of a plan: the placements of the artefact, the visits to them, and the path of the stylus tip.
 
     `travel` is the box in which the tip centre can move, and `table` is the drawn part of the machine table. `probe`
-    contains the bodies of the probe, with coordinates relative to the tip centre.
+    contains the bodies of the probe, with coordinates relative to the tip centre. `frame` gives the direction of the
+    stylus.
     """
 
     machine: str
@@ -108,6 +110,7 @@ class Preview:
     position_set: str
     travel: Box
     table: Box
+    frame: ProbeFrame
     probe: tuple[Body, ...]
     placements: tuple[ArtefactPlacement, ...]
     visits: tuple[Visit, ...]

@@ -88,7 +88,7 @@ def _document_of_run(job: Job, preflight: PreflightResult) -> Document:
 
 def _waypoints(job: Job, steps: Sequence[TimedStep], timeline: Mapping[str, float]) -> Iterator[Waypoint]:
     offset = point(job.tool_offset_mm)
-    tip = translate_point(point(low for low, _ in job.machine.limits), offset)
+    tip = translate_point(job.start_mm, offset)
     standing = Position(job.settings.stations.standing_at or 1, 0.0, 0.0)
     for timed in steps:
         match timed.step:

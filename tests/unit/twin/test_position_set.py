@@ -68,6 +68,8 @@ def test_stations_are_evenly_spaced_inside_the_travel() -> None:
     assert places[:, 0] == pytest.approx([700.0, 1566.6666667, 2433.3333333, 3300.0])
     assert places[:, 1:].tolist() == [[1000.0, 750.0]] * 4
     assert station_locations(1, (0.0, 4000.0), 700.0, 0.0, 0.0)[0, 0] == 2000.0
+    along_y = station_locations(2, (0.0, 900.0), 200.0, 500.0, 300.0, axis=1)
+    assert along_y.tolist() == [[500.0, 200.0, 300.0], [500.0, 700.0, 300.0]]
     with pytest.raises(DataError, match="do not fit"):
         station_locations(2, (0.0, 1000.0), 700.0, 0.0, 0.0)
 
