@@ -112,7 +112,7 @@ class StudyCase:
             "balls": self.artefact.count,
             "stations": len(self.stations),
             "set": self.position_set or self.job.settings.procedure.position_set,
-            "formulation": self.options.formulation,
+            "formulation": self.options.formulation if self.options.cut_off is None else "published",
             "prior": self.options.use_prior,
             "weights": self.options.weights,
             "cut_off": self.options.cut_off,

@@ -100,6 +100,19 @@ class TestWhatItSays:
         assert str(tmp_path / "monte-carlo.png") in done.stdout
         assert json.loads((tmp_path / "monte-carlo.json").read_text())["formulation"] == "distances"
 
+    def test_the_published_method_is_one_of_its_studies(self, tmp_path: Path) -> None:
+        done = here("trajectory", "--formulation", "published", "--stations", "2", "--out", tmp_path, "--json")
+        assert done.exit_code == 0, done.stderr
+        said = json.loads(done.stdout)
+        assert (said["formulation"], said["prior"], said["weights"], said["cut_off"]) == (
+            "published",
+            False,
+            "unit",
+            0.01,
+        )
+        assert said["not_identified"] == []
+        assert all(0.0 < left < 1.5 * said["rms_before_um"] for left in said["rms_left_um"].values())
+
 
 class TestBadInput:
     def test_an_unknown_study(self) -> None:
@@ -140,6 +153,12 @@ class TestBadInput:
     def test_a_folder_that_cannot_be_written(self, tmp_path: Path) -> None:
         (tmp_path / "taken").write_text("")
         refused(here(*SMALL, "--out", tmp_path / "taken"), 2, "this is a file, a directory is needed")
+
+    def test_the_published_method_outside_its_studies_or_with_another_prior(self, tmp_path: Path) -> None:
+        published = ["--formulation", "published", "--out", tmp_path]
+        refused(here(*SMALL, *published), 2, "the publication has no study 'monte-carlo'", "ball-count", "strategy")
+        refused(here("strategy", *published, "--prior", "on"), 2, "unit weights and no prior", "omit --prior")
+        assert list(tmp_path.iterdir()) == []
 
     def test_both_kinds_of_workers(self, tmp_path: Path) -> None:
         both = ["--workers", "2", "--cluster", "tcp://127.0.0.1:8786"]
