@@ -18,6 +18,7 @@ from agent.planning.time_model import TimeModel
 from agent.probing.paths.approach_points import TipLocation
 from agent.probing.paths.free_paths import ArtefactPose, FreePathFinder
 from agent.probing.position import PositionRules
+from twin.artefact.pose_alignment import choose_alignment_balls
 from twin.artefact.position_set import Position
 from twin.collision.geometry import point
 from twin.collision.measuring_layout import MeasuringLayout
@@ -132,8 +133,9 @@ class OrderOptimiser:
 
     def _ends(self, position: Position) -> tuple[int, ...]:
         """Return the numbers of both end balls within reach; empty if too few balls are within reach."""
-        reached = self.layout.reachable(position, self.layout.nominal(position)).nonzero()[0].tolist()
-        return (reached[0], reached[-1]) if len(reached) >= MIN_BALLS else ()
+        nominal = self.layout.nominal(position)
+        reached = self.layout.reachable(position, nominal).nonzero()[0].tolist()
+        return choose_alignment_balls(nominal, reached).ends if len(reached) >= MIN_BALLS else ()
 
     @staticmethod
     def _pose(finder: FreePathFinder, position: Position) -> ArtefactPose:

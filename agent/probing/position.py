@@ -1,7 +1,7 @@
 """Measuring plan of one position (one orientation and place of the artefact). The plan moves the stylus tip clear of
-the artefact, turns the mount that holds the artefact, and measures the two end balls of the artefact. From the centres
-of the end balls it corrects the expected centres of the other balls and measures these balls. At the end it measures
-the first ball again."""
+the artefact, turns the mount that holds the artefact, and measures the balls that determine the pose of the artefact:
+two end balls, and a third ball if the balls are not close to one line. From their centres it corrects the expected
+centres of the other balls and measures these balls. At the end it measures the first ball again."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from agent.probing.station_change import StationChange
 from agent.probing.temperature_readings import Conditions, read_conditions
 from agent.probing.thermal_settling import SettlingRules, wait_until_settled
 from twin.arrays import Array
-from twin.artefact.end_ball_alignment import align_to_end_balls
+from twin.artefact.pose_alignment import align_to_end_balls, align_to_third_ball
 
 
 @dataclass(frozen=True)
@@ -132,25 +132,29 @@ def measure_position(
     """Measure every reachable ball of `task`. If `planner` is None, the tip moves on plain paths and ends at the
     retreat plane, which no part of the artefact or mount reaches.
 
-    `here` (3,) holds the axis positions at the start. The two end balls of the artefact are measured first, with long
-    search distances. The expected centres of the other balls are then corrected from the two centres found. The first
-    ball is measured again at the end to find the drift during the position. `before` holds the temperature readings of
-    the previous position. If the readings show that the artefact has not settled thermally, the measurement starts only
-    after it has settled.
+    `here` (3,) holds the axis positions at the start. The balls that determine the pose of the artefact are measured
+    first, with long search distances: two end balls, and a third ball if the balls are not close to one line. The
+    expected centres of the other balls are then corrected from the centres found. The first ball is measured again at
+    the end to find the drift during the position. `before` holds the temperature readings of the previous position. If
+    the readings show that the artefact has not settled thermally, the measurement starts only after it has settled.
     """
     own = planner or PlainPathPlanner(rules.retreat, rules.probing)
-    first, between, last = own.sequence(task)
+    sequence = own.sequence(task)
+    first, last, third = sequence.first, sequence.last, sequence.third
     yield from own.turn(task, here)
     yield from wait_until_settled(task.key, rules.settling, before)
     measuring = _Measuring(task, rules, own)
     yield from own.enter(task, first)
-    found_first = yield from measuring.end_ball(
-        first, rules.probing.wide_search if task.located else rules.probing.locating_search
+    found_first = yield from measuring.pose_ball(
+        first, task.predicted_mm, rules.probing.wide_search if task.located else rules.probing.locating_search
     )
-    found_last = yield from measuring.end_ball(last, rules.probing.wide_search)
+    found_last = yield from measuring.pose_ball(last, task.predicted_mm, rules.probing.wide_search)
     aligned = align_to_end_balls(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
+    if third is not None:
+        found_third = yield from measuring.pose_ball(third, aligned, rules.probing.wide_search)
+        aligned = align_to_third_ball(aligned, first, last, third, found_third.centre_mm)
     own.align(aligned)
-    for ball in between:
+    for ball in sequence.others:
         yield from measuring.ball(ball, aligned[ball])
     drift = yield from measuring.drift(first, found_first, rules.drift)
     if planner is None:
@@ -172,9 +176,10 @@ class _Measuring:
         self.lost = 0
         self.touches = 0
 
-    def end_ball(self, ball: int, search: Search) -> Plan[FittedBall]:
-        """Measure an end ball. Raises MeasurementFault if it is lost: the pose of the artefact depends on both ends."""
-        result = yield from self.ball(ball, self._task.predicted_mm[ball], search)
+    def pose_ball(self, ball: int, predicted: Array, search: Search) -> Plan[FittedBall]:
+        """Measure a ball that determines the pose of the artefact, at its predicted centre in `predicted` (N, 3).
+        Raises MeasurementFault if it is lost."""
+        result = yield from self.ball(ball, predicted[ball], search)
         if isinstance(result, LostBall):
             raise MeasurementFault(
                 f"end ball {ball} was not found where it was expected: {result.reason}",

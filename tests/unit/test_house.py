@@ -37,7 +37,6 @@ SMALL = {
         "agent.reports.page.position_naming",
         "agent.results.volumetric_summary",
         "drivers.linuxcnc.compensation.reduction",
-        "twin.artefact.end_ball_alignment",
         "twin.machine.motion_uncertainty",
     ),
     "it logs, and the rest of its room does not": ("agent.history.feed",),

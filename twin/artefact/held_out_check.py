@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
-from twin.artefact.straight_line import line_frames
+from twin.artefact.straight_line import position_frames
 from twin.errors import DataError
 
 Indices = NDArray[np.intp]
@@ -115,7 +115,7 @@ def _placed(observations: Observations, artefact: Artefact, rows: Indices, point
     """Return the calibrated centres (m, 3) in mm of the balls of one position, fitted rigidly to the measured `points`
     (m, 3)."""
     balls, sag = _balls(observations, artefact, rows), np.zeros_like(points)
-    if artefact.sag_mm and line_frames(artefact)[int(observations.ball[rows[0]])] is not None:
+    if artefact.sag_mm and position_frames(artefact, [observations.ball[rows]])[0] is not None:
         # the roll of a straight artefact is unknown, but not the direction of gravity: down, across the line
         numbers = observations.ball[rows]
         along = np.linalg.svd(points - points.mean(axis=0))[2][0]
@@ -141,9 +141,9 @@ def _rotation(balls: Array, points: Array) -> Array:
 
 def _pattern(observations: Observations, artefact: Artefact, rows: Indices, rotation: Array) -> Array | None:
     """Return the patterns u and n × u (m, 3, 2) in mm of the m balls of one position in the workpiece frame, at the
-    roll of `rotation`. Return None if the artefact is not straight."""
+    roll of `rotation`. Return None if these balls do not stand on one line."""
     numbers = observations.ball[rows]
-    frame = line_frames(artefact)[int(numbers[0])]
+    (frame,) = position_frames(artefact, [numbers])
     if frame is None:
         return None
     certified = artefact.balls[numbers]

@@ -38,15 +38,18 @@ function look(name) {
 }
 
 function everything() {
-  const bars = plan.placings.flatMap((placing) => [placing.bar.a, placing.bar.b, ...placing.balls.map((ball) => ball.centre)]);
-  return [...boxCorners(plan.travel), ...boxCorners(tableTop(plan.table)), ...bars];
+  return [...boxCorners(plan.travel), ...boxCorners(tableTop(plan.table)), ...plan.placings.flatMap(extent)];
+}
+
+function extent(placing) {
+  return [...[...placing.carriers].flatMap((body) => [body.a, body.b]), ...placing.balls.map((ball) => ball.centre)];
 }
 
 function closer() {
   view = "";
   const placing = plan.visits[state.visit].placing;
   const refused = plan.refusal && plan.refusal.visit === state.visit;
-  const around = refused ? boxCorners(boxAbout(plan.refusal.tip, 250)) : [placing.bar.a, placing.bar.b, ...placing.balls.map((ball) => ball.centre)];
+  const around = refused ? boxCorners(boxAbout(plan.refusal.tip, 250)) : extent(placing);
   camera.fit(around);
   repaint();
 }

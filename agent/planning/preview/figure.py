@@ -172,14 +172,14 @@ _MEETING: dict[str, Any] = {
 
 
 def _lines(preview: Preview) -> Iterable[tuple[Array, str, float]]:
-    """Yield segments (n, 2, 3), colour and line width for each group of bodies: the mounts, then the bars and posts of
-    each station, then the colliding bodies in red."""
+    """Yield segments (n, 2, 3), colour and line width for each group of bodies: the mounts, then the artefacts of
+    each station with their posts, then the colliding bodies in red."""
     yield _segments(preview.placements, ("pedestal",)), STEEL, 4.0
     yield _segments(preview.placements, ("shaft",)), STEEL, 2.0
     for number, station in enumerate(preview.stations):
         there = [placement for placement in preview.placements if placement.position.station == station]
         colour = STATION_COLOURS[number % len(STATION_COLOURS)]
-        yield _segments(there, ("bar",)), colour, 1.8
+        yield _carriers(there), colour, 1.8
         yield _segments(there, ("post ",)), colour, 0.6
     if preview.refusal:
         hit = preview.placements[preview.visits[preview.refusal.visit].placement]
@@ -242,6 +242,12 @@ def _colour_of(body: Body, preview: Preview) -> str:
 def _segments(placements: Sequence[ArtefactPlacement], names: tuple[str, ...]) -> Array:
     """Return the axes (n, 2, 3) of the bodies whose name begins with one of `names`."""
     return _ends(body for placement in placements for body in placement.bodies if body.name.startswith(names))
+
+
+def _carriers(placements: Sequence[ArtefactPlacement]) -> Array:
+    """Return the axes (n, 2, 3) of the bodies that carry the posts: the bar, or the plate or frame."""
+    others = ("ball ", "post ", "shaft", "pedestal")
+    return _ends(body for placement in placements for body in placement.bodies if not body.name.startswith(others))
 
 
 def _ends(bodies: Iterable[Body]) -> Array:

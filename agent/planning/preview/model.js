@@ -38,15 +38,19 @@ function readPlacing(raw, names) {
   const balls = raw.balls.map(([x, y, z, whyNot], number) => ({
     number, whyNot, centre: [x * TENTH, y * TENTH, z * TENTH], radius: radius(number),
   }));
-  return { ...raw, bodies, balls, bar: bodies.find((body) => body.name === "bar") };
+  const carriers = bodies.filter((body) => !NOT_A_CARRIER.test(body.name));
+  return { ...raw, bodies, balls, carriers: new Set(carriers) };
 }
+
+/* All other bodies carry the posts of the artefact: the bar, the plate or the rods of a frame. */
+const NOT_A_CARRIER = /^(ball|post|shaft|pedestal)\b| at station \d+$/;
 
 /* A bar consists of pieces from post to post; it is drawn as one. */
 function joined(bodies) {
   const whole = [];
   for (const body of bodies) {
     const last = whole[whole.length - 1];
-    if (last && last.name === body.name) last.b = body.b;
+    if (last && last.name === body.name && distance(last.b, body.a) < 1) last.b = body.b;
     else whole.push(body);
   }
   return whole;

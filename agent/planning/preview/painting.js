@@ -47,10 +47,11 @@ const tableTop = ({ low, high }) => ({ low: [low[0], low[1], high[2] - 40], high
 
 function paintGhost(ctx, camera, placing, colours) {
   const colour = colours.station(placing.station);
-  const a = camera.project(placing.bar.a), b = camera.project(placing.bar.b);
   ctx.lineCap = "round";
   ctx.globalAlpha = 0.35;
-  line(ctx, a, b, Math.max(1.2, placing.bar.radius * camera.scale), colour);
+  for (const { a, b, radius } of placing.carriers) {
+    line(ctx, camera.project(a), camera.project(b), Math.max(1.2, radius * camera.scale), colour);
+  }
   ctx.globalAlpha = 0.55;
   for (const { x, y, size, ball } of ballsOnScreen(camera, placing)) {
     if (!ball.whyNot) disc(ctx, x, y, Math.max(1.8, size * 0.9), colour);
@@ -101,7 +102,7 @@ function standingPieces(camera, plan, placing, colours) {
       if (unreached.has(body.name)) return hit.includes(body.name) ? [ballPiece(camera, body.a, body.radius, colours.red)] : [];
       return [ballPiece(camera, body.a, body.radius, hit.includes(body.name) ? colours.red : colours.station(placing.station))];
     }
-    const own = body.name === "bar" ? colours.station(placing.station) : colours.steel;
+    const own = placing.carriers.has(body) ? colours.station(placing.station) : colours.steel;
     return capsulePieces(camera, body, hit.includes(body.name) ? colours.red : own);
   });
 }

@@ -1,6 +1,6 @@
-"""Measuring order of the balls of one position (one orientation and place of the artefact). The first and the last ball
-of the artefact (the end balls) are measured first. The other balls are then measured on the fastest path from the
-second end ball back to the first."""
+"""Measuring order of the balls of one position (one orientation and place of the artefact). The balls that determine
+the pose of the artefact are measured first. The other balls are then measured on the fastest path from the last of
+these balls back to the first."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from twin.collision.geometry import point
 from twin.collision.travelling_salesman import shortest_tour
 
 
-def measuring_sequence(
+def shortest_sequence(
     finder: FreePathFinder,
     pose: ArtefactPose,
     probing: ProbingParameters,
     balls: Sequence[int],
-    first: int,
-    last: int,
+    start: int,
+    end: int,
 ) -> list[int]:
-    """Return the balls other than `first` and `last` in the order that takes the tip from `last` past all of them to
-    `first` in the shortest time. The times are those of straight paths."""
-    key = (pose, tuple(balls), first, last)
+    """Return the `balls` other than `start` and `end` in the order that takes the tip from `start` past all of them to
+    `end` in the shortest time. The times are those of straight paths."""
+    key = (pose, tuple(balls), start, end)
     if key not in finder.sequences:
-        finder.sequences[key] = _sequence(finder, pose, probing, balls, first, last)
+        finder.sequences[key] = _sequence(finder, pose, probing, balls, start, end)
     return list(finder.sequences[key])
 
 
@@ -34,8 +34,8 @@ def _sequence(
     pose: ArtefactPose,
     probing: ProbingParameters,
     balls: Sequence[int],
-    first: int,
-    last: int,
+    start: int,
+    end: int,
 ) -> list[int]:
     """Return the order with the shortest total time of straight paths. Detours are ignored, because each takes about
     the same time."""
@@ -48,4 +48,4 @@ def _sequence(
     def cost(one: int, other: int) -> float:
         return float(seconds[index_of[one]][index_of[other]])
 
-    return shortest_tour([ball for ball in balls if ball not in (first, last)], last, first, cost, cost)
+    return shortest_tour([ball for ball in balls if ball not in (start, end)], start, end, cost, cost)

@@ -27,9 +27,8 @@ from agent.probing.paths.approach_points import (
 )
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import Pose
 from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
-from twin.collision.bodies import TIP, artefact_bodies, ball_name, post_name
+from twin.collision.bodies import TIP, ball_name, post_name
 from twin.collision.free_paths import (
     AxisDynamics,
     Clearances,
@@ -103,8 +102,8 @@ class FreePathRules:
 
     `lower_mm` and `upper_mm` (3,) are the limits of the axes' travel. `clearance_mm` is the minimum distance between
     moving and stationary bodies on every path. The uncertainty of the artefact's pose is added to this clearance. The
-    uncertainty is `unaligned_uncertainty_mm` until the first and the last ball of the position (the end balls) have
-    been measured, and `aligned_uncertainty_mm` afterwards.
+    uncertainty is `unaligned_uncertainty_mm` until the balls that determine the pose have been measured, and
+    `aligned_uncertainty_mm` afterwards.
     """
 
     lower_mm: Array
@@ -435,8 +434,8 @@ class FreePathFinder:
     def _stationary_shapes(self, pose: ArtefactPose) -> list[Shape]:
         """Return the shapes that do not turn with the mount: its pedestal, the table and all other bodies."""
         scene = self._posed(pose).prefiltered.scene
-        artefact, posed = self._artefact(pose), Pose(np.zeros(3), np.eye(3))
-        turning_names = {"shaft", *(body.name for body in artefact_bodies(artefact, posed))}
+        artefact = self._artefact(pose)
+        turning_names = {"shaft", *map(ball_name, range(artefact.count)), *(rod.name for rod in artefact.rods)}
         return [body.shape for body in scene.obstacles if body.name not in turning_names]
 
     def _straight_times(self, start: Array, end: Array) -> Array:

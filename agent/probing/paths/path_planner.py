@@ -7,6 +7,7 @@ proved free of collisions.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 from agent.execution.steps import MoveTo, OrientTo, Plan
@@ -14,7 +15,23 @@ from agent.probing.paths.retreat import Retreat
 from agent.probing.probing_parameters import ProbingParameters
 from agent.probing.touch import PlainTouchPath, TouchPath, point
 from twin.arrays import Array
+from twin.artefact.pose_alignment import choose_alignment_balls
 from twin.artefact.position_set import Position
+
+
+@dataclass(frozen=True)
+class MeasuringSequence:
+    """Measuring order of the balls of one position.
+
+    The end balls `first` and `last` are measured first. On an artefact whose balls are not close to one line, the ball
+    `third` follows; it is None on a bar. These balls determine the pose of the artefact. The balls `others` follow in
+    the given order, and `first` is measured once more at the end.
+    """
+
+    first: int
+    last: int
+    third: int | None
+    others: list[int]
 
 
 class PlannedPosition(Protocol):
@@ -38,10 +55,8 @@ class PathPlanner(Protocol):
     """Interface of the path planner that one measuring plan uses. A plan starts and ends at the retreat plane, which no
     part of the artefact or mount reaches. Between two positions, the tip may stay closer to the artefact."""
 
-    def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
-        """Return the measuring order of the balls of `task`, the next position to measure, as three values: the end
-        ball of the artefact that is measured first and once more at the end, the balls between the ends in measuring
-        order, and the other end ball."""
+    def sequence(self, task: PlannedPosition) -> MeasuringSequence:
+        """Return the measuring order of the balls of `task`, the next position to measure."""
         ...
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
@@ -85,9 +100,10 @@ class PlainPathPlanner:
         self._retreat = retreat
         self._probing = probing
 
-    def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
-        first, *between, last = task.balls
-        return first, between[::-1], last
+    def sequence(self, task: PlannedPosition) -> MeasuringSequence:
+        chosen = choose_alignment_balls(task.predicted_mm, task.balls)
+        others = [ball for ball in reversed(task.balls) if ball not in (*chosen.ends, chosen.third)]
+        return MeasuringSequence(*chosen.ends, chosen.third, others)
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
         retreat = self._retreat

@@ -10,20 +10,21 @@ import numpy as np
 
 from agent.execution.steps import MoveTo, OrientTo, Plan, Point
 from agent.probing.paths.approach_points import TipLocation
-from agent.probing.paths.ball_order import measuring_sequence
+from agent.probing.paths.ball_order import shortest_sequence
 from agent.probing.paths.free_paths import ArtefactPose, FreePathFinder, TurningPath
-from agent.probing.paths.path_planner import PlainPathPlanner, PlannedPosition
+from agent.probing.paths.path_planner import MeasuringSequence, PlainPathPlanner, PlannedPosition
 from agent.probing.paths.retreat import Retreat
 from agent.probing.probing_parameters import ProbingParameters
 from agent.probing.touch import PlannedTouch, TouchPath, before_ball, point
 from twin.arrays import Array
+from twin.artefact.pose_alignment import AlignmentBalls, choose_alignment_balls
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point as Corner
 from twin.collision.measuring_layout import MeasuringLayout
 
 PARK_OFFSETS_MM = (0.0, 150.0, -150.0, 300.0, -300.0)
 """Offsets of the park locations perpendicular to the stylus and to the station axis, in the order in which they are
-tried: first no offset, then offsets to both sides of a bar end that is in the path."""
+tried: first no offset, then offsets to both sides of a part of the artefact that is in the path."""
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
@@ -79,10 +80,14 @@ class ShortestPathPlanner:
         )
         return self._here
 
-    def sequence(self, task: PlannedPosition) -> tuple[int, list[int], int]:
+    def sequence(self, task: PlannedPosition) -> MeasuringSequence:
         artefact_pose = self._artefact_pose(task)
+        chosen = self._alignment_balls(task)
         first, last = self._ends(task, artefact_pose)
-        return first, measuring_sequence(self._finder, artefact_pose, self._probing, task.balls, first, last), last
+        before = last if chosen.third is None else chosen.third
+        rest = [ball for ball in task.balls if ball != last or last == before]
+        others = shortest_sequence(self._finder, artefact_pose, self._probing, rest, before, first)
+        return MeasuringSequence(first, last, chosen.third, others)
 
     def turn(self, task: PlannedPosition, here: Array) -> Plan[None]:
         artefact_pose = self._artefact_pose(task)
@@ -129,8 +134,8 @@ class ShortestPathPlanner:
         return _BallTouchPath(self, ball)
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Move the tip to a park location beside the station of the artefact. No bar artefact reaches this location in
-        any pose.
+        """Move the tip to a park location beside the station of the artefact. The artefact does not reach this location
+        in any pose.
 
         If no path to a park location is proved free, lift the tip off the ball's surface and withdraw it straight along
         the stylus. The stylus then moves only through space that it has already passed.
@@ -276,12 +281,15 @@ class ShortestPathPlanner:
     # ------------------------------------------------------------------ between positions
 
     def _ends(self, task: PlannedPosition, artefact_pose: ArtefactPose) -> tuple[int, int]:
-        """Return the first and the last ball; the first is the end ball that the tip reaches faster."""
-        ends = task.balls[0], task.balls[-1]
+        """Return the two end balls; the first is the one that the tip reaches faster."""
+        ends = self._alignment_balls(task).ends
         path = self._turning_path(task, artefact_pose, ends[0])
         if path is None or self._turning_path(task, artefact_pose, ends[1], faster_than_s=path.seconds) is None:
             return ends
         return ends[::-1]
+
+    def _alignment_balls(self, task: PlannedPosition) -> AlignmentBalls:
+        return choose_alignment_balls(task.predicted_mm, task.balls)
 
     def _turning_path(
         self, task: PlannedPosition, artefact_pose: ArtefactPose, ball: int, faster_than_s: float = math.inf

@@ -12,7 +12,9 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.mount_geometry import MountGeometry
 from twin.artefact.observations import Observations
+from twin.artefact.position_set import mount_pose
 from twin.errors import DataError, PositionError
 from twin.identification.checks.outliers import Rows
 from twin.identification.poses import RowLayout, rigid_poses
@@ -90,15 +92,16 @@ def _check_directions(artefact: Artefact, layout: RowLayout, seen: Observations,
     same as half a turn about Z with the bar reversed, so that it cannot be told.
     """
     assert seen.azimuth_rad is not None  # noqa: S101  checked by the caller
-    if StraightLines.of(artefact, [seen.ball]) is None:
+    lines = StraightLines.of(artefact, [seen.ball])
+    if lines is None:
         return
+    line = lines.frame[0, :, 0]
     rows = np.split(np.arange(seen.size), np.cumsum(layout.counts)[:-1])
     rows = [part for part in rows if len(part) >= _MIN_BALLS]
-    found = np.array([_direction(local[part], points[part]) for part in rows])
+    found = np.array([_direction(local[part] @ line, points[part]) for part in rows])
     first = [int(part[0]) for part in rows]
-    azimuth, elevation = seen.azimuth_rad[first], seen.elevation_rad[first]
-    across = np.cos(elevation)
-    stated = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)), axis=1)
+    angles = zip(seen.azimuth_rad[first].tolist(), seen.elevation_rad[first].tolist(), strict=True)
+    stated = np.array([mount_pose(np.zeros(3), MountGeometry(), *pair).rotation @ line for pair in angles])
     as_given, mirrored = (_disagreement(stated, found * [side, 1.0, 1.0]) for side in (1.0, -1.0))
     if mirrored < _DIRECTION_RAD and as_given > _MIRRORED_RAD:
         raise DataError(
@@ -108,10 +111,10 @@ def _check_directions(artefact: Artefact, layout: RowLayout, seen: Observations,
         )
 
 
-def _direction(local: Array, points: Array) -> Array:
-    """Return the unit vector (3,) of the bar from its first to its last ball, in the measured points."""
-    along = local[:, 0] - local[:, 0].mean()
-    vector = along @ points
+def _direction(along: Array, points: Array) -> Array:
+    """Return the unit vector (3,) of a bar in the measured `points` (m, 3) of its balls. `along` (m,) has the
+    coordinates of the balls along the line of the artefact."""
+    vector = (along - along.mean()) @ points
     return np.asarray(vector / np.linalg.norm(vector))
 
 
