@@ -1,5 +1,5 @@
-"""Reading of machine, artefact, position and ball files, and the line that names a machine and its artefact. The
-functions return objects of the package `twin`, which contains the numerical model of the machine.
+"""Reading of machine, artefact, position and ball files. The functions return objects of the package `twin`, which
+contains the numerical model of the machine.
 
 This module is separate from `agent.files`, which reads and writes any text file, so that a command that needs none of
 the model files does not import the numerical code of `twin`.
@@ -58,12 +58,6 @@ def load_balls(path: Path, machine: MachineDescription) -> BallFile:
     text = read_text(path)
     with translated(InputError, file=str(path)):
         return parse_balls(text, str(path), machine.tools, travel=machine.limits)
-
-
-def subject(machine: str, artefact: str) -> str:
-    """Return the line that names the machine and the artefact for which a result holds. It heads every printed result
-    and every figure."""
-    return f"machine {machine}, artefact {artefact}"
 
 
 def _neighbours(path: Path) -> Callable[[str], str]:

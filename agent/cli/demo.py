@@ -16,8 +16,9 @@ from agent.cli.calibrate import calibration_here, conclude, run_here, show_summa
 from agent.cli.errors import reported
 from agent.cli.printing import columns_table, results_console
 from agent.cli.simulator_process import SimulatorProcess
+from agent.figures.heading import subject
 from agent.files import translated
-from agent.model_files import load_machine, subject
+from agent.model_files import load_machine
 from agent.planning.case_file import CASE_STUDY, shipped_case
 from agent.planning.stations import load_artefacts
 from agent.runs.session import RunResult

@@ -16,8 +16,8 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.options import PATH, case_options
 from agent.cli.printing import columns_table, facts_table, results_console
+from agent.figures.heading import subject
 from agent.files import translated
-from agent.model_files import subject
 from agent.planning.case_file import load_case
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.comparison import VariantDesign, compare_variants

@@ -13,8 +13,9 @@ from typing import Any, Literal
 import click
 
 from agent.cli.errors import VolcalGroup, reported
-from agent.cli.options import PATH
-from agent.results.gates import require_unmarked
+from agent.cli.options import PATH, optional_case_options
+from agent.cli.printing import table_subject
+from agent.results.gates import require_machine, require_unmarked
 from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
 from drivers.clock import wall_seconds
 from twin.compensation.gcode.correction_summary import CorrectionSummary
@@ -78,6 +79,7 @@ def gcode_group() -> None:
 @click.option(
     "--table", "table_file", type=PATH, required=True, help="table.csv, with its JSON side file in the same folder."
 )
+@optional_case_options
 @click.option(
     "--max-chord-error",
     callback=_length_mm,
@@ -124,6 +126,7 @@ def gcode_group() -> None:
 def correct(
     *,
     part: Path,
+    config: Path | None,
     table_file: Path,
     max_chord_error: float,
     out: Path | None,
@@ -151,6 +154,8 @@ def correct(
     table, crc = load_table(table_file)
     if not even_so:
         require_unmarked(table, str(table_file))
+    if config is not None:
+        require_machine(table, config, str(table_file))
     setup = load_part_setup(setup_file) if setup_file else PartSetup()
     setup = replace(
         setup,
@@ -183,11 +188,13 @@ def _document(
     document: dict[str, Any] = {"part": str(part), "out": str(out)}
     for name, value in asdict(counts).items():
         document[name.replace("_mm", "_um")] = round(1e3 * value, 4) if name.endswith("_mm") else value
+    document |= {"machine": table.machine or None, "artefact": table.artefact or None}
     return {**document, "table_crc32": crc, "tool_offset_mm": table.tool_offset.tolist(), "wall_seconds": seconds}
 
 
 def _told(counts: CorrectionSummary, part: Path, out: Path | None, table: CompensationTable) -> list[str]:
     told = [
+        table_subject(table),
         f"{part}: {counts.moves} moves corrected, by up to {1e3 * counts.largest_correction_mm:.1f} µm; "
         f"{counts.divided} divided, {counts.arcs} arcs; {counts.lines} lines became {counts.written_lines}",
         f"the table holds for the tool offset ({_joined(table)}) mm",

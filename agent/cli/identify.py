@@ -17,7 +17,7 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.options import PATH, no_settings_file, optional_case_options
 from agent.cli.printing import results_console, travel_rows
-from agent.model_files import subject
+from agent.figures.heading import subject
 from agent.results.estimation import order_text
 from agent.results.gates import reasons
 from agent.runs.offline_identification import (

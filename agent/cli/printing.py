@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from agent.figures.heading import subject
 from agent.results.travel_parts import TravelParts
 
 if TYPE_CHECKING:
     from rich.console import JustifyMethod
 
     from agent.results.gate_forecast import GateForecast
+    from twin.compensation.table import CompensationTable
 
 UNLIMITED = 100_000
 """Width in characters of output to a pipe or file. It is so large that every line is written whole."""
@@ -66,6 +68,11 @@ def gates_table(forecasts: Iterable[GateForecast]) -> Table:
         expected = "no bound" if forecast.expected is None else f"{forecast.expected:.3g}"
         table.add_row(forecast.gate, expected, f"{forecast.limit:.3g}", mark, forecast.key, forecast.remedy)
     return table
+
+
+def table_subject(table: CompensationTable) -> str:
+    """Return the line that names the machine of a compensation table and its artefact, as far as they are known."""
+    return subject(table.machine or "not stated", table.artefact or "not stated")
 
 
 def travel_rows(travel: TravelParts | None) -> list[tuple[str, str]]:

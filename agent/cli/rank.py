@@ -20,7 +20,7 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.options import PATH, case_options
 from agent.cli.printing import results_console
-from agent.model_files import subject
+from agent.figures.heading import subject
 from agent.planning.identifiability import RankRequest, RankResult, rank
 from agent.reports.page.number_format import number, plural, point
 from twin.design.identifiability import Identifiability

@@ -20,8 +20,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from agent.cli.errors import reported
 from agent.cli.options import PATH, case_options
 from agent.cli.printing import facts_table, results_console
+from agent.figures.heading import subject
 from agent.files import check_folder, translated
-from agent.model_files import subject
 from agent.planning.case_file import load_case
 from agent.settings.load import naming
 from agent.settings.schema import IdentificationSettings

@@ -12,12 +12,13 @@ import click
 import numpy as np
 
 from agent.cli.errors import VolcalGroup, reported
-from agent.cli.options import config_option
+from agent.cli.options import case_options, config_option
 from agent.cli.printing import columns_table, results_console
 from agent.cli.service_commands.start import conclude, waited_for
 from agent.cli.store_connection import connected
 from agent.cli.table_export import export
 from agent.execution.encoding import table_digest
+from agent.figures.heading import subject
 from agent.runs.kinds.restoration import TABLE_ROLES
 from agent.service.client import Client
 from agent.settings.load import load_settings
@@ -31,18 +32,21 @@ def table_group() -> None:
 
 
 @table_group.command("show")
-@config_option
+@case_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def show(config: Path, as_json: bool) -> None:
     """Show every bank: whether it is active, its grid, checksum and largest correction."""
-    with connected(config) as (_, rig):
+    with connected(config) as (job, rig):
         active = rig.store.active_bank()
         banks = {bank: rig.store.read_table(bank) for bank in rig.store.store_limits().banks if bank}
     if as_json:
-        document = {"active_bank": active, "banks": {str(n): _facts(t) for n, t in banks.items()}}
+        named = {"machine": job.machine.name, "artefact": job.artefact.name}
+        document = {**named, "active_bank": active, "banks": {str(n): _facts(t) for n, t in banks.items()}}
         click.echo(json.dumps(document))
         return
+    console = results_console()
+    console.print(subject(job.machine.name, job.artefact.name), markup=False)
     table = columns_table(("bank", "state", "grid", "CRC-32", "largest correction"), whole=("CRC-32",))
     table.add_row("0", "[bold]active[/bold]" if active == 0 else "", "no compensation", "", "")
     for bank, image in banks.items():
@@ -51,7 +55,7 @@ def show(config: Path, as_json: bool) -> None:
         grid = " × ".join(str(n) for n in image.shape) if image else ""
         crc, largest = (facts["crc32"], f"{facts['largest_um']} µm") if facts else ("", "")
         table.add_row(str(bank), state, grid, str(crc), largest)
-    results_console().print(table)
+    console.print(table)
 
 
 table_group.add_command(export)

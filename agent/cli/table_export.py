@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from click.decorators import FC
 from rich.table import Table
 
 from agent.cli.errors import reported
-from agent.cli.options import PATH, config_option
-from agent.cli.printing import results_console
+from agent.cli.options import PATH, no_settings_file, optional_case_options
+from agent.cli.printing import results_console, table_subject
 from agent.cli.store_connection import connected
 from agent.files import write_all_atomically
 from agent.results.controller_export import (
@@ -27,7 +28,7 @@ from agent.results.controller_export import (
     export_table,
     load_table_to_export,
 )
-from agent.results.gates import require_unmarked
+from agent.results.gates import require_machine, require_unmarked
 from agent.results.table_image import table_of
 from drivers.errors import InputError
 from twin.compensation.controllers.format_options import (
@@ -93,7 +94,7 @@ def options_of_formats(command: FC) -> FC:
 
 
 @click.command("export")
-@config_option
+@optional_case_options
 @click.option("--bank", type=int, help="Bank of the controller [default: the active one].")
 @click.option("--table", "table_path", type=PATH, help="Instead of a bank: folder of a run, or CSV file of a table.")
 @click.option("--estimate", type=PATH, help="Estimate of the table [default: estimate.json beside it].")
@@ -110,7 +111,7 @@ def options_of_formats(command: FC) -> FC:
 @reported
 def export(
     *,
-    config: Path,
+    config: Path | None,
     bank: int | None,
     table_path: Path | None,
     estimate: Path | None,
@@ -131,14 +132,21 @@ def export(
     if table_path is not None and bank is not None:
         raise click.UsageError("--table and --bank name two tables: give one of the two")
     chosen = _chosen(format_name, format_options)
-    source = _from_bank(config, bank, estimate) if table_path is None else load_table_to_export(table_path, estimate)
+    if table_path is not None:
+        source = load_table_to_export(table_path, estimate)
+        if config is not None:
+            require_machine(source.table, config, source.origin)
+    elif config is not None:
+        source = _from_bank(config, bank, estimate)
+    else:
+        raise no_settings_file()
     if not even_so:
         require_unmarked(source.table, source.origin)
     if format_name is None:
         if points or opposite_sign or as_json:
             raise click.UsageError("--points, --opposite-sign and --json need --format")
         _write_neutral(source.table, out)
-        click.echo(f"{source.origin} → {out}")
+        click.echo(f"{table_subject(source.table)}\n{source.origin} → {out}")
         return
     choices = ExportOptions(chosen, opposite_sign)
     result = export_table(source, TableExportRequest(format_name, out, points, largest_um, choices))
@@ -165,7 +173,8 @@ def _from_bank(config: Path, bank: int | None, estimate: Path | None) -> TableTo
         image = rig.store.read_table(chosen) if chosen else None
         if image is None:
             raise InputError(f"bank {chosen} holds no table", hint="`volcal table show` lists the banks", key="--bank")
-        return TableToExport(table_of(image, job.tool_offset_mm), f"bank {chosen}", estimate, image.resolution_mm)
+        table = replace(table_of(image, job.tool_offset_mm), machine=job.machine.name)
+        return TableToExport(table, f"bank {chosen}", estimate, image.resolution_mm)
 
 
 def _write_neutral(table: CompensationTable, out: Path) -> None:
@@ -175,6 +184,7 @@ def _write_neutral(table: CompensationTable, out: Path) -> None:
 
 def _show(result: TableExportResult) -> None:
     found, said, console = result.loss, result.as_json(), results_console()
+    console.print(table_subject(result.source.table), markup=False)
     table = Table(title=f"{result.source.origin} for {result.request.format}", title_justify="left")
     table.add_column("volumetric error")
     table.add_column("aligned", justify="right")

@@ -85,6 +85,8 @@ class TableExportResult:
         points = self.request.points or table.corrections.shape[:3]
         return {
             "format": self.request.format,
+            "machine": table.machine or None,
+            "artefact": table.artefact or None,
             "table": self.source.origin,
             "table_crc32": self.table_crc32,
             "estimate": None if self.source.estimate_file is None else str(self.source.estimate_file),

@@ -7,7 +7,7 @@ held-out balls (measured, but not used for the estimate).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 
 import numpy as np
@@ -84,12 +84,13 @@ def estimate_with_table(
     model = estimate.model
     nodes, anchor = table_grid(model, table)
     forms = field_forms(estimate, evaluation_grid(model.ranges_mm), offset)
+    built = build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions)
     return EstimationResult(
         observations,
         estimate,
         volumetric_summary(estimate, offset, forms),
         travel_parts(estimate, offset, observations.axis_positions),
-        build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions),
+        replace(built, machine=machine.name, artefact=artefact.name),
         thermometer_effect(estimate, forms),
     )
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from agent.errors import GateRefused
+from agent.model_files import load_machine
 from agent.results.facts import VolumetricSummary
 from agent.results.travel_parts import TravelParts
+from agent.settings.load import naming, read_settings
 from agent.settings.schema import GateSettings
+from drivers.errors import InputError
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
 from twin.identification import BallCheck, Estimate
@@ -255,6 +259,19 @@ def require_unmarked(table: CompensationTable, file: str) -> None:
             f"the table was written although it did not pass the gates {', '.join(table.gates_not_passed)}",
             hint="the report beside it says why; `--even-so` uses the table all the same",
         ).at(file=file)
+
+
+def require_machine(table: CompensationTable, config: Path, file: str) -> None:
+    """Raise InputError if `table`, read from `file`, corrects another machine than that of the settings file `config`.
+    A table that does not name its machine, such as one of an earlier version, is accepted."""
+    with naming(config):
+        machine = load_machine(read_settings(config).machine).name
+    if table.machine and table.machine != machine:
+        raise InputError(
+            f"the table corrects the machine {table.machine}, but the settings are those of the machine {machine}",
+            hint=f"take a table of {machine}, or name the settings of {table.machine} with --config",
+            file=file,
+        )
 
 
 def _largest_slope_um_per_mm(table: CompensationTable) -> float:

@@ -8,8 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TypeVar
 
+from agent.figures.heading import subject
 from agent.figures.study_style import Draw, headed
-from agent.model_files import load_positions, subject
+from agent.model_files import load_positions
 from agent.planning.job import Job
 from agent.settings.load import POSITION_FILES
 from agent.studies import STUDIES

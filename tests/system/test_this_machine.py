@@ -65,7 +65,7 @@ def other_machine() -> None:
         ("artefacts/ball-bar-1500.toml", "artefact.toml"),
         (", [2433.0, 1000.0, 750.0], [3300.0, 1000.0, 750.0]]", "]"),
         ("stations = [1, 4]", "stations = [1, 2]"),
-        ("[gates]", "[table]\nstep_mm = [400.0, 260.0, 300.0]\n[gates]"),
+        ("[timing]", "[table]\nstep_mm = [400.0, 260.0, 300.0]\n[timing]"),
     ):
         assert former in settings
         settings = settings.replace(former, now)
@@ -145,3 +145,22 @@ class TestOtherMachine:
         assert (found["formulation"], set(dict(found["orders"]).values())) == ("centres", {2})  # type: ignore[call-overload]
         grid = json.loads(Path("out/table.json").read_text())["grid"]
         assert [len(grid[f"{axis}_mm"]) for axis in "xyz"] == [7, 6, 6]
+        self.check_uses_of_the_table()
+
+    @staticmethod
+    def check_uses_of_the_table() -> None:
+        """The table names its machine, and is used for no other one."""
+        table = json.loads(Path("out/table.json").read_text())
+        assert (table["machine"], table["artefact"]) == ("mill-7", "bar-of-mill-7")
+        Path("part.nc").write_text("G21 G90\nG53 G0 X100 Y100 Z100\nG1 F500 X200\nM30\n")
+        correct = ("gcode", "correct", "part.nc", "--table", "out/table.csv", "--max-chord-error", "20um", "--even-so")
+        correct = (*correct, "--work-offset", "G54=0,0,0", "--out", "corrected.nc")
+        export = ("table", "export", "--table", "out", "--format", "gcode-csv", "--out", "exported", "--even-so")
+        for command in (correct, export):
+            found = json_of(*command)
+            assert (found["machine"], found["artefact"]) == ("mill-7", "bar-of-mill-7")
+            refused = volcal(*command, "--case", "case-study")
+            assert refused.exit_code == 2
+            assert "corrects the machine mill-7, but the settings are those of the machine case-study" in refused.stderr
+        done = volcal(*correct)
+        assert (done.exit_code, done.stderr.splitlines()[0]) == (0, OTHER)

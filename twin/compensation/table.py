@@ -61,6 +61,8 @@ class CompensationTable:
     six constraints that fix the rigid motion contained in the corrections. `extrapolated` (nx, ny, nz) is True for
     nodes outside the region in which the machine was measured. `gates_not_passed` contains the names of the
     gates (limits of the estimate and the table) that did not pass: such a table is marked, and is used only by consent.
+    `machine` and `artefact` are the names of the machine that the table corrects and of the artefact with which it was
+    measured; a name is empty if it is not known.
     Raises DataError if an array has the wrong shape, if node positions are not in ascending order or if a value is not
     finite.
     """
@@ -73,6 +75,8 @@ class CompensationTable:
     anchor: Anchor
     extrapolated: np.ndarray[Any, np.dtype[np.bool_]]
     gates_not_passed: tuple[str, ...] = ()
+    machine: str = ""
+    artefact: str = ""
 
     def __post_init__(self) -> None:
         for axis, nodes in zip(AXES, self.nodes, strict=True):

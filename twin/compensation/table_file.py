@@ -3,8 +3,8 @@
 The CSV file has the columns `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um` and one row for each node of the grid. In the sequence
 of rows, z varies fastest and x slowest. The corrections in the last three columns are ADDED to the commanded position.
 The side file contains the grid, the tool offset, the anchor (point of zero correction, with a primary and a secondary
-axis), the nodes outside the measured region, and the CRC-32 checksum (IEEE 802.3, as in zlib) of the bytes of the CSV
-file.
+axis), the nodes outside the measured region, the names of machine and artefact, and the CRC-32 checksum (IEEE 802.3, as
+in zlib) of the bytes of the CSV file.
 """
 
 from __future__ import annotations
@@ -50,6 +50,8 @@ class SideFile(StrictModel):
     `extrapolated_nodes` contains the indices of the nodes outside the region in which the machine was measured. Nodes
     are counted from 0 in the order of the rows of the table's CSV file. `gates_not_passed` contains the names of the
     gates (limits of the estimate and the table) that the table did not pass; the key is absent if all were passed.
+    `machine` and `artefact` are the names of the machine that the table corrects and of the artefact with which it was
+    measured; a key is absent if the name is not known.
     """
 
     format: Literal["volcal compensation table 1"]
@@ -60,6 +62,8 @@ class SideFile(StrictModel):
     anchor: AnchorSection
     extrapolated_nodes: tuple[int, ...]
     gates_not_passed: tuple[str, ...] = ()
+    machine: str = ""
+    artefact: str = ""
 
 
 def format_table(table: CompensationTable) -> str:
@@ -76,9 +80,10 @@ def format_side_file(table: CompensationTable) -> str:
     """Return the JSON text of the side file of a table. The side file contains the checksum of the CSV text that
     `format_table` returns for the same table."""
     x, y, z = (_rounded(nodes) for nodes in table.nodes)
-    document = {
+    document: dict[str, object] = {
         "format": "volcal compensation table 1",
         "meaning": MEANING,
+        **{key: name for key, name in (("machine", table.machine), ("artefact", table.artefact)) if name},
         "crc32": checksum(format_table(table)),
         "grid": {"x_mm": x, "y_mm": y, "z_mm": z},
         "tool_offset_mm": table.tool_offset.tolist(),
@@ -125,6 +130,8 @@ def parse_table(text: str, side_text: str, source: str, side_source: str) -> Com
             anchor=Anchor(np.array(side.anchor.point_mm), side.anchor.primary, side.anchor.secondary),
             extrapolated=_mask(side.extrapolated_nodes, shape, side_source),
             gates_not_passed=side.gates_not_passed,
+            machine=side.machine,
+            artefact=side.artefact,
         )
     except (DataError, ModelError) as error:
         raise FormatError(error.message, hint=error.hint, file=side_source, **error.where) from None

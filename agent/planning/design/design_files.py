@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+from agent.figures.heading import subject
 from agent.figures.study_style import headed, picture
 from agent.files import write_all_atomically
-from agent.model_files import subject
 from agent.planning.design.design_result import DesignResult
 from agent.planning.design.pareto_figure import ReferenceSet, draw_front
 from agent.planning.design.pareto_front import format_front
