@@ -193,18 +193,20 @@ def test_a_bank_of_the_controller(
 
     @contextmanager
     def connected(_config: Path) -> Iterator[tuple[SimpleNamespace, SimpleNamespace]]:
-        yield SimpleNamespace(tool_offset_mm=machine.offset), SimpleNamespace(store=store)
+        yield SimpleNamespace(machine=machine.description, tool_offset_mm=machine.offset), SimpleNamespace(store=store)
 
     monkeypatch.setattr(table_export, "connected", connected)
     if name is None:
-        done = volcal("table", "export", "--out", tmp_path / "bank.csv")
+        done = volcal("table", "export", "--case", "case-study", "--out", tmp_path / "bank.csv")
         assert done.exit_code == 0, done.output
         read = parse_table((tmp_path / "bank.csv").read_text(), (tmp_path / "bank.json").read_text(), "table", "side")
         assert np.abs(read.corrections - table.corrections).max() < 6e-5
+        assert (read.machine, read.artefact) == ("case-study", "")
         return
-    done = volcal("table", "export", "--format", name, "--estimate", run / "estimate.json", "--out", tmp_path / "o")
+    bank = ("table", "export", "--case", "case-study", "--format", name)
+    done = volcal(*bank, "--estimate", run / "estimate.json", "--out", tmp_path / "o")
     assert done.exit_code == 0, done.output
     assert "bank 2" in done.output
-    empty = volcal("table", "export", "--format", name, "--bank", "1", "--out", tmp_path / "p")
+    empty = volcal(*bank, "--bank", "1", "--out", tmp_path / "p")
     assert empty.exit_code == 2
     assert "bank 1 holds no table" in empty.output
