@@ -153,8 +153,8 @@ class TestOtherMachine:
         table = json.loads(Path("out/table.json").read_text())
         assert (table["machine"], table["artefact"]) == ("mill-7", "bar-of-mill-7")
         Path("part.nc").write_text("G21 G90\nG53 G0 X100 Y100 Z100\nG1 F500 X200\nM30\n")
-        correct = ("gcode", "correct", "part.nc", "--table", "out/table.csv", "--max-chord-error", "20um", "--even-so")
-        correct = (*correct, "--work-offset", "G54=0,0,0", "--out", "corrected.nc")
+        options = ("--max-chord-error", "20um", "--even-so", "--work-offset", "G54=0,0,0", "--out", "corrected.nc")
+        correct = ("gcode", "correct", "part.nc", "--table", "out/table.csv", *options)
         export = ("table", "export", "--table", "out", "--format", "gcode-csv", "--out", "exported", "--even-so")
         for command in (correct, export):
             found = json_of(*command)
