@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
+from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.formats.estimate_file import StoredEstimate
 from twin.identification import BallCheck, Misfit, Scales
 from twin.machine.error_model import ErrorModel
@@ -35,6 +36,7 @@ class JournalEstimate:
     null_summary: tuple[str, ...]
     scales_at_bounds: tuple[str, ...]
     certificate_check: tuple[BallCheck, ...]
+    artefact_calibration: ArtefactCalibration | None
 
     @property
     def standard_uncertainty(self) -> Array:
@@ -66,6 +68,7 @@ def journal_estimate(stored: StoredEstimate, unresolved_mm2: float) -> JournalEs
         null_summary=document.null_summary,
         scales_at_bounds=document.scales_at_bounds,
         certificate_check=stored.certificate_check,
+        artefact_calibration=stored.artefact_calibration,
     )
 
 

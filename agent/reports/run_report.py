@@ -31,6 +31,7 @@ from agent.reports.page import (
 )
 from agent.reports.page.texts import ENGLISH, Texts
 from agent.reports.shown_events import drifts_um, shown_events
+from agent.results.artefact_calibration import calibration_warnings
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
@@ -247,5 +248,6 @@ def _warnings(record: RunRecord, found: IdentificationData | None, texts: Texts)
         notes.append(found.thermometer.warning)
     if record.decision("proof") is None:
         notes.append(texts["prediction_only"])
+    notes += calibration_warnings(found.estimate.artefact_calibration)
     at_bounds = _stored(record).document.scales_at_bounds
     return (*notes, *(texts["scale_at_bounds"].format(text=text[0].upper() + text[1:]) for text in at_bounds))

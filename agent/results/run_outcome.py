@@ -8,8 +8,10 @@ from pathlib import Path
 
 from agent.execution.states import RunState
 from agent.probing.reversal import AxisReversal
+from agent.results.artefact_calibration import calibration_record
 from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
+from twin.artefact.artefact_calibration import ArtefactCalibration
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,7 @@ class Outcome:
     predicted_vce_limits_um: tuple[float, float] | None = None
     thermometer: ThermometerFacts | None = None
     travel: TravelParts | None = None
+    artefact_calibration: ArtefactCalibration | None = None
     chi2_normalised: float | None = None
     rejected: tuple[tuple[int, int, int], ...] = ()
     proof: Proof | None = None
@@ -168,6 +171,7 @@ class Outcome:
             "predicted_vce_limits_um": limits_list(self.predicted_vce_limits_um),
             "thermometer": None if self.thermometer is None else asdict(self.thermometer),
             "travel": None if self.travel is None else self.travel.as_record(),
+            "artefact_calibration": calibration_record(self.artefact_calibration),
             "chi2_normalised": self.chi2_normalised,
             "rejected": [list(row) for row in self.rejected],
             "verified": None if self.proof is None else self.proof.accepted,

@@ -13,6 +13,12 @@ import numpy as np
 from agent.files import check_folder, read_text, translated, write_all_atomically
 from agent.model_files import load_artefact, load_balls, load_machine
 from agent.reports.page import Header, IdentificationData, ReportData, name_of_positions
+from agent.results.artefact_calibration import (
+    CALIBRATION_FILES,
+    calibration_record,
+    calibration_texts,
+    calibration_warnings,
+)
 from agent.results.estimation import (
     EstimationResult,
     estimate_text,
@@ -172,6 +178,7 @@ class IdentificationResult:
             "chi2_normalised": estimate.chi2_normalised,
             "rejected": [list(row) for row in self.material.balls.as_numbered(estimate.rejected)],
             "certificate": certificate_document(estimate.certificate_check),
+            "artefact_calibration": calibration_record(estimate.artefact_calibration),
             "gates": {gate.name: gate.passed for gate in self.gates},
             "night": None if self.material.night is None else night_document(self.material.night),
             "table": str(self.report.with_name("table.csv")) if self.has_table else None,
@@ -183,8 +190,9 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
     """Identify the machine's errors from files, and write the results into the folder `request.out`.
 
     The files written are estimate.json, report.html and, if every gate passed or `request.even_so` is True, table.csv
-    and table.json. Without a table, these two files of an earlier identification are deleted, because they do not
-    belong to the new estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is
+    and table.json. If the artefact was calibrated, its artefact file and covariance are written as well. Files of these
+    that an earlier identification wrote and this one does not are deleted, because they do not belong to the new
+    estimate. `timestamp` is the UTC time of the results in ISO 8601. Raises UserError if the input is
     wrong; in this case, no file is written.
     """
     check_folder(request.out)
@@ -201,7 +209,9 @@ def identify_files(request: IdentificationRequest, timestamp: str) -> Identifica
         report=request.out / "report.html",
         even_so=request.even_so,
     )
-    write_all_atomically(request.out, _texts(result, request), () if result.has_table else TABLE_FILES)
+    texts = _texts(result, request)
+    stale = (name for name in (*TABLE_FILES, *CALIBRATION_FILES) if name not in texts)
+    write_all_atomically(request.out, texts, stale)
     return result
 
 
@@ -326,6 +336,13 @@ def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict
         "estimate.json": estimate_text(replace(result.estimation, estimate=numbered), _provenance(result, request)),
         "report.html": render_report(_report_data(result, request, checksum(table) if result.has_table else "")),
     }
+    texts |= calibration_texts(
+        estimate.artefact_calibration,
+        result.material.artefact,
+        result.run_id,
+        result.timestamp,
+        result.material.machine.name,
+    )
     return texts | dict(zip(TABLE_FILES, (table, format_side_file(marked)), strict=True)) if result.has_table else texts
 
 
@@ -415,7 +432,8 @@ def _warnings(result: IdentificationResult, options: Options) -> tuple[str, ...]
         notes.append(f"{_sentence(night_text(material.night))}.")
     if not options.use_prior:
         notes.append("Without the family, unseen directions count as zero: the stated uncertainties leave them out.")
-    return (*notes, *scale_warnings(estimation.estimate))
+    calibration = estimation.estimate.artefact_calibration
+    return (*notes, *calibration_warnings(calibration), *scale_warnings(estimation.estimate))
 
 
 def _sentence(text: str) -> str:

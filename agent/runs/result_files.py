@@ -9,6 +9,7 @@ from agent.execution.run_record import read_record
 from agent.files import write_all_atomically
 from agent.planning.job import Job
 from agent.reports.run_report import measured_positions
+from agent.results.artefact_calibration import calibration_texts
 from agent.results.estimation import EstimationResult, estimate_text, provenance
 from agent.results.gates import Gate, names_of_failed
 from agent.results.run_outcome import Outcome
@@ -44,9 +45,12 @@ def _results(
 ) -> dict[str, str]:
     """Return the texts of the result files by file name. The table carries a mark if one of `gates` was not passed."""
     table = replace(estimation.table, gates_not_passed=names_of_failed(gates))
+    origin = provenance(job, run_id)
+    calibration = estimation.estimate.artefact_calibration
     return {
         "balls.csv": format_balls(estimation.observations, positions, [job.settings.tool]),
-        "estimate.json": estimate_text(estimation, provenance(job, run_id)),
+        "estimate.json": estimate_text(estimation, origin),
         "table.csv": format_table(table),
         "table.json": format_side_file(table),
+        **calibration_texts(calibration, job.artefact, run_id, origin["time"], job.machine.name),
     }

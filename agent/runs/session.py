@@ -277,6 +277,7 @@ class RunSession:
             predicted_vce_limits_um=None if estimation is None else estimation.volumetric.after_aligned.limits_um,
             thermometer=None if estimation is None else thermometer_facts(estimation, settings.temperature),
             travel=None if estimation is None else estimation.travel,
+            artefact_calibration=None if estimation is None else estimation.estimate.artefact_calibration,
             chi2_normalised=None if estimation is None else estimation.estimate.chi2_normalised,
             rejected=() if estimation is None else estimation.estimate.rejected,
             proof=progress.proof,

@@ -13,8 +13,8 @@ from foreign_case_files import Case, written_case
 from agent.cli.main import main
 from campaigns.foreign.artefact import S1, S2, S3, STATIONS_MM
 
-ESTIMATE_ONLY = ["estimate.json", "report.html"]
-ALL = ["estimate.json", "report.html", "table.csv", "table.json"]
+ESTIMATE_ONLY = ["artefact-covariance.csv", "artefact.toml", "estimate.json", "report.html"]
+ALL = [*ESTIMATE_ONLY, "table.csv", "table.json"]
 POOR: dict[str, dict[str, Any]] = {
     "S1 alone": {"orientations": S1},
     "S2 alone": {"orientations": S2},

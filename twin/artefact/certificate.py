@@ -81,9 +81,23 @@ def has_certificate(balls: Array, covariance: Array) -> bool:
     `balls` (N, 3) in mm and `covariance` (3N, 3N) in mm² are the centres and their covariance. Uncertainties of the
     artefact's frame and of a common scale do not count.
     """
-    free = _without_similarity(balls)
+    free = without_motions(balls, scale=True)
     variances = np.diagonal(free @ covariance @ free).reshape(-1, 3).mean(axis=1)
     return bool(np.median(variances) <= CERTIFIED_MM**2)
+
+
+def without_motions(balls: Array, *, scale: bool = False) -> Array:
+    """Return the projector (3N, 3N) that removes small rigid motions from displacements of the centres `balls` (N, 3)
+    and, if `scale` is True, a common scale as well."""
+    arms = balls - balls.mean(axis=0)
+    size_mm = float(np.abs(arms).max())
+    fields = rigid_fields(arms, np.zeros(3), size_mm).reshape(balls.size, -1)
+    if scale:
+        fields = np.column_stack((fields, arms.reshape(-1) / size_mm))
+    # the rotation of a straight artefact about its line displaces no ball, so its column may be zero
+    basis, values, _ = np.linalg.svd(fields, full_matrices=False)
+    seen = basis[:, values > _INDEPENDENT * values[0]]
+    return np.asarray(np.eye(balls.size) - seen @ seen.T)
 
 
 def best_known_length(balls: Array, covariance: Array) -> BallDistance:
@@ -167,18 +181,6 @@ def _gradient(balls: Array, first: int, second: int) -> tuple[Array, float]:
     gradient[3 * second : 3 * second + 3] = line / length_mm
     gradient[3 * first : 3 * first + 3] = -line / length_mm
     return gradient, length_mm
-
-
-def _without_similarity(balls: Array) -> Array:
-    """Return the projector (3N, 3N) that removes small rigid motions and a common scale from displacements of the
-    centres `balls` (N, 3)."""
-    arms = balls - balls.mean(axis=0)
-    size_mm = float(np.abs(arms).max())
-    fields = np.concatenate((rigid_fields(arms, np.zeros(3), size_mm), arms[:, :, None] / size_mm), axis=2)
-    # the rotation of a straight artefact about its line displaces no ball, so its column may be zero
-    basis, values, _ = np.linalg.svd(fields.reshape(-1, 7), full_matrices=False)
-    seen = basis[:, values > _INDEPENDENT * values[0]]
-    return np.asarray(np.eye(balls.size) - seen @ seen.T)
 
 
 def _check_ball(ball: int, count: int) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from collections.abc import Callable, Sequence
 from typing import Annotated, Self
@@ -28,7 +29,7 @@ from twin.artefact.certificate import (
 )
 from twin.errors import DataError, FormatError
 from twin.formats.toml_reading import StrictModel, read_toml
-from twin.units import REFERENCE_TEMPERATURE_C
+from twin.units import REFERENCE_TEMPERATURE_C, UM_PER_MM
 
 ReadText = Callable[[str], str]
 """Function that takes a file name as written in another file, resolves it relative to that file, and returns the text
@@ -205,6 +206,45 @@ def _body(document: ArtefactDocument, balls: Array) -> ArtefactBody:
         beam=None if beam is None else Beam(beam.radius_mm, beam.overhang_mm),
         parts=parts,
     )
+
+
+def format_artefact(artefact: Artefact, covariance_file: str, notes: Sequence[str] = ()) -> tuple[str, str]:
+    """Return the texts of an artefact file and of the file `covariance_file` that it names. `notes` are written as
+    comments at the head of the artefact file. All numbers are written in full, so that reading returns the same
+    artefact."""
+    rows = ",\n".join(f"  [{', '.join(repr(value) for value in ball)}]" for ball in artefact.balls.tolist())
+    entries = {
+        "name": json.dumps(artefact.name, ensure_ascii=False),
+        "certificate": json.dumps(artefact.certificate, ensure_ascii=False),
+        "reference_temperature_c": repr(float(artefact.reference_temperature_c)),
+        "cte_per_k": repr(float(artefact.cte_per_k)),
+        "cte_standard_uncertainty_per_k": repr(float(artefact.cte_standard_uncertainty_per_k)),
+        "ball_diameter_mm": repr(float(artefact.ball_diameter_mm)),
+        "holder_length_mm": repr(float(artefact.holder_length_mm)),
+        "sag_um": repr(float(UM_PER_MM * artefact.sag_mm)),
+        "uncertified_balls": repr(list(artefact.uncertified)),
+        "covariance_file": json.dumps(covariance_file),
+        "balls": f"[\n{rows},\n]",
+    }
+    lines = [f"# {note}" for note in notes] + [f"{key} = {value}" for key, value in entries.items()]
+    lines += _body_lines(artefact.body)
+    covariance = (UM_PER_MM**2 * artefact.covariance).tolist()
+    table = "".join(",".join(repr(value) for value in row) + "\n" for row in covariance)
+    return "\n".join(lines) + "\n", table
+
+
+def _body_lines(body: ArtefactBody) -> list[str]:
+    """Return the lines of the sections on the solid parts."""
+    lines = ["bodies = []"] if body.beam is None and not body.parts else []
+    lines += ["[holders]", f"radius_mm = {body.holder_radius_mm!r}"]
+    if body.feet_mm is not None:
+        lines.append(f"feet_mm = {[list(foot) for foot in body.feet_mm]}")
+    if body.beam is not None:
+        lines += ["[beam]", f"radius_mm = {body.beam.radius_mm!r}", f"overhang_mm = {body.beam.overhang_mm!r}"]
+    for rod in body.parts:
+        lines += ["[[bodies]]", f"name = {json.dumps(rod.name, ensure_ascii=False)}"]
+        lines += [f"from_mm = {list(rod.start_mm)}", f"to_mm = {list(rod.end_mm)}", f"radius_mm = {rod.radius_mm!r}"]
+    return lines
 
 
 def _with_additions(

@@ -15,6 +15,8 @@ import numpy as np
 from pydantic import Field
 
 from twin.arrays import Array
+from twin.artefact.artefact_calibration import COVERAGE_FACTOR, ArtefactCalibration
+from twin.artefact.certificate import BallDistance
 from twin.errors import FormatError, TwinError
 from twin.formats.former_levers import conversion_of, convert_unknowns
 from twin.formats.json_reading import read_json
@@ -112,6 +114,33 @@ class CertificateSection(StrictModel):
     apparent_error_um: Triple
 
 
+class KnownLengthSection(StrictModel):
+    """Distance between the centres of two balls with its standard uncertainty (k = 1)."""
+
+    balls: tuple[int, int]
+    length_mm: float
+    standard_uncertainty_um: float = Field(ge=0.0)
+
+
+class ArtefactCalibrationSection(StrictModel):
+    """Ball centres in mm at the reference temperature, as measured, in the frame of the artefact file.
+
+    `expanded_uncertainty_um` has the coverage factor `coverage_factor`. `covariance_um2` is ordered ball by ball as x,
+    y, z. `scale` is the length that was known best before the measurement, as known now, and `scale_before` as known
+    then. `limits` says in words what the measurement cannot show.
+    """
+
+    balls_mm: tuple[Triple, ...]
+    expanded_uncertainty_um: tuple[Triple, ...]
+    coverage_factor: float
+    covariance_um2: tuple[tuple[float, ...], ...]
+    scale: KnownLengthSection
+    scale_before: KnownLengthSection
+    certified_before: bool
+    not_improved: tuple[int, ...]
+    limits: tuple[str, ...]
+
+
 class VolumetricSection(StrictModel):
     """Volumetric errors over the workspace in µm for the tool of the table, after removal of the best-fitting rigid
     motion.
@@ -148,6 +177,7 @@ class EstimateFile(StrictModel):
     order_evidence: tuple[OrderSection, ...]
     rejected: tuple[RejectedBallSection, ...]
     certificate: tuple[CertificateSection, ...] = ()
+    artefact_calibration: ArtefactCalibrationSection | None = None
     volumetric: VolumetricSection | None = None
     carried_over: CarriedOverSection
 
@@ -183,6 +213,11 @@ class StoredEstimate:
             BallCheck(row.ball, row.contradiction, _millimetres(row.apparent_error_um), row.certified)
             for row in self.document.certificate
         )
+
+    @property
+    def artefact_calibration(self) -> ArtefactCalibration | None:
+        """Ball centres of the artefact as the measurements give them; None if the estimate says nothing about them."""
+        return self.unknowns.artefact_calibration(self.z, self.z_covariance)
 
     def carried_over(self) -> CarriedOverPrior:
         """Return this estimate as the prior of a later estimate, without process noise: the machine is assumed not to
@@ -232,6 +267,7 @@ def format_estimate(
         ],
         "rejected": [{"position": k, "ball": ball, "tool": tool} for k, ball, tool in estimate.rejected],
         "certificate": certificate_document(estimate.certificate_check),
+        "artefact_calibration": calibration_document(estimate.artefact_calibration),
         "volumetric": None if volumetric is None else volumetric.model_dump(),
         "carried_over": carried_over_document(
             estimate.unknowns, estimate.z, estimate.z_covariance, estimate.drift_factor
@@ -252,6 +288,31 @@ def certificate_document(checks: Sequence[BallCheck]) -> list[dict[str, Any]]:
         }
         for check in checks
     ]
+
+
+def calibration_document(calibration: ArtefactCalibration | None) -> dict[str, Any] | None:
+    """Return the calibration of the artefact as a JSON object, or None if there is none."""
+    if calibration is None:
+        return None
+    return {
+        "balls_mm": calibration.balls.tolist(),
+        "expanded_uncertainty_um": (UM_PER_MM * calibration.expanded_uncertainty_mm).tolist(),
+        "coverage_factor": COVERAGE_FACTOR,
+        "covariance_um2": (UM_PER_MM**2 * calibration.covariance).tolist(),
+        "scale": _length_document(calibration.scale),
+        "scale_before": _length_document(calibration.before),
+        "certified_before": calibration.certified,
+        "not_improved": list(calibration.not_improved),
+        "limits": list(calibration.limits),
+    }
+
+
+def _length_document(length: BallDistance) -> dict[str, Any]:
+    return {
+        "balls": list(length.balls),
+        "length_mm": length.length_mm,
+        "standard_uncertainty_um": UM_PER_MM * length.standard_uncertainty_mm,
+    }
 
 
 def _text(value: object) -> str:

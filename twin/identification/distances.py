@@ -27,7 +27,10 @@ from twin.errors import SingularSet
 from twin.identification.poses import Poses
 from twin.identification.problem import IdentificationProblem, Sides, tool_points
 
-_DEPENDENT = 1e-8  # relative eigenvalue of the distances' covariance below which a combination is redundant
+# Relative eigenvalue of the distances' covariance below which a combination of distances is redundant. Distances of
+# balls on a line show their errors across it to second order only. Such combinations are not linear in errors of
+# 0.05 mm, so they are left out if the artefact has no certificate.
+_DEPENDENT, _DEPENDENT_IF_ROUGH = 1e-8, 1e-4
 
 
 Rows = np.ndarray[Any, np.dtype[np.int64]]
@@ -68,13 +71,14 @@ class DistanceEquations:
         cls, problem: IdentificationProblem, unit_weights: bool, cut_off: float | None = None
     ) -> DistanceEquations:
         points = tool_points(problem.observations)
+        dependent = _DEPENDENT if problem.nuisance.errors.has_certificate else _DEPENDENT_IF_ROUGH
         unit = _unit_deviation(problem) if unit_weights else None
         pairs, white, noise = [], [], []
         ends = np.cumsum(problem.layout.counts).tolist()
         for start, end, design in zip([0, *ends[:-1]], ends, problem.design, strict=True):
             if end - start < 2:
                 continue
-            one, rows, covariance = _position(problem, points, (start, end), design[: end - start], unit)
+            one, rows, covariance = _position(problem, points, (start, end), design[: end - start], unit, dependent)
             pairs.append(one)
             white.append(rows)
             noise.append(covariance)
@@ -122,13 +126,18 @@ class DistanceEquations:
 
 
 def _position(
-    problem: IdentificationProblem, points: Array, ends: tuple[int, int], design: Array, unit: float | None
+    problem: IdentificationProblem,
+    points: Array,
+    ends: tuple[int, int],
+    design: Array,
+    unit: float | None,
+    dependent: float,
 ) -> tuple[PositionPairs, Array, Array]:
     """Return the ball pairs of one position, the whitened rows of their design, and the noise covariance of these rows.
 
     `ends` contains the index of the first row of the position, and the index of the first row after it. `design`
     (balls, 3, P) is the design of the rows of the position. `unit` is the common standard deviation of all distances in
-    mm, or None for full weights.
+    mm, or None for full weights. Combinations of distances with a relative variance below `dependent` are left out.
     """
     start, end = ends
     first, second = (index + start for index in np.triu_indices(end - start, k=1))
@@ -142,7 +151,7 @@ def _position(
     weighted = np.einsum("mic,icd->mid", pick, covariance).reshape(len(first), -1)
     flat = pick.reshape(len(first), -1)
     spread = weighted @ flat.T
-    whitening = _whitening(spread) if unit is None else np.eye(len(first)) / unit
+    whitening = _whitening(spread, dependent) if unit is None else np.eye(len(first)) / unit
     rows = whitening @ (flat @ design.reshape(3 * (end - start), -1))
     return PositionPairs(first, second, whitening), rows, whitening @ spread @ whitening.T
 
@@ -156,10 +165,11 @@ def _truncate(design: Array, cut_off: float) -> float:
     return float(np.sum(values[len(retained) :] ** 2))
 
 
-def _whitening(covariance: Array) -> Array:
-    """Return W (r, m) such that WᵀW is the pseudo-inverse of a covariance (m, m) of rank r."""
+def _whitening(covariance: Array, dependent: float) -> Array:
+    """Return W (r, m) such that WᵀW is the pseudo-inverse of a covariance (m, m). Directions with an eigenvalue below
+    `dependent` times the largest one count as zero."""
     values, vectors = np.linalg.eigh(covariance)
-    used = values > _DEPENDENT * values[-1]
+    used = values > dependent * values[-1]
     return np.asarray((vectors[:, used] / np.sqrt(values[used])).T)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array
+from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.identification.alternatives import Alternative
 from twin.identification.checks.certificate_check import BallCheck, check_certificate
 from twin.identification.drift import DriftEstimate
@@ -102,6 +103,11 @@ class Estimate:
         """Comparison of each certified ball centre with the measurements; empty if the certificate states no
         uncertainty."""
         return check_certificate(self.unknowns, self.z, self.z_covariance, self.free_balls)
+
+    @cached_property
+    def artefact_calibration(self) -> ArtefactCalibration | None:
+        """Ball centres of the artefact as the measurements give them; None if the estimate says nothing about them."""
+        return self.unknowns.artefact_calibration(self.z, self.z_covariance)
 
     @property
     def prior_scale(self) -> Array:

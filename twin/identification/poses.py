@@ -117,12 +117,14 @@ class PoseArms:
 
     `middle` (K, 3) is the centroid of the balls of each position in the artefact's frame, and `length` (K,) the largest
     distance of a ball from this centroid, both in mm. `lines` describes the positions of straight artefacts; it is None
-    if there are none.
+    if there are none. `pattern` (n, 3) in mm is added to the artefact points for the levers: the measured pattern of a
+    straight artefact that is known only roughly.
     """
 
     middle: Array
     length: Array
     lines: StraightLines | None = None
+    pattern: Array | None = None
 
     @classmethod
     def of(cls, layout: RowLayout, local: Array, lines: StraightLines | None = None) -> PoseArms:
@@ -135,7 +137,8 @@ class PoseArms:
     def rotation_columns(self, layout: RowLayout, poses: Poses, local: Array) -> Array:
         """Return the derivatives (K, width, 3, 3) of the points in the workpiece frame with respect to the three
         rotation increments of each position."""
-        lever = (layout.pad(local) - self.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
+        points = local if self.pattern is None else local + self.pattern
+        lever = (layout.pad(points) - self.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
         lever /= self.length[:, None, None]
         # ω × lever for a unit rotation ω about each axis of the workpiece frame
         columns = np.zeros((*lever.shape, 3))

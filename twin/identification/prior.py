@@ -9,6 +9,7 @@ import numpy as np
 
 from twin.arrays import Array, as_vector
 from twin.artefact.artefact import Artefact
+from twin.artefact.certificate import has_certificate
 from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.identification.drift import MachineDrift
@@ -22,8 +23,14 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
     """Return the unknowns of an identification. Their units are the standard deviations of the family (prior population
     of machines) or, if an earlier estimate is carried over as the prior, the units of this estimate.
 
-    Raise DataError if the prior is zero, has the wrong shape or belongs to another model.
+    Raise DataError if the prior is zero, has the wrong shape or belongs to another model, or if the weights are equal
+    although the artefact has no certificate.
     """
+    if options.weights == "unit" and not has_certificate(artefact.balls, artefact.covariance):
+        raise DataError(
+            f"equal weights take the balls of the artefact '{artefact.name}' as exact, but it has no certificate",
+            hint="use full weights: they estimate the centres together with the machine",
+        )
     errors, carried = _artefact_errors(artefact, options), options.carried_over
     scale = _scale(family, options) if carried is None else carried.unknowns.scale
     drift = _drift(family, seen, options, scale)

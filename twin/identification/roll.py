@@ -14,6 +14,7 @@ same in all positions, from the straightness errors of the machine, which are as
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from twin.identification.options import Options
 from twin.identification.poses import Poses, rotation_matrices
 from twin.identification.problem import IdentificationProblem, build_problem
 from twin.identification.straight_lines import StraightLines
+from twin.identification.straight_pattern import measured_pattern
 from twin.machine.machine_population import Family
 
 _CONVERGED_RAD = 1e-7  # the result must not depend on the start
@@ -63,25 +65,31 @@ def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> Ident
     if lines is None:
         return problem
     rolled, local = np.zeros(problem.layout.positions), problem.local
+    rough = not problem.nuisance.errors.has_certificate
+    if rough:
+        rolled, local = measured_pattern(problem, lines)
+        arms = replace(problem.arms, pattern=local - problem.local)
+        problem = replace(problem, arms=arms).with_poses(_rolled(problem, lines, rolled))
     for _ in range(_MAX_ITERATIONS):
-        vector, local = _roll_vector(problem, lines, local, scales)
+        vector, estimated = _roll_vector(problem, lines, local, scales)
+        local = local if rough else estimated
         # mode of the likelihood of both coefficients times a von Mises prior at the mount's roll; a well-seen pattern
         # (5 standard deviations or more) leaves the prior no weight, so that the start does not matter
         concentration = np.exp(-0.5 * np.linalg.norm(vector, axis=1))
         vector += concentration[:, None] * np.stack((np.cos(rolled), -np.sin(rolled)), axis=1)
         step = np.where(lines.straight, np.arctan2(vector[:, 1], vector[:, 0]), 0.0)
-        axis = (problem.poses.rotation @ lines.frame[:, :, :1])[:, :, 0]
-        problem = problem.with_poses(_rolled(problem, step[:, None] * axis))
+        problem = problem.with_poses(_rolled(problem, lines, step))
         rolled += step
         if float(np.abs(step).max()) < _CONVERGED_RAD:
             break
     return problem
 
 
-def _rolled(problem: IdentificationProblem, turns: Array) -> Poses:
-    """Return the poses turned about the middle of the balls of each position by rotation vectors (K, 3) in rad."""
+def _rolled(problem: IdentificationProblem, lines: StraightLines, rolls: Array) -> Poses:
+    """Return the poses turned by angles (K,) in rad about the line through the middle of the balls of each position."""
     poses, middle = problem.poses, problem.arms.middle[:, :, None]
-    rotation = rotation_matrices(turns) @ poses.rotation
+    axis = (poses.rotation @ lines.frame[:, :, :1])[:, :, 0]
+    rotation = rotation_matrices(rolls[:, None] * axis) @ poses.rotation
     return Poses(rotation, poses.translation + ((poses.rotation - rotation) @ middle)[:, :, 0])
 
 

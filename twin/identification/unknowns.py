@@ -10,6 +10,8 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.artefact_calibration import ArtefactCalibration, artefact_calibration
+from twin.artefact.certificate import has_certificate
 from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes
 from twin.machine.error_model import ErrorModel
@@ -78,6 +80,11 @@ class ArtefactErrors:
             ("thermometer", self.thermometer_standard_uncertainty_k),
         )
         return tuple(name for name, doubt in doubts if doubt > 0.0)
+
+    @property
+    def has_certificate(self) -> bool:
+        """True if the shape of the artefact is certified, and not known only roughly."""
+        return has_certificate(self.balls, self.certificate @ self.certificate.T)
 
     def strain_rows(self, warmer_k: Array) -> Array:
         """Return the strain (n, s) of the artefact in n rows (measured balls) per unit of each of the s thermal
@@ -148,6 +155,12 @@ class Unknowns:
     def parameters(self, z: Array) -> Array:
         """Return the p model parameters (p,) in mm or rad from the vector z (P,) of all unknowns."""
         return np.asarray(self.scale * z[self.blocks.parameters])
+
+    def artefact_calibration(self, z: Array, z_covariance: Array) -> ArtefactCalibration | None:
+        """Return the calibration of the artefact by the vector z (P,) of all unknowns with its covariance (P, P), or
+        None if they say nothing about it."""
+        block, errors = self.blocks.certificate, self.artefact
+        return artefact_calibration(errors.balls, errors.certificate, z[block], z_covariance[block, block])
 
     def physical_covariance(self, unit: Array) -> Array:
         """Return the covariance (p, p) of the parameters in mm and rad. `unit` (p, p) is the covariance of the same

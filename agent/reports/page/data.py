@@ -15,6 +15,7 @@ from agent.results.gates import Gate
 from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
 from twin.arrays import Array
+from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.identification import BallCheck, Estimate, FieldKnowledge, Scales
@@ -46,6 +47,8 @@ class ReportedEstimate(FieldKnowledge, Protocol):
     def null_summary(self) -> tuple[str, ...]: ...
     @property
     def certificate_check(self) -> tuple[BallCheck, ...]: ...
+    @property
+    def artefact_calibration(self) -> ArtefactCalibration | None: ...
 
 
 @dataclass(frozen=True)

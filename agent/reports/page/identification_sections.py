@@ -3,6 +3,8 @@ directions (combinations of parameters that the measurement does not determine),
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from agent.reports.page.data import IdentificationData, ReportData
@@ -10,7 +12,9 @@ from agent.reports.page.figures import ball_residuals
 from agent.reports.page.number_format import COVERAGE, Rows, Table, fixed, micrometres, number, plural, point
 from agent.reports.page.texts import Texts
 from agent.results.facts import Quantity
+from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.machine.error_model import SQUARENESS
+from twin.units import UM_PER_MM
 
 
 def summary_table(data: ReportData, identification: IdentificationData, t: Texts) -> Table:
@@ -106,6 +110,21 @@ def fit(identification: IdentificationData) -> Rows:
         ("Rank", f"{estimate.rank} of {estimate.model.size}"),
         ("Rejected balls", str(len(estimate.rejected))),
     ]
+
+
+def artefact_calibration(calibration: ArtefactCalibration | None) -> dict[str, Any] | None:
+    """Return the table and the notes of the ball centres as the run measured them, or None if it says nothing about
+    them."""
+    if calibration is None:
+        return None
+    rows = tuple(
+        (str(ball), *(fixed(value, 4) for value in centre), *(fixed(UM_PER_MM * value, 2) for value in uncertainty))
+        for ball, (centre, uncertainty) in enumerate(
+            zip(calibration.balls.tolist(), calibration.expanded_uncertainty_mm.tolist(), strict=True)
+        )
+    )
+    heads = ("ball", "X / mm", "Y / mm", "Z / mm", "U(X) / µm", "U(Y) / µm", "U(Z) / µm")
+    return {"table": Table(heads, rows, heads), "notes": calibration.limits}
 
 
 def null_intro(identification: IdentificationData) -> str:

@@ -32,6 +32,7 @@ ENGLISH: Texts = {
     "temperatures": "Temperatures",
     "probe": "Probe and stylus",
     "fit": "Fit",
+    "calibration": "Certificate of the artefact by this run",
     "null_space": "Undetermined parameter combinations",
     "gates": "Gates and decisions",
     "consents": "Questions to the operator",
@@ -53,6 +54,11 @@ ENGLISH: Texts = {
     "tile_ve_now": "expected volumetric error now, with the active table",
     "tile_ve_before": "the same after the last accepted night",
     # captions and notes
+    "calibration_note": (
+        "Ball centres at the reference temperature, estimated together with the errors of the machine, and their "
+        "expanded uncertainties, k = 2. artefact.toml and artefact-covariance.csv beside this report hold them with "
+        "all correlations."
+    ),
     "summary_note": (
         "The volumetric error (VE) is the rms length of the deviation of the tool point over a regular grid of the"
         " whole workspace. Aligned: the best-fit rigid motion of the workspace is removed; a free artefact cannot "

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
+from twin.artefact.artefact_body import ArtefactBody, Beam, Rod
 from twin.artefact.certificate import (
     TRACEABLE_PPM,
     BallDistance,
@@ -15,7 +18,7 @@ from twin.artefact.certificate import (
     with_uncertified,
 )
 from twin.errors import DataError, FormatError, TwinError
-from twin.formats.artefact_file import parse_artefact
+from twin.formats.artefact_file import format_artefact, parse_artefact
 
 TEXT = """
 name = "bar"
@@ -182,3 +185,33 @@ def test_an_impossible_end_length_is_refused(text: str, message: str, key: str) 
     with pytest.raises(TwinError, match=message) as error:
         parse_artefact(text, "bar.toml")
     assert error.value.where == {"file": "bar.toml", "key": key}
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        ArtefactBody(),
+        ArtefactBody(3.0, tuple((x, y, z - 40.0) for x, y, z in BALLS.tolist()), None, ()),
+        ArtefactBody(5.0, None, Beam(12.0, 20.0), (Rod("frame", (0.0, 0.0, -50.0), (900.0, 0.0, -50.0), 8.5),)),
+    ],
+)
+def test_an_artefact_that_is_written_and_read_is_the_same(body: ArtefactBody) -> None:
+    """Every field of the artefact, so that a new one is not forgotten in the file."""
+    root = np.random.default_rng(2).normal(size=(12, 9)) * 1e-3
+    written = replace(
+        parse_artefact('holder_length_mm = 61.5\ncertificate = "A \\"b\\" µ"\n' + TEXT, "bar.toml"),
+        covariance=with_uncertified(root @ root.T, [1]),
+        uncertified=(1,),
+        body=body,
+        sag_mm=0.0 if body.beam is None else 3e-3,
+    )
+    text, table = format_artefact(written, "covariance.csv", ("One note.",))
+    found = parse_artefact(text, "again.toml", {"covariance.csv": table}.__getitem__)
+    for field in fields(written):
+        stated, read = getattr(written, field.name), getattr(found, field.name)
+        if field.name == "certificate":
+            assert read == stated + "; uncertified balls: 1"
+        elif isinstance(stated, np.ndarray):
+            assert read == pytest.approx(stated, rel=1e-12), field.name
+        else:
+            assert read == stated, field.name
