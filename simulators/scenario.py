@@ -20,7 +20,7 @@ from simulators.temperatures import Coordinates, ThermalSettings
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
 from twin.collision.probe_frame import ProbeFrame
-from twin.collision.probe_geometry import ProbeGeometry
+from twin.collision.probe_geometry import ProbeGeometry, ProbeSection
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.machine_file import parse_machine
@@ -156,7 +156,7 @@ class ScenarioDocument(StrictModel):
     mounts_deg: list[tuple[float, float]] = Field(default_factory=list)
     start_mm: Coordinates | None = None
     mount: Annotated[MountGeometry, forbid_unknown_keys(MountGeometry)] = MountGeometry()
-    probe: Annotated[ProbeGeometry, forbid_unknown_keys(ProbeGeometry)] = ProbeGeometry()
+    probe: Annotated[ProbeSection, forbid_unknown_keys(ProbeSection)] = ProbeSection()
     truth: TruthSettings = TruthSettings()
     artefact_truth: ArtefactTruthSettings = ArtefactTruthSettings()
     trigger: TriggerSettings = TriggerSettings()
@@ -192,10 +192,11 @@ class Scenario:
                 raise ConfigurationError(f"{axis} {value:g} mm is outside {low:g} to {high:g}", key="start_mm")
         offset = _read(settings.machine, lambda: self.machine.tool(settings.tool))
         frame = _read(settings.machine, lambda: ProbeFrame.of(offset))
-        if frame.sign * offset[frame.axis] < settings.probe.reach_mm:
+        reach_mm = _read(settings.machine, lambda: self.probe).reach_mm
+        if frame.sign * offset[frame.axis] < reach_mm:
             raise ConfigurationError(
                 f"tool '{settings.tool}' {offset.tolist()} must be at least as long as the probe",
-                hint=f"probe.reach_mm is {settings.probe.reach_mm}",
+                hint=f"probe.reach_mm is {reach_mm}",
                 key="tool",
             )
 
@@ -203,6 +204,11 @@ class Scenario:
     def frame(self) -> ProbeFrame:
         """Probe frame, which gives the direction in which the stylus points."""
         return ProbeFrame.of(self.machine.tool(self.settings.tool))
+
+    @property
+    def probe(self) -> ProbeGeometry:
+        """Dimensions of the probe; those that the scenario does not state follow from the tool."""
+        return self.settings.probe.geometry(float(self.machine.tool(self.settings.tool) @ self.frame.stylus_axis))
 
     @property
     def start_mm(self) -> Coordinates:

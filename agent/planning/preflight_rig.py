@@ -24,7 +24,7 @@ def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None
         "artefact": str(settings.artefact),
         "tool": settings.tool,
         "mount": vars(settings.mount),
-        "probe": vars(settings.probe),
+        "probe": vars(job.layout.probe),
         "stations_mm": [list(place) for place in settings.stations.places_mm],
         "standing_at": settings.stations.standing_at or 1,
         "mount_behaviour": settings.timing.model_dump(include={"speed_deg_per_s", "acceleration_deg_per_s2"}),

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.files import translated
 from agent.planning.stations import Artefacts, bodies_around, park_distance_mm, station_change
 from agent.planning.time_model import time_model
 from agent.probing.paths.free_paths import FreePathRules
@@ -103,14 +104,16 @@ def layout_of(
 
     Its limits are the travel of the axes, reduced by the travel that the touches of `probing` need around a ball.
     """
-    travel = np.array(machine.limits)
+    travel, tool_mm = np.array(machine.limits), np.asarray(machine.tools[settings.tool], dtype=np.float64)
     below, above = probing.required_travel_mm
+    with translated(ConfigurationError):
+        probe = settings.probe.geometry(float(tool_mm @ probing.stylus_axis))
     return MeasuringLayout(
         artefact=artefacts.all,
         mount=settings.mount,
-        probe=settings.probe,
+        probe=probe,
         locations_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
-        tool_offset_mm=np.asarray(machine.tools[settings.tool], dtype=np.float64),
+        tool_offset_mm=tool_mm,
         lower_mm=travel[:, 0] + below,
         upper_mm=travel[:, 1] - above,
         contact_mm=probing.contact_mm,

@@ -19,7 +19,7 @@ from agent.settings.panel_gateway import GatewaySettings
 from agent.settings.service import ServiceSettings
 from agent.settings.temperature import TemperatureSettings
 from twin.artefact.mount_geometry import MountGeometry
-from twin.collision.probe_geometry import ProbeGeometry
+from twin.collision.probe_geometry import ProbeSection
 from twin.formats.toml_reading import StrictModel, forbid_unknown_keys, read_toml
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
@@ -320,7 +320,7 @@ class Settings(StrictModel):
     devices: dict[Name, DeviceSettings]
     roles: RoleSettings
     mount: Annotated[MountGeometry, forbid_unknown_keys(MountGeometry)] = MountGeometry()
-    probe: Annotated[ProbeGeometry, forbid_unknown_keys(ProbeGeometry)] = ProbeGeometry()
+    probe: Annotated[ProbeSection, forbid_unknown_keys(ProbeSection)] = ProbeSection()
     stations: StationSettings
     procedure: ProcedureSettings = ProcedureSettings()
     probe_check: ProbeCheckSettings = ProbeCheckSettings()

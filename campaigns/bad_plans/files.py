@@ -115,7 +115,7 @@ def _machine() -> list[BadPlan]:
         config("chain that does not exist", machine("chain", "tool-Y-Q-X-bed-workpiece"), "chain", "'Q'"),
         config("no tool", machine("tools", {}), "tools"),
         config("tool with NaN", machine(OFFSET, [0.0, math.nan, 0.0]), "offset_mm"),
-        config("tool shorter than its stem", machine(OFFSET, [0.0, 90.0, 0.0]), "key tool", "reach_mm"),
+        config("tool shorter than the probe", machine(OFFSET, [0.0, 40.0, 0.0]), "too short", "probe.reach_mm"),
         config("tool aside", machine(OFFSET, [40.0, 250.0, 0.0]), "not parallel to a machine axis"),
         config("tool backwards", machine(OFFSET, [0.0, -250.0, 0.0]), "three"),
         config("other tool", setting("tool", "drill"), "'drill'", "key tool"),

@@ -68,7 +68,7 @@ class ProbeDimensions:
     """
 
     def __init__(self, job: Job, overtravel_mm: float) -> None:
-        probe = job.settings.probe
+        probe = job.layout.probe
         self.tip, self.stem_radius, self.stem = probe.tip_radius_mm, probe.stem_radius_mm, probe.stem_length_mm
         self.body_radius, self.reach = probe.body_radius_mm, probe.reach_mm
         self.half, self.ram = probe.ram_half_width_mm, probe.ram_length_mm

@@ -57,7 +57,7 @@ class Workpiece:
         settings = scenario.settings
         self.mount = mount
         self.station = station
-        self.probe_bodies = settings.probe.bodies(scenario.frame)
+        self.probe_bodies = scenario.probe.bodies(scenario.frame)
         self._frame = scenario.frame
         self._artefact = artefact
         self._name_suffix = name_suffix

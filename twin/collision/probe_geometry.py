@@ -6,6 +6,7 @@ loads numpy.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -60,3 +61,42 @@ class ProbeGeometry:
             Body("ram", Box((-half, ram_face - self.ram_length_mm, -half), (half, ram_face, half))),
         )
         return tuple(Body(body.name, frame.shape_in_workpiece(body.shape)) for body in along_y)
+
+
+@dataclass(frozen=True)
+class ProbeSection:
+    """Section `[probe]` of a settings file or a scenario: the dimensions of `ProbeGeometry` in mm, two of which follow
+    from the tool if they are None.
+
+    `reach_mm` is then the length of the tool offset along the stylus, so the ram ends at the reference point of the
+    tool. `stem_length_mm` is then 100 mm or, for a short tool, the length that two radii of the probe body leave.
+    """
+
+    tip_radius_mm: float = ProbeGeometry.tip_radius_mm
+    stem_radius_mm: float = ProbeGeometry.stem_radius_mm
+    stem_length_mm: float | None = None
+    body_radius_mm: float = ProbeGeometry.body_radius_mm
+    reach_mm: float | None = None
+    ram_half_width_mm: float = ProbeGeometry.ram_half_width_mm
+    ram_length_mm: float = ProbeGeometry.ram_length_mm
+
+    def __post_init__(self) -> None:
+        self.geometry(math.inf)
+
+    def geometry(self, tool_length_mm: float) -> ProbeGeometry:
+        """Return the geometry of the probe for a tool offset of `tool_length_mm` along the stylus.
+
+        Raises DataError if a dimension is not positive or the probe is too short for its parts.
+        """
+        reach_mm = tool_length_mm if self.reach_mm is None else self.reach_mm
+        stem_mm = self.stem_length_mm
+        if stem_mm is None:
+            stem_mm = min(ProbeGeometry.stem_length_mm, reach_mm - 2.0 * self.body_radius_mm)
+            if stem_mm <= 0.0:
+                raise DataError(
+                    f"a reach of {reach_mm:g} mm is too short for the body of the probe",
+                    hint=f"it must be longer than 2 * body_radius_mm, {2.0 * self.body_radius_mm:g} mm; by default it "
+                    "is the length of the tool offset along the stylus",
+                    key="probe.reach_mm",
+                )
+        return ProbeGeometry(**{**vars(self), "reach_mm": reach_mm, "stem_length_mm": stem_mm})

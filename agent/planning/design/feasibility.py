@@ -111,7 +111,7 @@ class FeasibilityCheck:
         settings = self.job.settings
         _, scene = measuring_scene(
             self.job.layout.artefact_at(position.station),
-            settings.probe,
+            self.job.layout.probe,
             settings.mount,
             frame=self.job.layout.frame,
             location_mm=self.job.layout.location(position.station),

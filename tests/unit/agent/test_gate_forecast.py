@@ -39,8 +39,6 @@ store = "twin"
 thermometer = "twin"
 mount = "twin"
 operator = "twin"
-[probe]
-reach_mm = 150.0
 [stations]
 places_mm = [[250.0, 400.0, 200.0], [550.0, 400.0, 200.0]]
 [temperature]
