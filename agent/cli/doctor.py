@@ -38,7 +38,7 @@ GATES = "gates of a run"
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def doctor_command(config: Path, as_json: bool) -> None:
-    """Check settings, links, devices and the expected gates of a run without moving anything."""
+    """Check settings, links and devices, and forecast the gates of a run; nothing moves."""
     settings = load_settings(config)
     with naming(config):
         job = prepare_job(settings, config.resolve().parent)

@@ -23,9 +23,9 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def volcal(*arguments: str) -> dict[str, Any]:
+def volcal(*arguments: str, exit_code: int = 0) -> dict[str, Any]:
     result = CliRunner().invoke(main, [*arguments, "--json"])
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == exit_code, result.output
     return json.loads(result.stdout)
 
 
@@ -57,7 +57,7 @@ def test_a_designed_set_is_one_that_plan_takes_and_values_alike():
     assert len(written) >= 2
     assert said["machine_minutes"] <= 12.0
     assert said["rehearsed"] is True
-    plan = volcal("plan", "--config", str(CONFIG / "case-study.toml"), "--position-set", "set.csv")
+    plan = volcal("plan", "--config", str(CONFIG / "case-study.toml"), "--position-set", "set.csv", exit_code=7)
     # preflight fits know the radius from the qualification, so their centres are a little better than planned
     assert plan["predicted_vce_um"] == pytest.approx(said["expected_vce_um"], rel=1e-2)
     assert plan["predicted_vce_raw_um"] == pytest.approx(said["expected_vce_raw_um"], rel=1e-2)
