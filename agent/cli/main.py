@@ -71,7 +71,8 @@ OWN_COMMANDS = {
         "Choose the positions that leave the smallest volumetric compensated error and write them as a position set.",
     ),
     "doctor": OwnCommand(
-        "agent.cli.doctor:doctor_command", "Check settings, links and devices, and forecast the gates of a run; nothing moves."
+        "agent.cli.doctor:doctor_command",
+        "Check settings, links and devices, and forecast the gates of a run; nothing moves.",
     ),
     "gcode": OwnCommand(
         "agent.cli.gcode:gcode_group", "Correct part programs for controllers that have no compensation table."
