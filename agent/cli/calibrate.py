@@ -123,12 +123,15 @@ def interruptible() -> Iterator[list[Supervisor]]:
 
 
 def conclude(ended: RunResult) -> None:
-    """Return without a value if the new compensation table of the finished run is active and was verified.
+    """Return without a value if the new compensation table of the finished run is active and was verified, or if the
+    run confirmed the active compensation.
 
     Otherwise, print the error that describes the outcome, and end the program with the exit code of this error.
     """
     if ended.error is not None:
         raise fail(ended.error)
+    if ended.outcome.confirmed is not None:
+        return
     proof = ended.outcome.proof
     if proof is None or not proof.accepted:
         reason = "the new table was not better on the held-out positions; the previous table is active again"
@@ -163,6 +166,9 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
         text = f"{proof.before_um:.2f} → {proof.after_um:.2f} µm, predicted {proof.predicted_um:.2f} µm"
         rows.append(("held-out positions", text))
         rows.append(("verdict", "accepted" if proof.accepted else f"restored: {proof.reason}"))
+    if outcome.confirmed is not None:
+        rows.append(("held-out positions", f"{outcome.confirmed.held_out_um:.2f} µm with the active compensation"))
+        rows.append(("verdict", outcome.confirmed.text))
     if outcome.state in (RunState.COMPLETE, RunState.REFUSED):
         rows.append(("active bank", str(outcome.table_bank)))
     return rows

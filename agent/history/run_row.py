@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from agent.execution.run_record import RunRecord
-from agent.results.decision_kinds import IDENTIFIED, INPUTS, OUTCOME
+from agent.results.decision_kinds import CONFIRMED, IDENTIFIED, INPUTS, OUTCOME
 from twin.units import MICRO_UNITS
 
 STORED_DECISIONS = frozenset(
-    {"gate", "proof", "night", "verify", "accepted", "refused", "full-calibration-needed", "activate/activated"}
-    | {"restore/activated", "publish/staged"}
+    {"gate", "proof", CONFIRMED, "night", "verify", "accepted", "refused", "full-calibration-needed"}
+    | {"activate/activated", "restore/activated", "publish/staged"}
 )
 """Kinds of decisions stored in the history. The large records of a run are only in its journal."""
 _TOO_BIG = ("written",)
@@ -100,21 +100,23 @@ def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
     before, after = volumetric.get("before_aligned", {}), volumetric.get("after_aligned", {})
     proof = record.decision("proof") or {}
     night = outcome.get("night") or record.decision("night") or record.decision("verify") or {}
+    confirmed = outcome.get("confirmed") or {}
     accepted = proof.get("accepted")
     calibrated = after.get("value_um")
+    now_um = confirmed.get("ve_kept_um", night.get("ve_now_um"))
     written = night.get("ve_after_um", calibrated) if night.get("ve_after_um") is not None else calibrated
     return {
         "ve_before_um": before.get("value_um"),
         "ve_before_sigma_um": before.get("standard_uncertainty_um"),
         "ve_after_um": calibrated,
         "ve_after_sigma_um": after.get("standard_uncertainty_um"),
-        "ve_now_um": night.get("ve_now_um"),
-        "acting_um": written if accepted else night.get("ve_now_um"),
-        "held_out_before_um": proof.get("before_um", night.get("held_out_um")),
+        "ve_now_um": now_um,
+        "acting_um": written if accepted else now_um,
+        "held_out_before_um": proof.get("before_um", confirmed.get("held_out_um", night.get("held_out_um"))),
         "held_out_after_um": proof.get("after_um"),
         "held_out_predicted_um": proof.get("predicted_um", night.get("held_out_predicted_um")),
         "accepted": accepted,
-        "night": night.get("decision"),
+        "night": night.get("decision", CONFIRMED if confirmed else None),
         "since": night.get("since"),
         "nights": night.get("nights"),
     }

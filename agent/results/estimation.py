@@ -1,7 +1,6 @@
 """Estimation of the machine's errors from measured balls.
 
-The module computes the estimate, the predicted accuracy and the compensation table. It also proves the table with
-held-out balls (measured, but not used for the estimate).
+The module computes the estimate, the predicted accuracy and the compensation table.
 """
 
 from __future__ import annotations
@@ -12,19 +11,10 @@ from importlib.metadata import version
 
 import numpy as np
 
-from agent.errors import MeasurementFault
-from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.facts import VolumetricSummary
-from agent.results.observations import (
-    Correction,
-    certified_balls,
-    displayed_residuals,
-    observations_of,
-    positions_named,
-)
-from agent.results.run_outcome import Proof
+from agent.results.observations import Correction, positions_named
 from agent.results.thermal_drift import identification_options, observations_with_drift
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
 from agent.results.travel_parts import TravelParts
@@ -34,20 +24,16 @@ from agent.settings.schema import Order, TableSettings
 from agent.settings.temperature import TemperatureSettings
 from drivers.clock import utc_timestamp
 from twin.artefact.artefact import Artefact
-from twin.artefact.held_out_check import held_out_test
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, Nodes, build_table, regular_nodes
 from twin.formats.estimate_file import VolumetricSection, format_estimate
-from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
+from twin.identification import Estimate, Options, identify, identify_by_evidence
 from twin.identification.checks.measured_shape import check_shape
 from twin.identification.predicted import field_forms
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.thermometer_effect import ThermometerEffect, thermometer_effect
-from twin.units import UM_PER_MM
-
-_SMALL_REDUCTION, _NO_REDUCTION = 0.8, 0.95
 
 
 @dataclass(frozen=True)
@@ -163,58 +149,6 @@ def thermometer_facts(estimation: EstimationResult, temperature: TemperatureSett
     return ThermometerFacts.of(estimation.thermometer, statement)
 
 
-def prove(
-    job: Job, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
-) -> Proof:
-    """Return the proof of a new compensation table at the held-out balls (measured, but not used for the estimate). The
-    balls `after` were measured with the new table active. They are compared with the balls `before`, measured before
-    its activation, and with their prediction from the estimate.
-
-    Raises MeasurementFault if too few balls were found for a comparison.
-    """
-    before, after = certified_balls(before, job.artefact), certified_balls(after, job.artefact)
-    for balls, when in ((before, "before"), (after, "with the new table active")):
-        if not balls:
-            raise MeasurementFault(f"no ball of a held-out position was measured {when}")
-    table = estimation.table
-    with translated(MeasurementFault):
-        observations_with_drift = observations_of(after, job.tool_offset_mm, table.at)
-        result = displayed_residuals(after, job.tool_offset_mm, job.artefact)
-        expected = held_out_test(
-            observations_with_drift,
-            result,
-            job.artefact,
-            residual_covariance(estimation.estimate, observations_with_drift.axis_positions, job.tool_offset_mm),
-        )
-        before_um, after_um = (
-            UM_PER_MM * displayed_residuals(before, job.tool_offset_mm, job.artefact).rms_mm,
-            UM_PER_MM * result.rms_mm,
-        )
-    limits, predicted_um = job.settings.verification, UM_PER_MM * expected.predicted_mm
-    allowed = allowed_share(predicted_um / before_um, limits.max_remaining_fraction)
-    reason = _judgement(after_um / before_um, allowed, expected.chi2_normalised, limits.max_chi2)
-    return Proof(
-        accepted=not reason,
-        before_um=before_um,
-        after_um=after_um,
-        predicted_um=predicted_um,
-        chi2_normalised=expected.chi2_normalised,
-        reason=reason or "better than before and as predicted",
-    )
-
-
-def allowed_share(predicted_share: float, max_remaining_fraction: float) -> float:
-    """Return the largest allowed ratio of the rms residual of the held-out balls with the new table to that before.
-
-    It is `max_remaining_fraction`. If the prediction itself keeps more than that and more than 80 %, because a good
-    table was active before, half of the predicted reduction is demanded instead. A predicted reduction of less than 5 %
-    is none that could be proved.
-    """
-    if not max(max_remaining_fraction, _SMALL_REDUCTION) < predicted_share <= _NO_REDUCTION:
-        return max_remaining_fraction
-    return max(max_remaining_fraction, 0.5 * (1.0 + predicted_share))
-
-
 def estimate_text(estimation: EstimationResult, origin: Mapping[str, str]) -> str:
     """Return the text of the estimate file of `estimation`. `origin` maps names such as `software` to texts on the
     origin of the estimate."""
@@ -244,12 +178,3 @@ def provenance(job: Job, run_id: str) -> dict[str, str]:
         "order": str(chosen.order),
         "table_tool": job.settings.tool,
     }
-
-
-def _judgement(share: float, max_remaining_fraction: float, chi2: float, max_chi2: float) -> str:
-    """Return the reason why the table is not accepted; empty if both limits are met."""
-    if share > max_remaining_fraction:
-        return f"held-out positions keep {share:.2f} of their error, allowed {max_remaining_fraction:.2f}"
-    if chi2 > max_chi2:
-        return f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {max_chi2:.2f}"
-    return ""

@@ -20,7 +20,7 @@ from scipy.special import chdtri
 from agent.errors import ForecastRefused
 from agent.files import translated
 from agent.planning.job import Job
-from agent.results.estimation import allowed_share, table_grid
+from agent.results.estimation import table_grid
 from agent.results.gates import (
     CERTIFICATE,
     CHANGE,
@@ -37,23 +37,22 @@ from agent.results.gates import (
 )
 from agent.results.night_gate import NIGHT
 from agent.results.predicted_accuracy import planned_estimate
+from agent.results.table_replacement import ExpectedGain
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
-from twin.artefact.held_out_check import held_out_residuals, held_out_test
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, MeasuredRegion, Nodes, linear_corrections
-from twin.identification import Estimate, expected_rms, regional_forms, residual_covariance
+from twin.identification import Estimate, expected_rms, regional_forms
 from twin.identification.predicted import field_forms
-from twin.machine.deviation_basis import deviation_basis
 from twin.machine.volumetric import evaluation_grid
 from twin.units import UM_PER_MM
 
-PROBE, PROOF, PROOF_FIT = "probe", "proof", "proof fit"
+PROBE, MARGIN, PROOF_FIT = "probe", "margin", "proof fit"
 
 _KEYS: Mapping[str, str] = {
     **GATE_KEYS,
     PROBE: "probe_check.limit_um",
-    PROOF: "verification.max_remaining_fraction",
+    MARGIN: "verification.min_gain",
     PROOF_FIT: "verification.max_chi2",
 }
 _MORE = "measure more positions (`procedure.position_set`, `procedure.stations`; `volcal rank` says which help)"
@@ -69,7 +68,7 @@ _REMEDIES: Mapping[str, str] = {
     "slope": "raise the limit, or check `model.family` in the machine file",
     "extrapolation": "allow it, or narrow `axes.*.range_mm` in the machine file to the travel that the balls reach",
     "unmeasured": f"{_MORE}, narrow `axes.*.range_mm` in the machine file, or raise the limit",
-    PROOF: f"{_MORE}, or raise the limit",
+    MARGIN: f"{_MORE}, or lower the limit; a run would keep the active compensation",
     PROOF_FIT: "set it to more than 1, which is the expected value",
 }
 
@@ -123,7 +122,7 @@ def forecast_gates(job: Job, store_limit_mm: float = math.inf) -> tuple[GateFore
         *_probe_gates(job),
         *design.estimate_gates(),
         *design.table_gates(store_limit_mm * UM_PER_MM),
-        *design.proof_gates(),
+        *design.replacement_gates(),
     )
     return tuple(GateForecast.of(gate) for gate in gates)
 
@@ -230,21 +229,14 @@ class _Design:
         rows = fields.reshape(-1, fields.shape[-1])
         return _LARGE * math.sqrt(max(float(np.einsum("rp,rp->r", rows @ self.known, rows).max()), 0.0))
 
-    def proof_gates(self) -> tuple[Gate, ...]:
-        limits, artefact, offset = self.job.settings.verification, self.job.artefact, self.job.tool_offset_mm
-        seen = self.job.procedure.plan(self.job.held_out).observations
-        placed = held_out_residuals(seen, seen.axis_positions + offset, artefact)
-        left = residual_covariance(self.estimate, seen.axis_positions, offset)
-        # the machine's deviations before: those that the table corrects, and independent of them those that it leaves
-        fields = deviation_basis(self.estimate.model, seen.axis_positions, offset).reshape(-1, len(self.known))
-        after_um, before_um = (
-            UM_PER_MM * held_out_test(seen, placed, artefact, covariance).predicted_mm
-            for covariance in (left, left + fields @ self.known @ fields.T)
-        )
-        share = after_um / before_um
-        allowed = allowed_share(share, limits.max_remaining_fraction)
-        text = f"rms of held-out balls, {after_um:.2f} µm as a share of {before_um:.2f} µm without a table"
+    def replacement_gates(self) -> tuple[Gate, ...]:
+        """Return the gates of the rule by which a new table replaces the active compensation, which is none."""
+        limits = self.job.settings.verification
+        form = field_forms(self.estimate, evaluation_grid(self.estimate.model.ranges_mm), self.job.tool_offset_mm)[1]
+        corrected_um, left_um = self._errors_um(form)
+        gain = ExpectedGain(math.hypot(corrected_um, left_um), left_um)
+        text = f"relative decrease of the VE from {gain.kept_um:.2f} to {gain.new_um:.2f} µm by the first table"
         return (
-            Gate(PROOF, share <= allowed, share, allowed, text),
+            Gate(MARGIN, gain.reaches(limits.min_gain), gain.fraction, limits.min_gain, text),
             Gate(PROOF_FIT, limits.max_chi2 >= 1.0, 1.0, limits.max_chi2, "normalised χ² of held-out balls"),
         )

@@ -42,6 +42,8 @@ GATE_KEYS: Mapping[str, str] = {
 }
 """Settings key of the limit of each gate, by the name of the gate."""
 
+_OF_MEASUREMENT = ("fit", "redundancy", CERTIFICATE)
+
 MORE_POSITIONS = "more positions or another position set lower the predicted VCE; see the report"
 BETTER_CERTIFICATE = (
     "clean the named balls and have them calibrated, or list them as uncertified_balls in the artefact file"
@@ -228,6 +230,11 @@ def with_consent(gates: Sequence[Gate]) -> list[Gate]:
         replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
         for gate in gates
     ]
+
+
+def of_measurement(gates: Sequence[Gate]) -> tuple[Gate, ...]:
+    """Return those of `gates` that concern the measurement itself, not a table that would be written."""
+    return tuple(gate for gate in gates if gate.name in _OF_MEASUREMENT)
 
 
 def names_of_failed(gates: Sequence[Gate]) -> tuple[str, ...]:

@@ -30,8 +30,36 @@ class Proof:
     reason: str
 
 
+@dataclass(frozen=True)
+class Confirmation:
+    """Confirmation of the active table, which is kept because a new table would not be better by the stated margin.
+
+    `kept_um` and `new_um` are the volumetric errors expected with the active and with a new table, after removal of the
+    best-fitting rigid motion. `min_gain` is the relative decrease from which a new table is written. `held_out_um` is
+    the rms residual of the held-out balls (measured, but not used for the estimate) with the active table.
+    `chi2_normalised` compares them with the prediction of the estimate. `reason` states why the active table is not
+    confirmed; it is empty if it is.
+    """
+
+    kept_um: float
+    new_um: float
+    min_gain: float
+    held_out_um: float
+    chi2_normalised: float
+    reason: str = ""
+
+    @property
+    def text(self) -> str:
+        """Explanation in one line."""
+        return (
+            f"{Decision.CONFIRMED.value}: the active compensation is kept, VE {self.kept_um:.2f} µm; a new table is "
+            f"expected to leave {self.new_um:.2f} µm, and is written from {100.0 * self.min_gain:.0f} % less on"
+        )
+
+
 class Decision(Enum):
-    """Decision that ends a nightly run or a verification."""
+    """Decision that ends a nightly run or a verification. A full calibration, at night or not, has CONFIRMED if it
+    keeps the active table."""
 
     WITHIN = "within limits"
     OUT = "out of limits"
@@ -40,6 +68,7 @@ class Decision(Enum):
     RESTORED = "former table restored"
     FULL_NEEDED = "full calibration needed"
     FULL_DONE = "full calibration done"
+    CONFIRMED = "confirmed"
 
 
 @dataclass(frozen=True)
@@ -144,6 +173,7 @@ class Outcome:
     chi2_normalised: float | None = None
     rejected: tuple[tuple[int, int, int], ...] = ()
     proof: Proof | None = None
+    confirmed: Confirmation | None = None
     night: NightReport | None = None
     reversal: tuple[AxisReversal, ...] = ()
     kind: str = "calibrate"
@@ -183,6 +213,15 @@ class Outcome:
                 "predicted_um": self.proof.predicted_um,
                 "chi2_normalised": self.proof.chi2_normalised,
                 "reason": self.proof.reason,
+            },
+            "confirmed": None
+            if self.confirmed is None
+            else {
+                "ve_kept_um": self.confirmed.kept_um,
+                "ve_new_um": self.confirmed.new_um,
+                "min_gain": self.confirmed.min_gain,
+                "held_out_um": self.confirmed.held_out_um,
+                "chi2_normalised": self.confirmed.chi2_normalised,
             },
             "night": None if self.night is None else self.night.as_json(),
             "reversal": [dict(vars(axis)) for axis in self.reversal],

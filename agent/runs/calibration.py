@@ -1,12 +1,15 @@
-"""Calibration run. It begins with the check that motion is permitted, and ends with the proof of the new compensation
-table. The table is then accepted, or the former table is reactivated."""
+"""Calibration run. It begins with the check that motion is permitted, and ends in one of three ways.
+
+The active table is confirmed if a new one would not be better by the stated margin. Otherwise the new table is written
+and proved; it is then accepted, or the former table is reactivated.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from agent.errors import MeasurementFault
+from agent.errors import GateRefused, MeasurementFault
 from agent.execution.states import RunState
 from agent.files import translated
 from agent.planning.job import Job
@@ -14,18 +17,27 @@ from agent.probing import publish
 from agent.probing.position import MeasuredBall
 from agent.probing.repeated_positions import measure_with_repeats
 from agent.probing.run_plan import MeasuredPositions, measure_positions
+from agent.results.decision_kinds import CONFIRMED
 from agent.results.estimation import (
     EstimationResult,
     estimate_from_balls,
     estimate_text,
-    prove,
     provenance,
     thermometer_facts,
 )
-from agent.results.gates import Gate, change_gate, estimate_gates, require_passed, table_gates, with_consent
+from agent.results.gates import (
+    Gate,
+    change_gate,
+    estimate_gates,
+    of_measurement,
+    require_passed,
+    table_gates,
+    with_consent,
+)
 from agent.results.journal_entries import record_held_out, record_identified
-from agent.results.run_outcome import Proof
+from agent.results.run_outcome import Decision, Proof
 from agent.results.table_image import image_of
+from agent.results.table_replacement import ExpectedGain, confirm, expected_gain, prove, written_parameters
 from agent.results.thermal_drift import balls_for_estimate
 from agent.runs.change_since_reference import change_since
 from agent.runs.consent import Consent, ask_consent, opens_by_consent
@@ -77,8 +89,15 @@ class CalibrationRun(GuardedRun):
         with translated(MeasurementFault):
             estimation = estimate_from_balls(job, balls, self._correction)
         self._store_estimate(estimation, balls)
-        gates = table_gates(estimation.table, estimation.travel, self._rig.store.store_limits(), job.gate_limits)
-        self._pass_gates((*self._estimate_gates(estimation), *gates))
+        new_um = estimation.volumetric.after_aligned.value_um
+        gain = expected_gain(estimation.estimate, new_um, self._correction, job.tool_offset_mm)
+        gates = self._estimate_gates(estimation)
+        if not gain.reaches(job.settings.verification.min_gain):
+            self._pass_gates(of_measurement(gates))
+            self._confirm(estimation, gain, job.balls_of(progress.measured, held_out=True))
+            return
+        gates += table_gates(estimation.table, estimation.travel, self._rig.store.store_limits(), job.gate_limits)
+        self._pass_gates(gates)
         self._write_and_prove(estimation, progress.measured)
 
     def _store_estimate(self, estimation: EstimationResult, balls: Sequence[MeasuredBall]) -> None:
@@ -106,6 +125,23 @@ class CalibrationRun(GuardedRun):
         for gate in self.progress.gates:
             self._journal.decision("gate", vars(gate))
         require_passed(self.progress.gates)
+
+    def _confirm(self, estimation: EstimationResult, gain: ExpectedGain, held_out: Sequence[MeasuredBall]) -> None:
+        """Keep the active table, and accept the estimate as the reference of later runs. Raises GateRefused if the
+        held-out balls contradict the estimate."""
+        job, found = self._job, self.progress.found
+        assert found is not None  # noqa: S101  read before anything is measured
+        confirmed = confirm(job, estimation, gain, held_out, self._correction)
+        self._journal.decision(CONFIRMED, {**vars(confirmed), "decision": Decision.CONFIRMED.value})
+        if confirmed.reason:
+            raise GateRefused(
+                f"the active compensation is not confirmed: {confirmed.reason}",
+                hint="nothing was written; measure again, and check artefact, mount and temperatures",
+            )
+        self.progress.confirmed = confirmed
+        written = written_parameters(estimation.estimate.model, self._correction, job.tool_offset_mm)
+        record_accepted(self._journal, AcceptedTable.of(job, written, found.table))
+        self._tracker.enter(RunState.COMPLETE, confirmed.text)
 
     def _write_and_prove(self, estimation: EstimationResult, measured: MeasuredPositions) -> None:
         """Stage and activate the table, and measure the held-out positions again.
@@ -151,7 +187,7 @@ class CalibrationRun(GuardedRun):
     def _proof(
         self, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
     ) -> Proof:
-        return prove(self._job, estimation, before, after)
+        return prove(self._job, estimation, before, after, self._correction)
 
     def _accept(self, estimation: EstimationResult, image: TableImage) -> None:
         """Record the estimate and the table as the reference with which later runs compare the machine."""

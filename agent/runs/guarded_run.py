@@ -21,7 +21,7 @@ from agent.results.estimation import EstimationResult
 from agent.results.gates import Gate
 from agent.results.journal_entries import record_probe
 from agent.results.observations import Correction, no_correction
-from agent.results.run_outcome import NightReport, Proof
+from agent.results.run_outcome import Confirmation, NightReport, Proof
 from agent.results.table_image import table_of
 from agent.runs.run_context import RunContext
 from drivers.errors import LinkError, VolcalError
@@ -43,6 +43,7 @@ class RunProgress:
     gates: list[Gate] = field(default_factory=list)
     verified: MeasuredPositions | None = None
     proof: Proof | None = None
+    confirmed: Confirmation | None = None
     night: NightReport | None = None
     active_bank: int | None = None
     job: Job | None = None

@@ -38,13 +38,19 @@ ACTIVATING_DECISIONS = frozenset({_ACCEPTED, TABLE_RESTORED})
 """Kinds of decision after which the table staged by the same run is expected to be active."""
 
 
+def active_digest(image: TableImage | None) -> int:
+    """Return the CRC-32 checksum of the active table, or 0 if no compensation is active."""
+    return 0 if image is None else table_digest(image)
+
+
 @dataclass(frozen=True, eq=False)
 class AcceptedTable:
-    """Compensation table that has been active since its acceptance.
+    """Compensation table that has been active since its acceptance. A machine may also have been accepted without
+    compensation.
 
     `written` (p,) contains the values in mm or rad of the p parameters of the error model that the table corrects.
     `tool` is the tool for which the table is valid. `crc32` is the CRC-32 of the table's integers, as the controller
-    stores them.
+    stores them; it is 0 without compensation.
     """
 
     machine: str
@@ -54,9 +60,9 @@ class AcceptedTable:
     crc32: int
 
     @classmethod
-    def of(cls, job: Job, written: Array, image: TableImage) -> Self:
+    def of(cls, job: Job, written: Array, image: TableImage | None) -> Self:
         settings = job.settings
-        return cls(settings.machine.name, settings.artefact.name, settings.tool, written, table_digest(image))
+        return cls(settings.machine.name, settings.artefact.name, settings.tool, written, active_digest(image))
 
 
 @dataclass(frozen=True, eq=False)

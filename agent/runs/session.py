@@ -281,6 +281,7 @@ class RunSession:
             chi2_normalised=None if estimation is None else estimation.estimate.chi2_normalised,
             rejected=() if estimation is None else estimation.estimate.rejected,
             proof=progress.proof,
+            confirmed=progress.confirmed,
             night=progress.night,
             reversal=() if progress.prepared is None else progress.prepared.reversals,
             kind=self._kind.name,

@@ -228,11 +228,16 @@ class VerificationSettings(StrictModel):
     If `positions_deg` is set, these orientations are held out at each of the `stations`. Otherwise, `positions` single
     positions are chosen automatically: positions at the `stations`, with orientations on a grid of `grid_deg`, whose
     balls are expected to keep the largest error with the table active.
+
+    A full calibration writes a new table only if the volumetric error expected with it is lower than that expected with
+    the active table by at least the fraction `min_gain`. The new table stays active if the held-out balls are as
+    predicted and if at most the fraction `max_missing_fraction` of the predicted reduction is missing beyond the noise.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "largest_chi2": "max_chi2",
-        "largest_share": "max_remaining_fraction",
+        "largest_share": "max_missing_fraction",
+        "max_remaining_fraction": "max_missing_fraction",
     }
 
     positions_deg: Annotated[list[Angles], Field(min_length=1)] | None = None
@@ -240,7 +245,8 @@ class VerificationSettings(StrictModel):
     grid_deg: PositiveFloat = Field(default=30.0, le=90.0)
     stations: list[PositiveInt] | None = None
     max_chi2: PositiveFloat = 2.0
-    max_remaining_fraction: float = Field(default=0.8, gt=0.0, le=1.0)
+    max_missing_fraction: float = Field(default=0.5, gt=0.0, le=1.0)
+    min_gain: float = Field(default=0.25, ge=0.0, lt=1.0)
 
 
 class TimingSettings(StrictModel):

@@ -52,7 +52,7 @@ def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
         "verification": {
             "stations": [1],
             "positions_deg": [(20.0, 25.0)],
-            "max_remaining_fraction": 1.0,
+            "max_missing_fraction": 1.0,
             "max_chi2": 1e3,
         },
         "gates": {

@@ -68,7 +68,7 @@ def short_document(state: Path, **sections: Any) -> dict[str, Any]:
         "verification": {
             "stations": [1],
             "positions_deg": [[20.0, 25.0]],
-            "max_remaining_fraction": 1.0,
+            "max_missing_fraction": 1.0,
             "max_chi2": 1e3,
         },
         "gates": {

@@ -36,7 +36,7 @@ def shortened(config: Path, positions: str) -> Path:
         (
             "[verification]\nstations = [1, 4]",
             "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
-            "max_remaining_fraction = 1.0\nmax_chi2 = 1e3",
+            "max_missing_fraction = 1.0\nmax_chi2 = 1e3",
         ),
         (
             "[timing]",

@@ -118,7 +118,7 @@ def _describe(
         if section is not None and issubclass(section, StrictModel) and name in section.former_keys:
             return (
                 f"key '{name}' has been renamed",
-                f"Write '{section.former_keys[name]}' instead; its meaning is the same",
+                f"Write '{section.former_keys[name]}' instead; the reference page of this file states its meaning",
             )
         close = difflib.get_close_matches(name, known, n=1)
         return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _known_keys_hint(known)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from agent.errors import GateRefused
-from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.planning.job import Job
 from agent.probing.position import PositionRules
@@ -18,14 +17,14 @@ from agent.probing.run_plan import MeasuredPositions, measure_positions
 from agent.results.observations import Correction
 from agent.runs.kinds.drift_check import Judge, Judgement
 from agent.runs.kinds.night_plan import NightPlan
-from agent.runs.reference_state import ReferenceState
+from agent.runs.reference_state import ReferenceState, active_digest
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position
 
 
 def require_table_of(reference: ReferenceState, found: ActiveCompensation) -> None:
     """Raise GateRefused if the active compensation table is not the last accepted one."""
-    if found.table is None or table_digest(found.table) != reference.table.crc32:
+    if active_digest(found.table) != reference.table.crc32:
         raise GateRefused(
             f"bank {found.bank} is active, and it does not hold the table accepted in run {reference.run_id}",
             hint="activate that table again, or run `volcal calibrate`",

@@ -159,6 +159,11 @@ def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Jud
     proof = full.progress.proof
     if proof is not None and not proof.accepted:
         full.progress.night = replace(report, decision=Decision.RESTORED, reason=proof.reason)
+    confirmed = full.progress.confirmed
+    if confirmed is not None:
+        full.progress.night = replace(
+            report, decision=Decision.CONFIRMED, ve_now_um=confirmed.kept_um, ve_after_um=confirmed.new_um
+        )
 
 
 def refusal_until_full(reason: str) -> GateRefused:

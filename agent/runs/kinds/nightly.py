@@ -22,6 +22,7 @@ from agent.results.estimation import EstimationResult, estimate_with_table
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.results.observations import positions_named
 from agent.results.run_outcome import Decision, NightReport, Proof
+from agent.results.table_replacement import ExpectedGain
 from agent.results.thermal_drift import balls_for_estimate, fusion_options, observations_with_drift
 from agent.runs.calibration import CalibrationRun
 from agent.runs.change_since_reference import change_since, fit_of_night
@@ -42,7 +43,6 @@ from agent.runs.kinds.night_plan import (
     station_of,
 )
 from agent.runs.kinds.position_choice import PositionChooser
-from agent.runs.kinds.update_proof import prove_update
 from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.runs.reference_state import (
     full_calibration_need,
@@ -278,7 +278,7 @@ class NightlyRun(CalibrationRun):
         now_um = judge.expected_ve_um(estimation.estimate, written)
         after_um = judge.expected_ve_um(estimation.estimate, estimation.estimate.parameters)
         report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
-        worthwhile = 1.0 - after_um / now_um >= chosen.nightly.min_gain
+        worthwhile = ExpectedGain(now_um, after_um).reaches(chosen.nightly.min_gain)
         last_part = FURTHER if self._plan.further else VERIFICATION
         if not worthwhile or self._planned_minutes_after(last_part) > self._left_minutes:
             record_accepted(self._journal, judge.reference.table)
@@ -297,7 +297,7 @@ class NightlyRun(CalibrationRun):
     def _proof(
         self, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
     ) -> Proof:
-        proof = prove_update(self._job, estimation, before, after)
+        proof = super()._proof(estimation, before, after)
         report = self.progress.night
         assert report is not None  # noqa: S101  judged before anything was fused
         decision = Decision.WRITTEN if proof.accepted else Decision.RESTORED

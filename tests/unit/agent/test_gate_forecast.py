@@ -94,7 +94,7 @@ def test_a_run_that_will_be_refused_is_named_by_its_keys(small: Path) -> None:
         "gates.max_slope_um_per_mm": "0.01",
         "gates.allow_extrapolation": "false",
         "gates.max_unmeasured_fraction": "0.2",
-        "verification.max_remaining_fraction": "0.2",
+        "verification.min_gain": "0.9",
         "verification.max_chi2": "0.9",
     }
     for section in ("probe_check", "gates", "verification"):

@@ -1,0 +1,202 @@
+"""Replacement of the active compensation table by a new one: the one rule of full calibrations and nights.
+
+The active table is kept unless the new table is expected to be better by a stated margin. Nothing is written then, and
+the active table is confirmed. If a new table was written, it must show the reduction that was predicted at the held-out
+balls (measured, but not used for the estimate); otherwise the former table is restored.
+
+Let e be the true deviation of the machine, ê its estimate with the covariance C, and c₀ and c₁ the corrections of the
+active and of the new table, with c₁ = -ê. The mean square that is left with the active table is expected to be
+|ê + c₀|² + tr C, with the new table tr C. The expected reduction |ê + c₀|² is the same over the travel and at held-out
+balls, each with its own points. At the held-out balls it can be compared with the measured reduction, which contains
+the noise of the touches before and after.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.errors import MeasurementFault
+from agent.files import translated
+from agent.planning.job import Job
+from agent.probing.position import MeasuredBall
+from agent.results.estimation import EstimationResult
+from agent.results.observations import Correction, certified_balls, displayed_residuals, observations_of
+from agent.results.run_outcome import Confirmation, Proof
+from agent.settings.schema import VerificationSettings
+from twin.arrays import Array
+from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals, held_out_test
+from twin.artefact.observations import Observations
+from twin.identification import Estimate, residual_covariance
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import deviation_basis
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.volumetric import evaluation_grid, volumetric_error
+from twin.units import UM_PER_MM
+
+_COVERAGE = 3.0
+_GRID, _COARSE_GRID = (24, 12, 12), (12, 8, 8)  # of the travel; the fields are smooth
+
+
+@dataclass(frozen=True)
+class ExpectedGain:
+    """Volumetric errors (VE) in µm, after removal of the best-fitting rigid motion, that are expected with the active
+    table (`kept_um`) and with a new table (`new_um`)."""
+
+    kept_um: float
+    new_um: float
+
+    @property
+    def fraction(self) -> float:
+        """Relative decrease of the volumetric error by the new table."""
+        return 1.0 - self.new_um / self.kept_um if self.kept_um > 0.0 else 0.0
+
+    def reaches(self, min_gain: float) -> bool:
+        """Return True if the new table is expected to be better by the margin `min_gain`."""
+        return self.fraction >= min_gain
+
+
+def expected_gain(estimate: Estimate, new_um: float, correction: Correction, tool_offset_mm: Array) -> ExpectedGain:
+    """Return the errors expected from `estimate` with the active table, whose corrections are `correction`, and with
+    the table of the estimate. `new_um` is the error in µm that the estimate predicts with its own table."""
+    grid = evaluation_grid(estimate.model.ranges_mm, _GRID)
+    left = _field(estimate, grid, tool_offset_mm) + correction(grid)
+    return ExpectedGain(math.hypot(volumetric_error(grid + tool_offset_mm, left).aligned_um, new_um), new_um)
+
+
+def confirm(
+    job: Job, estimation: EstimationResult, gain: ExpectedGain, balls: Sequence[MeasuredBall], correction: Correction
+) -> Confirmation:
+    """Return the confirmation of the active table, whose corrections are `correction`. The held-out `balls` were
+    measured with it.
+
+    The confirmation relies on the estimate. The ball centres, corrected by the estimate, must therefore agree with
+    their prediction; otherwise the reason of the confirmation is not empty. Raises MeasurementFault if too few
+    held-out balls were measured.
+    """
+    limits, offset = job.settings.verification, job.tool_offset_mm
+    certified = _certified(job, balls, "")
+    with translated(MeasurementFault):
+        bare = observations_of(certified, offset, correction)
+        points = bare.axis_positions + offset + _field(estimation.estimate, bare.axis_positions, offset)
+        expected = _compared(job, estimation, bare, held_out_residuals(bare, points, job.artefact))
+        measured_um = UM_PER_MM * displayed_residuals(certified, offset, job.artefact).rms_mm
+    return Confirmation(
+        kept_um=gain.kept_um,
+        new_um=gain.new_um,
+        min_gain=limits.min_gain,
+        held_out_um=measured_um,
+        chi2_normalised=expected.chi2_normalised,
+        reason=_disagreement(expected, limits),
+    )
+
+
+def prove(
+    job: Job,
+    estimation: EstimationResult,
+    before: Sequence[MeasuredBall],
+    after: Sequence[MeasuredBall],
+    correction: Correction,
+) -> Proof:
+    """Return the proof of a new compensation table at the held-out balls. The balls `before` were measured with the
+    former table, whose corrections are `correction`, and the balls `after` with the new one.
+
+    Raises MeasurementFault if too few balls were found for a comparison.
+    """
+    limits, offset = job.settings.verification, job.tool_offset_mm
+    before, after = _certified(job, before, " before"), _certified(job, after, " with the new table active")
+    with translated(MeasurementFault):
+        seen = [observations_of(before, offset, correction), observations_of(after, offset, estimation.table.at)]
+        former, result = (displayed_residuals(balls, offset, job.artefact) for balls in (before, after))
+        expected = _compared(job, estimation, seen[1], result)
+        left = _field(estimation.estimate, seen[0].axis_positions, offset) + _correction_at(before, correction)
+        reduction = held_out_residuals(seen[0], former.placed_mm + left, job.artefact).rms_mm ** 2
+    scale = estimation.estimate.scales.noise
+    noise = math.hypot(*(noise_of_square(one, two, scale) for one, two in zip((former, result), seen, strict=True)))
+    shown = former.rms_mm**2 - result.rms_mm**2
+    reason = ""
+    if not shows_reduction(shown, reduction, noise, limits.max_missing_fraction):
+        squares = UM_PER_MM**2 * np.array([reduction, shown, noise])
+        reason = (
+            f"held-out positions do not show the predicted reduction, {UM_PER_MM * former.rms_mm:.2f} to "
+            f"{UM_PER_MM * result.rms_mm:.2f} µm: their mean square was to fall by {squares[0]:.2f} µm² and fell by "
+            f"{squares[1]:.2f} µm², with a noise of {squares[2]:.2f} µm²"
+        )
+    reason = reason or _disagreement(expected, limits)
+    return Proof(
+        accepted=not reason,
+        before_um=UM_PER_MM * former.rms_mm,
+        after_um=UM_PER_MM * result.rms_mm,
+        predicted_um=UM_PER_MM * expected.predicted_mm,
+        chi2_normalised=expected.chi2_normalised,
+        reason=reason or "reduced and as predicted",
+    )
+
+
+def shows_reduction(shown: float, predicted: float, noise: float, max_missing_fraction: float) -> bool:
+    """Return True if a measured reduction of the mean square of the held-out balls, `shown`, agrees with the predicted
+    one. At most the fraction `max_missing_fraction` of the prediction may be missing, apart from three times the
+    standard deviation `noise` of the measured reduction. All three have the same unit."""
+    return shown >= (1.0 - max_missing_fraction) * predicted - _COVERAGE * noise
+
+
+def written_parameters(model: ErrorModel, correction: Correction, tool_offset_mm: Array) -> Array:
+    """Return the values (p,) of the p parameters of `model`, in mm or rad, that a table with the corrections
+    `correction` corrects: those whose deviations fit the corrections best. A rigid motion of the workspace, which a
+    table may also contain, is left out."""
+    grid = evaluation_grid(model.ranges_mm, _COARSE_GRID)
+    points = grid + tool_offset_mm
+    size_mm = float(np.ptp(points, axis=0).max())
+    fields = np.concatenate(
+        [deviation_basis(model, grid, tool_offset_mm), rigid_fields(points, points.mean(axis=0), size_mm)], axis=2
+    )
+    columns = fields.reshape(3 * len(grid), -1)
+    sizes = np.linalg.norm(columns, axis=0)
+    sizes[sizes == 0.0] = 1.0
+    found = np.linalg.lstsq(columns / sizes, -correction(grid).reshape(-1), rcond=1e-9)[0] / sizes
+    return np.asarray(found[: model.size])
+
+
+def noise_of_square(result: HeldOutResiduals, observed: Observations, scale: float) -> float:
+    """Return the standard deviation (mm²) of the mean squared residual of a ball that is due to touch noise alone.
+
+    For a systematic part s of the residuals and noise n with f independent components of standard deviation σ, |s + n|²
+    has the variance 4 |s|² σ² + 2 f σ⁴. `scale` is the factor of the stated noise.
+    """
+    variance = scale**2 * float(np.einsum("nii->n", observed.covariance).mean()) / 3.0
+    freedom = result.freedom
+    square = result.rms_mm**2 * freedom / 3.0
+    systematic = max(square - freedom * variance, 0.0)  # |s|²: the mean of |s + n|² is |s|² + f σ²
+    return 3.0 / freedom * math.sqrt(4.0 * systematic * variance + 2.0 * freedom * variance**2)
+
+
+def _field(estimate: Estimate, axis_positions: Array, tool_offset_mm: Array) -> Array:
+    """Return the estimated deviations (n, 3) in mm of the machine without compensation."""
+    return np.asarray(deviation_basis(estimate.model, axis_positions, tool_offset_mm) @ estimate.parameters)
+
+
+def _correction_at(balls: Sequence[MeasuredBall], correction: Correction) -> Array:
+    return correction(np.array([ball.found.centre_mm for ball in balls]))
+
+
+def _certified(job: Job, balls: Sequence[MeasuredBall], when: str) -> list[MeasuredBall]:
+    certified = certified_balls(balls, job.artefact)
+    if not certified:
+        raise MeasurementFault(f"no ball of a held-out position was measured{when}")
+    return certified
+
+
+def _compared(job: Job, estimation: EstimationResult, observed: Observations, result: HeldOutResiduals) -> HeldOutTest:
+    covariance = residual_covariance(estimation.estimate, observed.axis_positions, job.tool_offset_mm)
+    return held_out_test(observed, result, job.artefact, covariance)
+
+
+def _disagreement(expected: HeldOutTest, limits: VerificationSettings) -> str:
+    """Return the reason why held-out balls are not as predicted; empty if they are."""
+    if expected.chi2_normalised <= limits.max_chi2:
+        return ""
+    chi2 = expected.chi2_normalised
+    return f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {limits.max_chi2:.2f}"
