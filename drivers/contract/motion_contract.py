@@ -44,17 +44,18 @@ class MachineContract:
 
     def test_guarded_move_into_an_obstacle_trips_the_guard(self, rig: ContractRig) -> None:
         target = rig.approach()
+        direction = rig.towards(target)
         with pytest.raises(GuardTripped):
             rig.machine.move_to(target, feed_mm_per_s=10.0, guarded=True)
         assert rig.machine.status().state is not MotionState.MOVING
-        trip_y = rig.trip_mm(target)[1]
-        assert trip_y < rig.machine.position()[1] < trip_y + 6.0
+        beyond_mm = float((rig.machine.position() - rig.trip_mm(target)) @ direction)
+        assert 0.0 < beyond_mm < 6.0
 
     def test_interrupted_wait_stops_the_motion(self, rig: ContractRig) -> None:
         rig.go(rig.start_mm)
         rig.interrupt.after(2.0)
         with pytest.raises(StoppedError):
-            target = np.add(rig.start_mm, (1000.0, 0.0, 0.0))
+            target = np.add(rig.start_mm, (6.0 * SLOW_MM_PER_S, 0.0, 0.0))
             rig.machine.move_to(target, feed_mm_per_s=SLOW_MM_PER_S, guarded=False)
         rig.await_rest()
         stopped = rig.machine.position()
@@ -76,15 +77,16 @@ class ProbeContract:
 
     def test_touch_is_the_trip_position_not_the_stop_position(self, rig: ContractRig) -> None:
         target = rig.approach()
+        direction = rig.towards(target)
         touch = rig.probe.touch_towards(target, feed_mm_per_s=5.0)
         assert isinstance(touch, Touch)
         assert touch.position_mm == pytest.approx(tuple(rig.trip_mm(target)), abs=max(rig.resolution_mm, 1e-5))
-        assert rig.machine.position()[1] > touch.position_mm[1]
+        assert (rig.machine.position() - touch.position_mm) @ direction > 0.0
         assert rig.probe.probe_status().deflected
 
     def test_miss_is_a_result(self, rig: ContractRig) -> None:
-        rig.approach()
-        short = rig.machine.position() + [0.0, 5.0, 0.0]  # noqa: RUF005  a sum of positions
+        direction = rig.towards(rig.approach())
+        short = rig.machine.position() + 5.0 * direction
         miss = rig.probe.touch_towards(short, feed_mm_per_s=5.0)
         assert isinstance(miss, Miss)
         assert miss.position_mm == pytest.approx(tuple(short), abs=max(rig.resolution_mm, 1e-6))
@@ -92,10 +94,10 @@ class ProbeContract:
 
     def test_second_touch_has_its_own_latch(self, rig: ContractRig) -> None:
         target = rig.approach()
-        before = rig.machine.position()
+        before, direction = rig.machine.position(), rig.towards(target)
         first = rig.probe.touch_towards(target, feed_mm_per_s=5.0)
         rig.machine.move_to(before, feed_mm_per_s=None, guarded=True)
-        second = rig.probe.touch_towards(before + [0.0, 5.0, 0.0], feed_mm_per_s=5.0)  # noqa: RUF005  a sum
+        second = rig.probe.touch_towards(before + 5.0 * direction, feed_mm_per_s=5.0)
         assert isinstance(first, Touch)
         assert isinstance(second, Miss)
 

@@ -51,7 +51,7 @@ class ContractRig(ABC):
     thermometer: Thermometer
 
     start_mm: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
-    """Position from which the path along +X is free of obstacles for 1000 mm."""
+    """Position from which the path along +X is free of obstacles, and within the travel, for 300 mm."""
 
     free_mm: ClassVar[tuple[float, float, float]] = (123.456, 0.0, 78.9)
     """Another free position; the straight path from `start_mm` to it is free as well."""
@@ -69,9 +69,14 @@ class ContractRig(ABC):
     def approach(self) -> Vector:
         """Move the stylus tip in front of the obstacle, and return a target inside the obstacle.
 
-        The target lies in the direction +Y from the tip. The path to the obstacle must be free over at least 5 mm; 25
+        The target may lie in any direction from the tip. The path to the obstacle must be free over at least 5 mm; 25
         mm is usual.
         """
+
+    def towards(self, target_mm: Vector) -> Vector:
+        """Return the unit vector (3,) from the present position of the machine to `target_mm`."""
+        path = np.asarray(target_mm) - self.machine.position()
+        return np.asarray(path / np.linalg.norm(path))
 
     @abstractmethod
     def trip_mm(self, target_mm: Vector) -> Vector:
