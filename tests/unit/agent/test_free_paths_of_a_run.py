@@ -39,14 +39,17 @@ CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM = 2.0, 0.5, 4.0
 ORIENTATIONS = [(45.0, 0.0), (-30.0, -30.0), (90.0, 45.0)]
 
 
-def path_finder() -> FreePathFinder:
-    layout = MeasuringLayout(BAR, MOUNT, PROBE, PLACES, TOOL, LOWER, UPPER, CONTACT_MM, 5.0)
-    finder = FreePathRules(LOWER, UPPER, DYNAMICS, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
+def path_finder(frame: ProbeFrame = ALONG_Y, dynamics: AxisDynamics = DYNAMICS) -> FreePathFinder:
+    """Return a finder for the machine of this file, rotated as a whole so that its stylus points along `frame`."""
+    ends = np.sort(np.stack([frame.to_workpiece(LOWER), frame.to_workpiece(UPPER)]), axis=0)
+    places = {station: frame.to_workpiece(place) for station, place in PLACES.items()}
+    layout = MeasuringLayout(BAR, MOUNT, PROBE, places, frame.to_workpiece(TOOL), ends[0], ends[1], CONTACT_MM, 5.0)
+    finder = FreePathRules(ends[0], ends[1], dynamics, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
     return finder.finder_for(layout)
 
 
-def before_the_ball(ball: int, out_mm: float = CONTACT_MM + 20.0) -> TipLocation:
-    return TipLocation(ball, (0.0, 1.0, 0.0), out_mm)
+def before_the_ball(ball: int, out_mm: float = CONTACT_MM + 20.0, frame: ProbeFrame = ALONG_Y) -> TipLocation:
+    return TipLocation(ball, point(frame.stylus_axis), out_mm)
 
 
 def standing_bodies(station: int, azimuth: float, elevation: float) -> Scene:
@@ -142,6 +145,39 @@ def test_the_tip_waits_clear_of_the_artefact_while_it_turns() -> None:
     least = finder.min_turning_seconds(before, [start], after, [end])
     assert least <= path.seconds + 1e-9
     assert finder.turning_path(before, start, after, end, 1, faster_than_s=path.seconds) is None
+
+
+@pytest.mark.parametrize("frame", [ProbeFrame(1, -1), ProbeFrame(0, 1), ProbeFrame(0, -1)])
+def test_a_machine_rotated_about_z_has_the_rotated_paths(frame: ProbeFrame) -> None:
+    alike = AxisDynamics((300.0, 300.0, 250.0), (500.0, 500.0, 400.0), 0.01)
+    finders = {one: path_finder(one, alike) for one in (ALONG_Y, frame)}
+    paths = [
+        finder.path_between(
+            finder.pose_at(1, 45.0 + one.facing_deg, 0.0),
+            before_the_ball(0, frame=one),
+            before_the_ball(10, frame=one),
+            KNOWN_MM,
+            1,
+        )
+        for one, finder in finders.items()
+    ]
+    assert paths[0] is not None
+    assert paths[1] is not None
+    assert frame.to_frame(np.array(paths[1].corners)) == pytest.approx(np.array(paths[0].corners), abs=1e-6)
+    assert paths[1].seconds == pytest.approx(paths[0].seconds)
+    turns = [
+        finder.turning_path(
+            finder.pose_at(1, one.facing_deg, 0.0),
+            before_the_ball(0, frame=one),
+            finder.pose_at(1, one.facing_deg + 30.0, 20.0),
+            before_the_ball(10, frame=one),
+            1,
+        )
+        for one, finder in finders.items()
+    ]
+    assert turns[0] is not None
+    assert turns[1] is not None
+    assert turns[1].seconds == pytest.approx(turns[0].seconds, rel=0.05)  # the grid of waiting points is not rotated
 
 
 @pytest.mark.parametrize(("off_by", "allowed"), [(0.0, 0.5), (0.5, 0.5), (0.51, 1.0), (9.0, 16.0), (33.0, 33.0)])
