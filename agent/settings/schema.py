@@ -183,10 +183,11 @@ class IdentificationSettings(StrictModel):
 
 
 class TableSettings(StrictModel):
-    """Grid and anchor of the compensation table. `step_mm` is the distance of the grid nodes per axis. `anchor_mm`
-    contains the axis positions at which the correction is zero."""
+    """Grid and anchor of the compensation table. `step_mm` is the largest distance of the grid nodes per axis; if
+    it is None, it is 100 mm, or a twelfth of the axis' range if that is less. `anchor_mm` contains the axis positions
+    at which the correction is zero."""
 
-    step_mm: Coordinates = (100.0, 100.0, 100.0)
+    step_mm: Coordinates | None = None
     anchor_mm: Coordinates | None = None
 
 

@@ -23,7 +23,7 @@ from agent.figures.study_style import AMBER, BLUE, GREEN, INK, PURPLE, QUIET, SK
 from agent.planning.preview.scene import ArtefactPlacement, Preview
 from twin.arrays import Array
 from twin.collision.bodies import Body
-from twin.collision.geometry import Box, Capsule
+from twin.collision.geometry import Box, Capsule, Shape, point
 from twin.machine.kinematic_chain import AXES
 
 SIZE_IN = (12.0, 9.0)
@@ -230,7 +230,22 @@ def _probe(preview: Preview) -> list[Body]:
     """Return the bodies of the probe at the last touch of the path, or at the collision if the plan was refused."""
     touched = [point.tip_mm for point in preview.path if point.touch]
     tip = preview.refusal.tip_mm if preview.refusal else touched[-1] if touched else None
-    return [] if tip is None else [Body(body.name, body.shape.translated(tip)) for body in preview.probe]
+    if tip is None:
+        return []
+    return [Body(body.name, _cut_off(body.shape, preview).translated(tip)) for body in preview.probe]
+
+
+def _cut_off(shape: Shape, preview: Preview) -> Shape:
+    """Return the ram cut off at the length `BEHIND_MM` behind its face; other shapes of the probe are not changed."""
+    if not isinstance(shape, Box):
+        return shape
+    lower, upper = np.array(shape.lower), np.array(shape.upper)
+    along = preview.frame.axis
+    if preview.frame.sign < 0.0:
+        upper[along] = min(upper[along], lower[along] + BEHIND_MM)
+    else:
+        lower[along] = max(lower[along], upper[along] - BEHIND_MM)
+    return Box(point(lower), point(upper))
 
 
 def _colour_of(body: Body, preview: Preview) -> str:

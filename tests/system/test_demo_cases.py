@@ -1,0 +1,31 @@
+"""`volcal demo --case` with each shipped machine besides the case study: vertical spindles, moving tables, a gantry."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+@pytest.mark.parametrize("case", ["mill", "router", "bridge"])
+@pytest.mark.timeout(900)
+def test_shipped_case_becomes_better_as_predicted(case: str, tmp_path: Path) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "agent.cli.main", "demo", "--case", case, "--json", "--out", str(tmp_path / "out")],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=870.0,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    document = json.loads(ended.stdout)
+    assert document["state"] == "complete"
+    assert document["verified"] is True
+    assert document["collisions"] == 0
+    assert (document["case"], document["machine"]) == (case, case)
+    assert document["true_ve_after_um"] <= 0.5 * document["true_ve_before_um"]
+    assert [figure["inside"] for figure in document["figures"]] == [True, True]
