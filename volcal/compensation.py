@@ -35,8 +35,8 @@ def compensation_table(
     The table contains corrections in mm, which the controller adds to the commanded axis position.
 
     `balls` are the measured balls, or axis positions of shape (n, 3) in mm; nodes within the region around them are
-    marked as measured. `step_mm` is the largest distance between neighbouring nodes of the table along X, Y and Z; if it is
-    None, it is 100 mm, or a twelfth of the range of the axis if that is less.
+    marked as measured. `step_mm` is the largest distance between neighbouring nodes of the table along X, Y and Z; if
+    it is None, it is 100 mm, or a twelfth of the range of the axis if that is less.
     `anchor_mm` is the axis position at which the correction is zero; a position outside the workspace is moved to the
     border of the workspace. `tool_offset_mm`, shape (3,), is the offset of the tool for which the table is valid. If it
     is None, the tool used in the measurement is taken. Raises ModelError or DataError if a value is invalid.
