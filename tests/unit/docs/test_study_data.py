@@ -13,7 +13,8 @@ import pytest
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.bar_variants import Bar
-from agent.studies import ball_count, misalignment, strategy
+from agent.planning.design.variants import variants_of
+from agent.studies import ball_count, design, misalignment, strategy
 from agent.studies.identification_variants import identification_variants
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant
 from agent.studies.study import StudyCase
@@ -72,6 +73,17 @@ def test_errors_over_balls_and_tilts_are_those_of_the_program() -> None:
             agree("misalignment", row, bar.with_(tilt_deg=float(row["tilt_deg"])), row["set"])
 
 
+def test_named_sets_of_the_design_are_those_of_the_program() -> None:
+    rows = {row["set"]: row for row in table("design") if row["kind"] == "named"}
+    base, sets = variants_of(case().job, Path())[0], design.SetEvaluator(evaluator().field)
+    assert set(rows) == set(design.SETS)
+    for name in ("S2", design.REFERENCE):
+        found = sets.evaluate_named(base, name, case().positions(name))
+        stored = [float(rows[name][column]) for column in design.COLUMNS[5:]]
+        fields = (found.positions, found.balls, found.minutes, found.criterion_um, found.vce_um)
+        assert stored == pytest.approx([*fields, found.published_um, found.distances_um, found.valuation], rel=CLOSE)
+
+
 def section(page: str, heading: str) -> dict[str, list[list[float]]]:
     """Return first cell → numbers of the further cells for the first table below a heading."""
     text = (DOCS / "explanation" / page).read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
@@ -94,3 +106,31 @@ def test_the_tables_of_the_page_are_the_stored_data() -> None:
         counted = {row["balls"]: row for row in table("ball-count") if row["identification"] == variant.label}
         wanted = [round(float(counted[str(n)]["vce_aligned_um"]), digits) for n in ball_count.CHECKED]
         assert [cell[0] for cell in balls[variant.label][:4]] == wanted, variant.label
+
+
+def test_the_tables_of_the_design_page_are_the_stored_data() -> None:
+    page = section("design-of-positions.md", "Benefit")
+    (reference,) = (row for row in table("design") if (row["set"], row["kind"]) == (design.REFERENCE, "named"))
+    for label, column in {
+        "S3, centres": "vce_um",
+        "S3, distances, unit weights, with our prior": "distances_with_prior_vce_um",
+        "S3, published method as read": "published_vce_um",
+    }.items():
+        wanted = [24, round(float(reference["machine_minutes"]), 1), round(float(reference[column]), 2)]
+        assert [cell[0] for cell in page[label]] == wanted
+    slots = [row for row in table("design") if row["kind"] == design.SLOT_KIND]
+    shown = [[cell[0] for cell in cells] for label, cells in page.items() if label.startswith("designed for")]
+    every = [[int(r["positions"]), round(float(r["machine_minutes"]), 1), round(float(r["vce_um"]), 2)] for r in slots]
+    assert shown and all(row in every for row in shown)
+
+
+def test_the_coverage_page_is_the_stored_data() -> None:
+    text = (DOCS / "explanation" / "coverage.md").read_text()
+    shown = [re.findall(r"\*\*(\d+\.\d)\*\*", line) for line in text.splitlines() if line.startswith("| **all** |")]
+    for choice, cells in zip(("order of the file", "order by evidence"), shown, strict=True):
+        rows = [row for row in table("coverage") if row["estimate"] == choice and row["form"] != "as modelled"]
+        columns = ("field_at_points_share_held", "held_out_share_held", "field_jointly_level", "ve_level", "vce_level")
+        points, held_out, jointly, ve, vce = ([float(row[column]) for row in rows] for column in columns)
+        within = [100.0 * sum(level <= 0.95 for level in levels) / len(rows) for levels in (jointly, ve, vce)]
+        found = [100.0 * sum(points) / len(rows), within[0], 100.0 * sum(held_out) / len(rows), *within[1:]]
+        assert [float(cell) for cell in cells] == pytest.approx(found, abs=0.0501)
