@@ -14,7 +14,7 @@ import numpy as np
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.facts import VolumetricSummary
-from agent.results.observations import Correction, positions_named
+from agent.results.observations import Correction, ReferenceArtefact, positions_named
 from agent.results.thermal_drift import identification_options, observations_with_drift
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
 from agent.results.travel_parts import TravelParts
@@ -52,6 +52,11 @@ class EstimationResult:
     travel: TravelParts
     table: CompensationTable
     thermometer: ThermometerEffect
+
+    def reference(self, artefact: Artefact) -> ReferenceArtefact:
+        """Return the artefact with whose balls the table is proved, for the `artefact` of the artefact file."""
+        estimate = self.estimate
+        return ReferenceArtefact.of(artefact, estimate.unknowns, estimate.z, estimate.z_covariance)
 
 
 def estimate_with_table(

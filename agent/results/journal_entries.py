@@ -27,6 +27,7 @@ from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
 from agent.results.thermometer import ThermometerFacts
 from drivers.errors import ConfigurationError
+from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import checksum, format_table
@@ -104,19 +105,23 @@ def record_identified(
 
 
 def record_held_out(
-    journal: RunJournal, job: Job, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
+    journal: RunJournal,
+    job: Job,
+    artefact: Artefact,
+    before: Sequence[MeasuredBall],
+    after: Sequence[MeasuredBall],
 ) -> None:
     """Write to the journal the rms residual of each held-out position (measured, but not used for the estimate), before
-    and after activation of the new table, in µm.
+    and after activation of the new table, in µm. `artefact` is the one with which the table was proved.
 
     Residuals are computed at displayed axis positions, to which the corrections of the table are not added. A position
     is left out if too few balls were found after activation to determine its pose. If too few balls were found before
     activation, the rms residual before activation is None.
     """
     rows = []
-    before, after = certified_balls(before, job.artefact), certified_balls(after, job.artefact)
+    before, after = certified_balls(before, artefact), certified_balls(after, artefact)
     for position in job.held_out:
-        rms_um = [_rms_um(job, [ball for ball in balls if _at(ball, position)]) for balls in (before, after)]
+        rms_um = [_rms_um(job, artefact, [ball for ball in balls if _at(ball, position)]) for balls in (before, after)]
         if rms_um[1] is not None:
             pose = [position.station, position.azimuth_deg, position.elevation_deg]
             rows.append({"position": pose, "before_um": rms_um[0], "after_um": rms_um[1]})
@@ -131,10 +136,10 @@ def _at(ball: MeasuredBall, position: Position) -> bool:
     )
 
 
-def _rms_um(job: Job, balls: Sequence[MeasuredBall]) -> float | None:
+def _rms_um(job: Job, artefact: Artefact, balls: Sequence[MeasuredBall]) -> float | None:
     if len(balls) < MIN_BALLS:
         return None
-    return UM_PER_MM * displayed_residuals(balls, job.tool_offset_mm, job.artefact).rms_mm
+    return UM_PER_MM * displayed_residuals(balls, job.tool_offset_mm, artefact).rms_mm
 
 
 def record_outcome(journal: RunJournal, outcome: Outcome) -> None:

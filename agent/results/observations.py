@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 
 from agent.probing.position import MeasuredBall
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals
+from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals, held_out_test
 from twin.artefact.observations import Observations
 from twin.errors import PositionError
+from twin.identification import shared_with_artefact
+from twin.identification.unknowns import Unknowns
 
 Correction = Callable[[Array], Array]
 
@@ -51,6 +54,37 @@ def displayed_residuals(balls: Sequence[MeasuredBall], tool_offset_mm: Array, ar
     table are not added. The residuals contain the effect of the table that was active during the measurement."""
     displayed = observations_of(balls, tool_offset_mm, no_correction)
     return held_out_residuals(displayed, displayed.axis_positions + tool_offset_mm, artefact)
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceArtefact:
+    """Artefact with whose ball centres held-out positions are compared.
+
+    It is that of the artefact file. If that has no certificate, it is the artefact as an estimate calibrated it; its
+    errors are then correlated with those of the machine in the same estimate, `unknowns` with `z_covariance` (P, P).
+    """
+
+    artefact: Artefact
+    unknowns: Unknowns | None = None
+    z_covariance: Array | None = None
+
+    @classmethod
+    def of(cls, artefact: Artefact, unknowns: Unknowns, z: Array, z_covariance: Array) -> ReferenceArtefact:
+        """Return the reference for the estimate `z` (P,) of `unknowns` with the covariance `z_covariance` (P, P)."""
+        calibration = unknowns.artefact_calibration(z, z_covariance)
+        if calibration is None or calibration.certified:
+            return cls(artefact)
+        return cls(calibration.calibrated(artefact, "this run"), unknowns, z_covariance)
+
+    def test(
+        self, observations: Observations, result: HeldOutResiduals, field_covariance: Array, tool_offset_mm: Array
+    ) -> HeldOutTest:
+        """Compare the residuals `result` of held-out `observations` with those expected. `field_covariance` is that of
+        `held_out_test`."""
+        shared = None
+        if self.unknowns is not None and self.z_covariance is not None:
+            shared = shared_with_artefact(self.unknowns, self.z_covariance, observations.axis_positions, tool_offset_mm)
+        return held_out_test(observations, result, self.artefact, field_covariance, shared)
 
 
 def certified_balls(balls: Sequence[MeasuredBall], artefact: Artefact) -> list[MeasuredBall]:

@@ -15,9 +15,9 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.probing.run_plan import MeasuredPositions
-from agent.results.observations import no_correction, observations_of
+from agent.results.observations import ReferenceArtefact, no_correction, observations_of
 from drivers.errors import ConfigurationError
-from twin.artefact.held_out_check import held_out_residuals, held_out_test
+from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.design.procedure import MIN_BALLS
@@ -60,12 +60,13 @@ def _held_out_um(job: Job, measured: MeasuredPositions, estimate: Estimate) -> d
     for ball in job.balls_of(measured, held_out=True):
         by_position[Position(ball.station, ball.azimuth_deg, ball.elevation_deg)].append(ball)
     predicted = {}
+    reference = ReferenceArtefact.of(job.artefact, estimate.unknowns, estimate.z, estimate.z_covariance)
     for position, balls in by_position.items():
         if len(balls) >= MIN_BALLS:
             seen = observations_of(balls, job.tool_offset_mm, no_correction)
-            result = held_out_residuals(seen, seen.axis_positions + job.tool_offset_mm, job.artefact)
+            result = held_out_residuals(seen, seen.axis_positions + job.tool_offset_mm, reference.artefact)
             covariance = residual_covariance(estimate, seen.axis_positions, job.tool_offset_mm)
-            predicted[position] = UM_PER_MM * held_out_test(seen, result, job.artefact, covariance).predicted_mm
+            predicted[position] = UM_PER_MM * reference.test(seen, result, covariance, job.tool_offset_mm).predicted_mm
     return predicted
 
 

@@ -24,11 +24,17 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.estimation import EstimationResult
-from agent.results.observations import Correction, certified_balls, displayed_residuals, observations_of
+from agent.results.observations import (
+    Correction,
+    ReferenceArtefact,
+    certified_balls,
+    displayed_residuals,
+    observations_of,
+)
 from agent.results.run_outcome import Confirmation, Proof
 from agent.settings.schema import VerificationSettings
 from twin.arrays import Array
-from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals, held_out_test
+from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, residual_covariance
 from twin.machine.error_model import ErrorModel
@@ -78,12 +84,14 @@ def confirm(
     held-out balls were measured.
     """
     limits, offset = job.settings.verification, job.tool_offset_mm
-    certified = _certified(job, balls, "")
+    reference = estimation.reference(job.artefact)
+    certified = _certified(reference, balls, "")
     with translated(MeasurementFault):
         bare = observations_of(certified, offset, correction)
         points = bare.axis_positions + offset + _field(estimation.estimate, bare.axis_positions, offset)
-        expected = _compared(job, estimation, bare, held_out_residuals(bare, points, job.artefact))
-        measured_um = UM_PER_MM * displayed_residuals(certified, offset, job.artefact).rms_mm
+        result = held_out_residuals(bare, points, reference.artefact)
+        expected = _compared(reference, estimation, bare, result, offset)
+        measured_um = UM_PER_MM * displayed_residuals(certified, offset, reference.artefact).rms_mm
     return Confirmation(
         kept_um=gain.kept_um,
         new_um=gain.new_um,
@@ -107,13 +115,14 @@ def prove(
     Raises MeasurementFault if too few balls were found for a comparison.
     """
     limits, offset = job.settings.verification, job.tool_offset_mm
-    before, after = _certified(job, before, " before"), _certified(job, after, " with the new table active")
+    reference = estimation.reference(job.artefact)
+    before, after = _certified(reference, before, " before"), _certified(reference, after, " with the new table active")
     with translated(MeasurementFault):
         seen = [observations_of(before, offset, correction), observations_of(after, offset, estimation.table.at)]
-        former, result = (displayed_residuals(balls, offset, job.artefact) for balls in (before, after))
-        expected = _compared(job, estimation, seen[1], result)
+        former, result = (displayed_residuals(balls, offset, reference.artefact) for balls in (before, after))
+        expected = _compared(reference, estimation, seen[1], result, offset)
         left = _field(estimation.estimate, seen[0].axis_positions, offset) + _correction_at(before, correction)
-        reduction = held_out_residuals(seen[0], former.placed_mm + left, job.artefact).rms_mm ** 2
+        reduction = held_out_residuals(seen[0], former.placed_mm + left, reference.artefact).rms_mm ** 2
     scale = estimation.estimate.scales.noise
     noise = math.hypot(*(noise_of_square(one, two, scale) for one, two in zip((former, result), seen, strict=True)))
     shown = former.rms_mm**2 - result.rms_mm**2
@@ -182,16 +191,22 @@ def _correction_at(balls: Sequence[MeasuredBall], correction: Correction) -> Arr
     return correction(np.array([ball.found.centre_mm for ball in balls]))
 
 
-def _certified(job: Job, balls: Sequence[MeasuredBall], when: str) -> list[MeasuredBall]:
-    certified = certified_balls(balls, job.artefact)
+def _certified(reference: ReferenceArtefact, balls: Sequence[MeasuredBall], when: str) -> list[MeasuredBall]:
+    certified = certified_balls(balls, reference.artefact)
     if not certified:
         raise MeasurementFault(f"no ball of a held-out position was measured{when}")
     return certified
 
 
-def _compared(job: Job, estimation: EstimationResult, observed: Observations, result: HeldOutResiduals) -> HeldOutTest:
-    covariance = residual_covariance(estimation.estimate, observed.axis_positions, job.tool_offset_mm)
-    return held_out_test(observed, result, job.artefact, covariance)
+def _compared(
+    reference: ReferenceArtefact,
+    estimation: EstimationResult,
+    observed: Observations,
+    result: HeldOutResiduals,
+    tool_offset_mm: Array,
+) -> HeldOutTest:
+    covariance = residual_covariance(estimation.estimate, observed.axis_positions, tool_offset_mm)
+    return reference.test(observed, result, covariance, tool_offset_mm)
 
 
 def _disagreement(expected: HeldOutTest, limits: VerificationSettings) -> str:

@@ -175,7 +175,7 @@ class CalibrationRun(GuardedRun):
         after = job.balls_of(progress.verified, held_out=True)
         progress.proof = self._proof(estimation, before, after)
         self._journal.decision("proof", vars(progress.proof))
-        record_held_out(self._journal, job, before, after)
+        record_held_out(self._journal, job, estimation.reference(job.artefact).artefact, before, after)
         if progress.proof.accepted:
             self._accept(estimation, image)
             self._tracker.enter(RunState.COMPLETE, progress.proof.reason)

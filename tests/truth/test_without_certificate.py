@@ -14,15 +14,18 @@ from foreign_files import artefact_text, ball_text, machine_text, rows_of
 
 from agent.cli.main import main
 from agent.results.artefact_calibration import calibration_warnings
+from agent.results.observations import ReferenceArtefact
 from campaigns.foreign.artefact import CERTIFICATE_MM, S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
-from campaigns.foreign.machine import foreign_machine
+from campaigns.foreign.machine import TOOL, foreign_machine
 from campaigns.foreign.score import family_of, true_error_um
 from twin.artefact.artefact import Artefact
 from twin.artefact.certificate import BallDistance, with_reference_length
+from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.formats.artefact_file import parse_artefact
-from twin.identification import Estimate, Options, identify
+from twin.identification import Estimate, Options, identify, residual_covariance
+from twin.machine.forward_model import exact_deviation
 
 SEEDS = range(8)
 ROUGH_MM = 0.05
@@ -97,6 +100,23 @@ def test_the_calibration_covers_the_true_centres_as_stated(known: str) -> None:
         squares.append(np.square(vectors[:, 6:].T @ error.reshape(-1)) / values[6:])
     assert np.mean(inside) == pytest.approx(0.955, abs=0.03)  # 264 coordinates, normal distribution at k = 2
     assert np.mean(squares) == pytest.approx(1.0, abs=0.2)  # 216 independent errors in units of their uncertainty
+
+
+def test_a_table_is_proved_with_the_calibrated_artefact() -> None:
+    """The centres of the file are 50 µm off; those of the calibration agree with new positions as predicted."""
+    tests = []
+    for seed in SEEDS:
+        bar, found = measured(seed)[0], estimated(seed, "length")
+        machine = foreign_machine(np.random.default_rng(seed))
+        held_out = [(20.0, 15.0), (-65.0, -20.0)]
+        part = measure(machine, bar, held_out, np.random.default_rng(seed + 200)).seen
+        written = part.axis_positions + exact_deviation(found.model, part.axis_positions, TOOL, found.parameters)
+        reference = ReferenceArtefact.of(without_certificate(bar, seed), found.unknowns, found.z, found.z_covariance)
+        result = held_out_residuals(part, written + TOOL, reference.artefact)
+        covariance = residual_covariance(found, part.axis_positions, TOOL)
+        tests.append((reference.test(part, result, covariance, TOOL), 1e3 * result.rms_mm))
+    assert max(rms_um for _, rms_um in tests) < 6.0
+    assert np.mean([test.chi2_normalised for test, _ in tests]) == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_calibration_is_far_better_than_the_file_and_rests_on_the_length() -> None:

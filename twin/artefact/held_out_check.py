@@ -76,14 +76,19 @@ def held_out_residuals(observations: Observations, tool_points: Array, artefact:
 
 
 def held_out_test(
-    observations: Observations, result: HeldOutResiduals, artefact: Artefact, field_covariance: Array
+    observations: Observations,
+    result: HeldOutResiduals,
+    artefact: Artefact,
+    field_covariance: Array,
+    shared: Array | None = None,
 ) -> HeldOutTest:
     """Compare the residuals in `result` with the residuals expected from their covariance.
 
     `field_covariance` (3n, 3n) is the covariance in mm² of the residual deviation at the n observed points, ordered
     point by point as x, y, z. It must contain only the contributions of the estimated machine parameters and of the
     model misfit (the errors that the model cannot represent). This function adds the contributions of the touch noise
-    and of the calibration certificate.
+    and of the calibration certificate. `shared` (3n, 3N) is the covariance in mm² of the residual deviation with the
+    errors of the N ball centres, in the same order. It is None if the certificate is independent of the estimate.
     """
     n = observations.size
     total = field_covariance.copy()
@@ -98,7 +103,11 @@ def held_out_test(
             rotations[3 * row : 3 * row + 3, 3 * ball : 3 * ball + 3] = rotation
         pattern = _pattern(observations, artefact, rows, rotation)
         bases.append(_pose_free_basis(_motions(result.placed_mm[rows], pattern), rows, n))
-    # Residuals in the subspace free of the poses: r = Bᵀe, C = Bᵀ(field + touches + R C_cert Rᵀ)B, χ² = rᵀC⁻¹r
+    # Residuals in the subspace free of the poses: r = Bᵀe, C = Bᵀ(field + touches + R C_cert Rᵀ)B, χ² = rᵀC⁻¹r; the
+    # residual is the error of the centres minus the deviation, so what both have in common is subtracted twice
+    if shared is not None:
+        common = rotations @ shared.T
+        total -= common + common.T
     basis = np.concatenate(bases, axis=1)
     covariance = basis.T @ (total + rotations @ artefact.covariance @ rotations.T) @ basis
     left = basis.T @ result.residuals_mm.reshape(-1)

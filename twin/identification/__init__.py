@@ -16,6 +16,7 @@ from twin.identification.predicted import (
     predicted_vce,
     regional_forms,
     residual_covariance,
+    shared_with_artefact,
 )
 from twin.identification.prior_from_estimate import CarriedOverPrior, DriftFactor, process_noise
 
@@ -41,4 +42,5 @@ __all__ = [
     "process_noise",
     "regional_forms",
     "residual_covariance",
+    "shared_with_artefact",
 ]

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.arrays import Array, as_points, as_vector
+from twin.artefact.certificate import without_motions
 from twin.identification.estimate import Misfit
+from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.grid_quadrature import GridQuadrature
@@ -80,6 +82,24 @@ def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset
     moments = _second_moments(estimate)
     columns = field_columns(estimate, grid, offset).reshape(-1, len(moments))
     return np.asarray(columns @ moments @ columns.T) + unresolved_variance(estimate) * np.eye(len(columns))
+
+
+def shared_with_artefact(unknowns: Unknowns, z_covariance: Array, points: ArrayLike, tool_offset: ArrayLike) -> Array:
+    """Return the covariance (3n, 3N) in mm² of the true minus the modelled tool point deviation at axis positions (n,
+    3) with the errors of the N ball centres that the same estimate found for the artefact.
+
+    `z_covariance` (P, P) is the covariance of the P `unknowns`. Rigid motions of the artefact are removed, as in its
+    calibration.
+    """
+    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    blocks, modes, errors = unknowns.blocks, unknowns.modes, unknowns.artefact
+    basis = deviation_basis(unknowns.model, grid, offset)
+    shared = (basis * unknowns.scale).reshape(grid.size, -1) @ z_covariance[blocks.parameters, blocks.certificate]
+    if modes is not None:
+        at_hand = basis if (offset == modes.tool_offset).all() else None
+        fields = unknowns.misfit_mm * modes.at(grid, at_hand)
+        shared += fields.reshape(grid.size, -1) @ z_covariance[blocks.misfit, blocks.certificate]
+    return np.asarray(shared @ errors.certificate.T @ without_motions(errors.balls))
 
 
 def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:

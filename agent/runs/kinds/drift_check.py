@@ -14,12 +14,12 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.night_gate import night_text
-from agent.results.observations import Correction, certified_balls, no_correction, observations_of
+from agent.results.observations import Correction, ReferenceArtefact, certified_balls, no_correction, observations_of
 from agent.results.run_outcome import Decision, NightReport, SuspectedError
 from agent.runs.change_since_reference import prior_tonight
 from agent.runs.reference_state import ReferenceState
 from twin.arrays import Array
-from twin.artefact.held_out_check import held_out_residuals, held_out_test
+from twin.artefact.held_out_check import held_out_residuals
 from twin.identification import CarriedOverPrior, Estimate
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import evaluation_grid
@@ -131,15 +131,16 @@ class Judge:
     def _held_out(self, held_out: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
         """Return the rms residual of the held-out balls at displayed axis positions, and the expected rms, both in
         µm."""
-        offset, artefact, prior = self.job.tool_offset_mm, self.job.artefact, self.prior
-        certified = certified_balls(held_out, artefact)
+        offset, prior = self.job.tool_offset_mm, self.prior
+        reference = ReferenceArtefact.of(self.job.artefact, prior.unknowns, prior.mean, prior.covariance)
+        certified = certified_balls(held_out, reference.artefact)
         displayed, bare = (observations_of(certified, offset, shift) for shift in (no_correction, correction))
-        result = held_out_residuals(displayed, displayed.axis_positions + offset, artefact)
+        result = held_out_residuals(displayed, displayed.axis_positions + offset, reference.artefact)
         left = uncompensated(prior.unknowns, prior.mean, self.reference.table.written)
         covariance = residual_covariance(
             prior.unknowns, prior.scales, left, prior.covariance, bare.axis_positions, offset
         )
-        expected = held_out_test(bare, result, artefact, covariance)
+        expected = reference.test(bare, result, covariance, offset)
         return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_mm
 
     def _reason(self, found: Innovation, jumped: Sequence[SuspectedJump], now_um: float) -> str:
