@@ -23,6 +23,7 @@ from agent.cli.printing import results_console
 from agent.figures.heading import subject
 from agent.planning.identifiability import RankRequest, RankResult, rank
 from agent.reports.page.number_format import number, plural, point
+from twin.design.certificate_value import ROUGH_MM, CertificateValue
 from twin.design.identifiability import Identifiability
 from twin.design.setup_advice import describe_gain, describe_trial
 from twin.design.setup_trials import TrialGain
@@ -94,9 +95,31 @@ def _show(found: RankResult, console: Console) -> None:
     for line in seen.null_summary:
         console.print(f"  {line}", markup=False)
     console.print(_sigma_table(seen))
+    console.print(_certificate_text(found.certificate), markup=False)
     console.print("What would show more, the most first:")
     for place, gain in enumerate(_first_of_each_kind(found.advice), start=1):
         console.print(f"{place:3d}. {describe_trial(gain.trial)}:\n     {describe_gain(gain)}", markup=False)
+
+
+def _certificate_text(value: CertificateValue) -> str:
+    """Return lines on the expected error with a certificate, with one certified length and with nothing certified."""
+    length, rough_um = value.length, UM_PER_MM * ROUGH_MM
+    states = {
+        "certificate": ("with a certificate", f"{UM_PER_MM * value.certificate_mm:.2g} µm per coordinate (k = 1)"),
+        "one length": (
+            "with one certified length",
+            f"{length.length_mm:.0f} mm to {UM_PER_MM * length.standard_uncertainty_mm:.2g} µm, "
+            f"balls known to {rough_um:g} µm",
+        ),
+        "nothing": ("with nothing certified", f"balls known to {rough_um:g} µm"),
+    }
+    errors = {"certificate": value.certificate, "one length": value.one_length, "nothing": value.nothing}
+    lines = ["Certificate of the artefact, VCE to expect:"]
+    for state, (name, detail) in states.items():
+        cost = "" if state == "certificate" else f" ({value.cost_percent(errors[state]):+.0f} %)"
+        here = "; that is the artefact file" if state == value.present else ""
+        lines.append(f"  {errors[state].aligned_um:.2f} µm{cost} {name}: {detail}{here}")
+    return "\n".join(lines)
 
 
 def _first_of_each_kind(advice: Sequence[TrialGain]) -> list[TrialGain]:

@@ -21,6 +21,7 @@ from agent.settings.load import POSITION_FILES
 from drivers.errors import ConfigurationError, InputError
 from twin.arrays import Array
 from twin.artefact.position_set import Position, parse_position_set
+from twin.design.certificate_value import ROUGH_MM, CertificateValue, certificate_value
 from twin.design.identifiability import Identifiability, assess_identifiability
 from twin.design.measurement_setup import SetUp, layout_for
 from twin.design.procedure import PlannedMeasurement, Procedure
@@ -58,7 +59,8 @@ class RankResult:
 
     `seen` says which parameters of the error model the measurements determine. `vce` contains the expected volumetric
     error after compensation (VCE) of each error field in `seen.fields`; there is one error field for each tool.
-    `advice` contains proposed additions to the measuring procedure, the best addition first.
+    `advice` contains proposed additions to the measuring procedure, the best addition first. `certificate` says what
+    the certificate of the artefact is worth.
     """
 
     job: Job
@@ -68,6 +70,7 @@ class RankResult:
     seen: Identifiability
     vce: tuple[VolumetricRms, ...]
     advice: tuple[TrialGain, ...]
+    certificate: CertificateValue
 
     def as_json(self) -> dict[str, Any]:
         seen, planned = self.seen, self.planned
@@ -94,6 +97,7 @@ class RankResult:
                 {**field, "predicted_vce_um": vce.aligned_um}
                 for field, vce in zip(_fields_json(seen), self.vce, strict=True)
             ],
+            "certificate": _certificate_json(self.certificate),
             "advice": [_advice_json(gain) for gain in self.advice],
         }
 
@@ -129,6 +133,7 @@ def _ranked(job: Job, name: str, set_up: SetUp, grid: Array) -> RankResult:
         seen=seen,
         vce=tuple(predicted_vce(estimate, grid, view.form.tool_offset) for view in views),
         advice=trial_gains(set_up, seen, views),
+        certificate=certificate_value(set_up, grid),
     )
 
 
@@ -188,6 +193,29 @@ def _sigma_json(seen: Identifiability) -> dict[str, dict[str, Any]]:
         for parameter, prior, posterior in zip(
             seen.model.parameters, seen.prior_sigma, seen.posterior_sigma, strict=True
         )
+    }
+
+
+def _certificate_json(value: CertificateValue) -> dict[str, Any]:
+    return {
+        "present": value.present,
+        "certificate": {
+            "standard_uncertainty_um": UM_PER_MM * value.certificate_mm,
+            "predicted_vce_um": value.certificate.aligned_um,
+        },
+        "one_length": {
+            "balls": list(value.length.balls),
+            "length_mm": value.length.length_mm,
+            "standard_uncertainty_um": UM_PER_MM * value.length.standard_uncertainty_mm,
+            "balls_known_to_um": UM_PER_MM * ROUGH_MM,
+            "predicted_vce_um": value.one_length.aligned_um,
+            "cost_percent": value.cost_percent(value.one_length),
+        },
+        "nothing": {
+            "balls_known_to_um": UM_PER_MM * ROUGH_MM,
+            "predicted_vce_um": value.nothing.aligned_um,
+            "cost_percent": value.cost_percent(value.nothing),
+        },
     }
 
 

@@ -79,6 +79,17 @@ class TestCaseStudy:
         assert planned["rank"] == case_study()["rank"]
         assert case_study()["fields"][0]["predicted_vce_um"] == pytest.approx(planned["predicted_vce_um"], rel=0.1)
 
+    def test_one_certified_length_replaces_most_of_the_certificate(self) -> None:
+        found, own = case_study()["certificate"], case_study()["fields"][0]
+        assert found["present"] == "certificate"
+        assert found["certificate"]["standard_uncertainty_um"] == pytest.approx(0.8)
+        assert found["certificate"]["predicted_vce_um"] == pytest.approx(own["predicted_vce_um"], rel=1e-9)
+        assert found["one_length"]["balls"] == [0, 10]
+        assert found["one_length"]["standard_uncertainty_um"] == pytest.approx(0.8 * 2**0.5, rel=1e-3)
+        assert 0.0 < found["one_length"]["cost_percent"] < 10.0
+        assert found["nothing"]["cost_percent"] > 25.0
+        assert found["nothing"]["predicted_vce_um"] > found["one_length"]["predicted_vce_um"]
+
     def test_advice_is_best_first(self) -> None:
         advice = case_study()["advice"]
         removed = [one["unseen_removed_um"] for one in advice]

@@ -62,17 +62,23 @@ class BallDistance:
 def end_balls(balls: Array) -> tuple[int, int]:
     """Return the numbers of the two balls that are farthest apart, of centres `balls` (N, 3) in mm. Raise DataError if
     another pair is as far apart within 1 mm."""
-    distance = np.triu(np.linalg.norm(balls[:, None] - balls[None], axis=2))
-    order = np.argsort(distance, axis=None)[::-1]
-    pairs = [(int(pair // len(balls)), int(pair % len(balls))) for pair in order[:2]]
-    lengths = [float(distance[pair]) for pair in pairs]
-    if lengths[1] > lengths[0] - _SAME_LENGTH_MM:
+    pairs = farthest_pairs(balls)[:2]
+    lengths = [float(np.linalg.norm(balls[second] - balls[first])) for first, second in pairs]
+    if len(lengths) > 1 and lengths[1] > lengths[0] - _SAME_LENGTH_MM:
         named = " and ".join(f"{first}-{second}" for first, second in pairs)
         raise DataError(
             f"the artefact has no two end balls: the pairs {named} are both {lengths[0]:.1f} mm apart",
             hint="name the two balls of the length in a section [[reference_lengths]] instead",
         )
     return pairs[0]
+
+
+def farthest_pairs(balls: Array) -> list[tuple[int, int]]:
+    """Return the numbers of the two balls of each pair of centres `balls` (N, 3), the pair with the largest distance
+    first."""
+    first, second = np.triu_indices(len(balls), k=1)
+    order = np.argsort(-np.linalg.norm(balls[second] - balls[first], axis=1), kind="stable")
+    return list(zip(first[order].tolist(), second[order].tolist(), strict=True))
 
 
 def has_certificate(balls: Array, covariance: Array) -> bool:
