@@ -39,7 +39,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     folder = tmp_path_factory.mktemp("plan") / "new" / "folder"
     done = plan("--preview", folder, "--json")
     assert done.exit_code == 7, done.stderr
-    assert "key gates.max_remaining_fraction" in done.stderr  # S1 at one station tells too little
+    assert "gates.max_remaining_fraction" in done.stderr  # S1 at one station tells too little
     return folder, json.loads(done.stdout)
 
 

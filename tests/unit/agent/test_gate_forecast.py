@@ -105,6 +105,8 @@ def test_a_run_that_will_be_refused_is_named_by_its_keys(small: Path) -> None:
     assert "good" not in checked.stdout
     assert checked.stdout.count("refuse") == len(limits)
     (line,) = checked.stderr.splitlines()
-    assert line.startswith("error: a run with these settings is expected to be refused: gate probe: 2.2 against 2 ")
+    assert line.startswith(
+        "error: a run with these settings is expected to be refused: gate probe: 2.2 against 2; gate fit: "
+    )
     for key in limits:
         assert key in line
