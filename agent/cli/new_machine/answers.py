@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -12,7 +12,15 @@ from agent.cli.new_machine.questions import SetupQuestions
 from agent.files import read_text, translated
 from agent.model_files import load_artefact
 from agent.planning.setup_files.new_setup import ARTEFACT_FILE, NewSetup
-from agent.planning.setup_proposal.artefact_setup import BarSetup, balls_of, diameter_of, holder_of, propose_bar
+from agent.planning.setup_proposal.artefact_setup import (
+    BarSetup,
+    balls_of,
+    diameter_of,
+    holder_of,
+    propose_bar,
+    shorter_bar,
+    tilt_of,
+)
 from agent.planning.setup_proposal.controller_setup import CONTROLLERS, MODBUS, SERIAL, SIMULATED, ControllerSetup
 from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES, MachineClass
 from agent.planning.setup_proposal.machine_setup import Limits, MachineSetup, Triple
@@ -60,6 +68,7 @@ class InitOptions:
     table_z: float | None = None
     stations: int | None = None
     position_set: str | None = None
+    touches: int | None = None
 
 
 @dataclass
@@ -79,7 +88,19 @@ class SetupAnswers:
         controller = self._controller()
         machine = self._machine(kind, controller, self._reading(controller))
         bar, files = self._artefact(machine)
-        return NewSetup(machine, controller, bar, self._stations(machine, bar), files, self._position_set())
+        return NewSetup(
+            machine, controller, bar, self._stations(machine, bar), files, self._position_set(), self.options.touches
+        )
+
+    def with_shorter_bar(self, setup: NewSetup) -> NewSetup | None:
+        """Return the set-up with a shorter bar and its stations, or None if a person chose the artefact or none is
+        shorter."""
+        proposed = setup.bar.origins.get("length_mm", STATED) != STATED
+        bar = shorter_bar(setup.bar) if proposed else None
+        if bar is None:
+            return None
+        bar = self._bar(bar.length_mm, {"length_mm": setup.bar.origins["length_mm"]})
+        return replace(setup, bar=bar, stations=self._stations(setup.machine, bar))
 
     # ------------------------------------------------------------------ machine
 
@@ -206,20 +227,24 @@ class SetupAnswers:
             "Length of the ball bar between its end balls in mm (an artefact file: option --artefact)",
             _length, f"{proposed.length_mm:g}", f"{PROPOSED} from the travel",
         )  # fmt: skip
+        return self._bar(length, origins), None
+
+    def _bar(self, length: float, origins: dict[str, str]) -> BarSetup:
+        """Return a bar of the given length with the stated and otherwise proposed balls and holders."""
+        options = self.options
         stated = {
             "balls": options.balls, "tilt_deg": options.tilt, "holder_mm": options.holder,
             "diameter_mm": options.ball_diameter,
         }  # fmt: skip
         origins |= {key: PROPOSED if value is None else STATED for key, value in stated.items()}
-        bar = BarSetup(
+        return BarSetup(
             length_mm=length,
             balls=options.balls or balls_of(length),
-            tilt_deg=proposed.tilt_deg if options.tilt is None else options.tilt,
+            tilt_deg=tilt_of(length) if options.tilt is None else options.tilt,
             holder_mm=options.holder or holder_of(length),
             diameter_mm=options.ball_diameter or diameter_of(length),
             origins=origins,
         )
-        return bar, None
 
     def _stations(self, machine: MachineSetup, bar: BarSetup) -> StationSetup:
         options = self.options

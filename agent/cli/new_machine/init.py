@@ -14,16 +14,18 @@ import click
 from agent.cli.errors import reported
 from agent.cli.new_machine.answers import InitOptions, SetupAnswers
 from agent.cli.new_machine.questions import SetupQuestions
-from agent.cli.printing import facts_table, results_console
+from agent.cli.printing import facts_table, gates_table, results_console
 from agent.errors import PlanRefused
 from agent.files import check_folder, write_all_atomically
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job
 from agent.planning.preflight import run_preflight
-from agent.planning.setup_files.new_setup import POSITIONS_FILE, SETTINGS_FILE, NewSetup, checked_files
+from agent.planning.setup_files.new_setup import POSITIONS_FILE, SETTINGS_FILE, NewSetup
 from agent.planning.setup_proposal.controller_setup import CONTROLLERS
 from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES
 from agent.planning.setup_proposal.spindle import SPINDLES, spindle_name
+from agent.results.gate_forecast import require_forecast
+from agent.results.sufficient_effort import ChosenFiles, choose_effort
 from drivers.errors import ConfigurationError, InputError
 from twin.units import S_PER_MIN
 
@@ -58,6 +60,7 @@ OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("--table-z", "Height of the table, workpiece frame, in mm.", {"type": float}),
     ("--stations", "Number of stations.", {"type": click.IntRange(1, 20)}),
     ("--position-set", "S1, S2, S3, joined by +, or a position file.", {"metavar": "SET"}),
+    ("--touches", "Touches of each ball: 5, 9, 13 or 25.", {"type": click.Choice([5, 9, 13, 25])}),
 )
 RENAMED = {"class": "machine_class"}
 
@@ -86,8 +89,13 @@ def init_command(directory: Path, yes: bool, force: bool, as_json: bool, **typed
     for note in answers.notes:
         click.echo(f"note: {note}", err=True)
     with tempfile.TemporaryDirectory() as scratch:
-        texts, job = _checked(setup, Path(scratch))
-        refused, plan = _plan(job)
+        chosen = _chosen(setup, Path(scratch))
+        refused, plan = _plan(chosen.job)
+        while refused is not None and (shorter := answers.with_shorter_bar(setup)) is not None:
+            setup = shorter
+            chosen = _chosen(setup, Path(scratch))
+            refused, plan = _plan(chosen.job)
+        texts, job = chosen.texts, chosen.job
         write_all_atomically(directory, texts, removed=() if POSITIONS_FILE in texts else (POSITIONS_FILE,))
         preview = _draw(job, directory / PREVIEW, refused)
     document = {
@@ -95,14 +103,16 @@ def init_command(directory: Path, yes: bool, force: bool, as_json: bool, **typed
         "files": [str(directory / name) for name in texts],
         "preview": [str(path) for path in preview],
         **plan,
+        "gates": [forecast.as_json() for forecast in chosen.forecasts],
         "next": _next_commands(setup, directory),
     }
     if as_json:
         click.echo(json.dumps(document, allow_nan=False))
     else:
-        _show(setup, job, document)
+        _show(setup, chosen, document)
     if refused is not None:
         raise refused
+    require_forecast(chosen.forecasts)
 
 
 def _refuse_existing(directory: Path, force: bool) -> None:
@@ -115,10 +125,10 @@ def _refuse_existing(directory: Path, force: bool) -> None:
         )
 
 
-def _checked(setup: NewSetup, scratch: Path) -> tuple[Mapping[str, str], Job]:
-    """Return the files and their job. An error of the check names the file in the words of the user."""
+def _chosen(setup: NewSetup, scratch: Path) -> ChosenFiles:
+    """Return the files that are written. An error of their check names the file as it will be called."""
     try:
-        return checked_files(setup, scratch)
+        return choose_effort(setup, scratch)
     except ConfigurationError as error:
         error.where = {key: value.removeprefix(f"{scratch.resolve()}/") for key, value in error.where.items()}
         raise error.at(file=SETTINGS_FILE) from error.__cause__
@@ -152,15 +162,17 @@ def _next_commands(setup: NewSetup, directory: Path) -> list[str]:
     return commands if setup.controller.is_simulated else [*commands, "volcal doctor", "volcal calibrate"]
 
 
-def _show(setup: NewSetup, job: Job, document: Mapping[str, Any]) -> None:
-    machine, stations = setup.machine, setup.stations
+def _show(setup: NewSetup, chosen: ChosenFiles, document: Mapping[str, Any]) -> None:
+    machine, stations, job = setup.machine, setup.stations, chosen.job
+    procedure = job.settings.procedure
     travel = " × ".join(f"{length:g}" for length in machine.travel_mm)
     rows = [
         ("machine", f"{machine.name}: {machine.kind.name}, {travel} mm"),
         ("kinematics", f"{machine.chain}, spindle {spindle_name(machine.spindle)}"),
         ("artefact", f"{job.artefact.name}: {job.artefact.count} balls"),
         ("mount", f"{len(stations.places_mm)} stations, shaft {stations.shaft_mm:g} mm"),
-        ("position set", f"{job.settings.procedure.position_set}: {document['positions']} positions"),
+        ("position set", f"{procedure.position_set}: {document['positions']} positions"),
+        ("touches", f"{procedure.touches_per_ball} per ball"),
     ]
     if "balls" in document:
         rows += [
@@ -168,7 +180,8 @@ def _show(setup: NewSetup, job: Job, document: Mapping[str, Any]) -> None:
             ("expected", f"{document['valuation_percent']:.0f} % of the volumetric error removed"),
         ]
     console = results_console()
-    console.print(facts_table(rows, title="config check: good"))
+    console.print(facts_table(rows, title="config check: the files are good"))
+    console.print(gates_table(chosen.forecasts))
     for path in (*document["files"], *document["preview"]):
         click.echo(path)
     click.echo("next: " + " && ".join(document["next"]))

@@ -26,7 +26,20 @@ SETTINGS_FILE = "volcal.toml"
 SCENARIO_FILE = "simulator.toml"
 POSITIONS_FILE = "positions.csv"
 """Names of the files in the directory of a machine. The file of positions exists only if no named set is proposed."""
-NAMED_SET = "S1+S3"
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Measurements of a run: a named position set, where one suits the machine, and the touches of each ball."""
+
+    named_set: str
+    touches_per_ball: int
+
+
+EFFORTS = (Effort("S1+S3", 5), Effort("S1+S2+S3", 5), Effort("S1+S2+S3", 9))
+"""Proposed efforts, in ascending order. The first that is expected to pass all gates with a margin suffices."""
+LAST_EFFORT = Effort("S1+S2+S3", 25)
+"""Effort if none of the others can be made sufficient by a higher limit: hours, for little more."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +48,9 @@ class NewSetup:
 
     `artefact_files` maps the names of existing files to their texts if they replace the file of a nominal bar; `bar`
     then contains the dimensions of this artefact. `position_set` is a set or file named by a person, None for the
-    proposed one.
+    proposed one, which follows from `effort`. `touches_per_ball` is the number stated
+    by a person, None for that of `effort`. `max_remaining_fraction` is the limit of the gate `gain`, None for the
+    default.
     """
 
     machine: MachineSetup
@@ -44,13 +59,25 @@ class NewSetup:
     stations: StationSetup
     artefact_files: Mapping[str, str] | None = None
     position_set: str | None = None
+    touches_per_ball: int | None = None
+    effort: Effort = EFFORTS[0]
+    max_remaining_fraction: float | None = None
 
     @property
     def named_set(self) -> str | None:
         """Position set that needs no file: the one that a person named, else the proposed one if it exists by name."""
         if self.position_set is not None:
             return self.position_set
-        return NAMED_SET if self.stations.elevation_deg == FULL_ELEVATION_DEG else None
+        return self.effort.named_set if self.stations.elevation_deg == FULL_ELEVATION_DEG else None
+
+    @property
+    def efforts(self) -> tuple[Effort, ...]:
+        """Efforts among which to choose, without those that differ only in what a person stated."""
+        by_meaning = {
+            (self.position_set or effort.named_set, self.touches_per_ball or effort.touches_per_ball): effort
+            for effort in reversed((*EFFORTS, LAST_EFFORT))
+        }
+        return tuple(reversed(by_meaning.values()))
 
     def texts(self, position_set: str) -> dict[str, str]:
         """Return the texts of machine, artefact, settings and scenario file by file name."""
@@ -62,7 +89,13 @@ class NewSetup:
                 or {ARTEFACT_FILE: artefact_text(self.bar, holders_up=self.machine.spindle.is_vertical)}
             ),
             SETTINGS_FILE: settings_text(
-                self.machine, self.controller, self.stations, position_set=position_set, **names
+                self.machine,
+                self.controller,
+                self.stations,
+                position_set=position_set,
+                touches_per_ball=self.touches_per_ball or self.effort.touches_per_ball,
+                max_remaining_fraction=self.max_remaining_fraction,
+                **names,
             ),
             SCENARIO_FILE: scenario_text(self.machine, self.stations, **names),
         }

@@ -34,6 +34,8 @@ def settings_text(
     stations: StationSetup,
     *,
     position_set: str,
+    touches_per_ball: int,
+    max_remaining_fraction: float | None,
     machine_file: str,
     artefact_file: str,
 ) -> str:
@@ -55,8 +57,8 @@ def settings_text(
     _add_roles(text)
     add_mount(text, machine, stations)
     add_probe(text, machine)
-    _add_procedure(text, machine, stations, position_set)
-    _add_limits(text, machine, controller)
+    _add_procedure(text, machine, stations, position_set, touches_per_ball)
+    _add_limits(text, machine, controller, max_remaining_fraction)
     return str(text)
 
 
@@ -139,7 +141,9 @@ def _add_roles(text: TomlText) -> None:
     text.key("operator", "operator")
 
 
-def _add_procedure(text: TomlText, machine: MachineSetup, stations: StationSetup, position_set: str) -> None:
+def _add_procedure(
+    text: TomlText, machine: MachineSetup, stations: StationSetup, position_set: str, touches_per_ball: int
+) -> None:
     origin = stations.origins.get
     text.section("stations")
     text.comment(
@@ -150,12 +154,15 @@ def _add_procedure(text: TomlText, machine: MachineSetup, stations: StationSetup
     text.key("places_mm", [list(place) for place in stations.places_mm])
     text.section("procedure", "How is measured; `volcal plan` shows balls, minutes and the expected result.")
     text.key("position_set", position_set, "S1 along the axes, S3 along the diagonals of the planes; or a file")
+    text.key("touches_per_ball", touches_per_ball, "5, 9, 13 or 25: more touches, less noise, more minutes")
     text.section("verification", "Fresh positions that prove a new table are measured at these stations.")
     count = len(stations.places_mm)
     text.key("stations", sorted({1, count}), "the first and the last")
 
 
-def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSetup) -> None:
+def _add_limits(
+    text: TomlText, machine: MachineSetup, controller: ControllerSetup, max_remaining_fraction: float | None
+) -> None:
     text.section("temperature")
     text.key(
         "standard_uncertainty_k",
@@ -170,7 +177,17 @@ def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSet
     else:
         text.section("timing", "For predicted minutes. `volcal timing runs/RUN` suggests values after the first run.")
         text.key("relocation_minutes", 3.0, "a person moves mount and bar to the next station")
-    if machine.kind.tolerance_share > 1.0:
-        text.section("gates", "A table that does not pass these limits is never written.")
+    wide = machine.kind.tolerance_share > 1.0
+    if not wide and max_remaining_fraction is None:
+        return
+    text.section("gates", "A table that does not pass these limits is never written.")
+    if max_remaining_fraction is not None:
+        text.key(
+            "max_remaining_fraction",
+            max_remaining_fraction,
+            "expected share of the error that remains; above the default, because the machine is small against the "
+            "noise of the probe or its travel is flat",
+        )
+    if wide:
         text.key("max_correction_um", 1000.0, f"a {machine.kind.name} may have large errors")
         text.key("max_slope_um_per_mm", 2.0, "the same")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from agent.planning.setup_proposal.machine_setup import MachineSetup
 
-LENGTHS_MM = (150, 200, 250, 300, 400, 500, 600, 800, 1000, 1200, 1500)
+LENGTHS_MM = (120, 150, 175, 200, 250, 300, 350, 400, 500, 600, 800, 1000, 1200, 1500)
 """Proposed lengths of a bar, between the centres of its end balls. The longest one can still be carried."""
 FLAT_SHARE = 0.5
 """Length of the bar relative to the medium travel, for a machine whose shortest travel allows only flat elevations."""
@@ -50,19 +50,35 @@ def propose_bar(machine: MachineSetup) -> BarSetup:
     """
     shortest, medium, _ = sorted(machine.travel_mm)
     wanted = min(medium, max(DIAGONAL * (shortest - TOUCHED_MM), FLAT_SHARE * medium))
-    length = max((size for size in LENGTHS_MM if size <= wanted), default=LENGTHS_MM[0])
+    return nominal_bar(max((size for size in LENGTHS_MM if size <= wanted), default=LENGTHS_MM[0]))
+
+
+def shorter_bar(bar: BarSetup) -> BarSetup | None:
+    """Return a bar of the next shorter proposed length, or None if there is none."""
+    shorter = [size for size in LENGTHS_MM if size < bar.length_mm]
+    return nominal_bar(max(shorter)) if shorter else None
+
+
+def nominal_bar(length_mm: float) -> BarSetup:
+    """Return a bar of the given length with the proposed balls and holders."""
     return BarSetup(
-        length_mm=float(length),
-        balls=balls_of(length),
-        tilt_deg=15.0,
-        holder_mm=holder_of(length),
-        diameter_mm=diameter_of(length),
+        length_mm=float(length_mm),
+        balls=balls_of(length_mm),
+        tilt_deg=tilt_of(length_mm),
+        holder_mm=holder_of(length_mm),
+        diameter_mm=diameter_of(length_mm),
     )
 
 
 def balls_of(length_mm: float) -> int:
     """Return the proposed number of balls of a bar of the given length: an odd number, so that one is in the middle."""
-    return 11 if length_mm >= 800.0 else 9 if length_mm >= 300.0 else 5
+    return 11 if length_mm >= 800.0 else 9 if length_mm >= 300.0 else 7
+
+
+def tilt_of(length_mm: float) -> float:
+    """Return the proposed tilt of the holders in degrees: none on a short bar, whose balls stand so close that the
+    stylus would touch a tilted neighbour while the bar is inclined."""
+    return 15.0 if length_mm >= 300.0 else 0.0
 
 
 def holder_of(length_mm: float) -> float:
