@@ -61,7 +61,7 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
 @case_options
 @click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
 @click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
-@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along X.")
+@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along their axis.")
 @click.option("--slot", callback=_minutes, metavar="20min", help="Smallest VCE within this machine time.")
 @click.option("--positions", type=int, metavar="N", help="Smallest VCE with N positions.")
 @click.option("--target-vce", type=float, metavar="µm", help="Shortest machine time with this expected VCE (aligned).")

@@ -49,7 +49,7 @@ def _shape(_: click.Context, __: click.Parameter, text: str) -> tuple[int, int, 
 @click.option(
     "--stations",
     type=click.IntRange(min=1),
-    help="Number of stations, evenly spaced along X, instead of those in the settings.",
+    help="Number of stations, evenly spaced along their axis, instead of those in the settings.",
 )
 @click.option("--tool", "tools", multiple=True, metavar="NAME", help="Measuring tool; repeat the option for several.")
 @click.option("--formulation", type=click.Choice(["centres", "distances"]))

@@ -84,7 +84,7 @@ class Chosen:
 @case_options
 @click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
 @click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
-@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along X.")
+@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along their axis.")
 @click.option("--set", "position_set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
 @click.option(
     "--formulation",

@@ -38,7 +38,7 @@ class RankRequest:
     """Files and choices for the function `rank`, which determines the errors that a measuring procedure can identify.
 
     `position_set` contains the names of sets joined by +, or the path of a position file. `tools` contains names of
-    tools in the machine file. `stations` is a number of stations, which are spaced evenly along X. `formulation` is the
+    tools in the machine file. `stations` is a number of evenly spaced stations. `formulation` is the
     formulation of the identification (ball centres or distances). If a choice is None or `tools` is empty, the value of
     the settings is used.
     """
