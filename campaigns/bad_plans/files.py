@@ -116,7 +116,9 @@ def _machine() -> list[BadPlan]:
         config("no tool", machine("tools", {}), "tools"),
         config("tool with NaN", machine(OFFSET, [0.0, math.nan, 0.0]), "offset_mm"),
         config("tool shorter than the probe", machine(OFFSET, [0.0, 40.0, 0.0]), "too short", "probe.reach_mm"),
-        config("tool aside", machine(OFFSET, [40.0, 250.0, 0.0]), "not parallel to a machine axis", "tools.probe.offset_mm"),
+        config(
+            "tool aside", machine(OFFSET, [40.0, 250.0, 0.0]), "not parallel to a machine axis", "tools.probe.offset_mm"
+        ),
         config("tool backwards", machine(OFFSET, [0.0, -250.0, 0.0]), "three"),
         config("other tool", setting("tool", "drill"), "'drill'", "key tool"),
         config("tool so long that nothing is reached", machine(OFFSET, [0.0, 2500.0, 0.0]), "three balls"),
