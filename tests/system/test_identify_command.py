@@ -112,7 +112,7 @@ class TestGoodInput:
         assert not gates["correction"]
         assert "gate redundancy: " in done.stderr
         assert "gate correction: " in done.stderr
-        assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["estimate.json", "report.html"]
+        assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [*ARTEFACT, "estimate.json", "report.html"]
 
     def test_a_wrong_ball_is_found_and_named(self, tmp_path: Path) -> None:
         rng = np.random.default_rng(11)

@@ -107,6 +107,8 @@ def test_active_bank_holds_the_table_of_the_files(nights: TwoNights) -> None:
     _, banks = nights.after_first
     folder = nights.state / nights.first.outcome.run_id
     assert sorted(path.name for path in folder.iterdir()) == [
+        "artefact-covariance.csv",
+        "artefact.toml",
         "balls.csv",
         "estimate.json",
         "report.html",

@@ -114,33 +114,6 @@ class CertificateSection(StrictModel):
     apparent_error_um: Triple
 
 
-class KnownLengthSection(StrictModel):
-    """Distance between the centres of two balls with its standard uncertainty (k = 1)."""
-
-    balls: tuple[int, int]
-    length_mm: float
-    standard_uncertainty_um: float = Field(ge=0.0)
-
-
-class ArtefactCalibrationSection(StrictModel):
-    """Ball centres in mm at the reference temperature, as measured, in the frame of the artefact file.
-
-    `expanded_uncertainty_um` has the coverage factor `coverage_factor`. `covariance_um2` is ordered ball by ball as x,
-    y, z. `scale` is the length that was known best before the measurement, as known now, and `scale_before` as known
-    then. `limits` says in words what the measurement cannot show.
-    """
-
-    balls_mm: tuple[Triple, ...]
-    expanded_uncertainty_um: tuple[Triple, ...]
-    coverage_factor: float
-    covariance_um2: tuple[tuple[float, ...], ...]
-    scale: KnownLengthSection
-    scale_before: KnownLengthSection
-    certified_before: bool
-    not_improved: tuple[int, ...]
-    limits: tuple[str, ...]
-
-
 class VolumetricSection(StrictModel):
     """Volumetric errors over the workspace in µm for the tool of the table, after removal of the best-fitting rigid
     motion.
@@ -156,8 +129,12 @@ class VolumetricSection(StrictModel):
 
 
 class EstimateFile(StrictModel):
-    """Content of an estimate file. A file of the format `volcal estimate 2` has no section `volumetric`, and its
-    parameters belong to lever arms that begin at the zeros of the axes."""
+    """Content of an estimate file. `artefact_calibration` is written for other programs; it follows from
+    `carried_over`.
+
+    A file of the format `volcal estimate 2` has no section `volumetric`, and its parameters belong to lever arms that
+    begin at the zeros of the axes.
+    """
 
     format: Literal["volcal estimate 2", "volcal estimate 3"]
     provenance: dict[str, str]
@@ -177,7 +154,7 @@ class EstimateFile(StrictModel):
     order_evidence: tuple[OrderSection, ...]
     rejected: tuple[RejectedBallSection, ...]
     certificate: tuple[CertificateSection, ...] = ()
-    artefact_calibration: ArtefactCalibrationSection | None = None
+    artefact_calibration: dict[str, Any] | None = None
     volumetric: VolumetricSection | None = None
     carried_over: CarriedOverSection
 
