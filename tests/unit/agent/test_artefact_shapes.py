@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from agent.cli.main import main
 from agent.execution.engine import Engine
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.probing.run_plan import MeasuringOrder, measure_positions
-from agent.results.estimation import estimate_from_balls
-from agent.results.observations import no_correction
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.settings.schema import Settings
 from campaigns.nights.play import build_rig
 from campaigns.plans.judge import CollisionJudge
@@ -30,13 +33,39 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
 def case(artefact: str) -> tuple[Job, World]:
     """The case study with another artefact, which stands 0.4 mm from its nominal place."""
     settings = tomllib.loads((CONFIG / "case-study.toml").read_text())
-    settings |= {"artefact": f"artefacts/{artefact}.toml", "identification": {"order": 1}}
+    settings |= {"artefact": f"artefacts/{artefact}.toml"}
     settings["procedure"]["stations"] = [1]
     document = tomllib.loads((CONFIG / "simulators" / "case-study.toml").read_text())
     document["artefact"] = f"../artefacts/{artefact}.toml"
     document["mount_behaviour"] = {"place_error_mm": 0.4, "place_error_deg": 0.02, "index_error_deg": 0.005}
     scenario = build_scenario(ScenarioDocument.model_validate(document), CONFIG / "simulators")
     return prepare_job(Settings.model_validate(settings).resolved(CONFIG), CONFIG), World(scenario)
+
+
+def command(*arguments: str) -> dict[str, Any]:
+    """What a command prints with --json; the gates may refuse a table (exit code 4)."""
+    result = CliRunner().invoke(main, [*arguments, "--json"])
+    assert result.exit_code in (0, 4), result.output
+    document: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
+    return document
+
+
+def options(artefact: str, out: Path) -> list[str]:
+    return [
+        *("--machine", str(CONFIG / "machines" / "case-study.toml")),
+        *("--artefact", str(CONFIG / "artefacts" / f"{artefact}.toml")),
+        *("--order", "1", "--temperature-uncertainty", "0.1", "--out", str(out / "results")),
+    ]
+
+
+def as_file(measured: MeasuredPositions, *, stated: bool) -> str:
+    """The balls as a file; unless the angles are `stated`, as if the artefact had been placed by hand."""
+    lines = ["position,station,azimuth_deg,elevation_deg,tool,ball,x_mm,y_mm,z_mm,sigma_um,temperature_c"]
+    for ball in (ball for position in measured.positions for ball in position.balls):
+        angles = (ball.azimuth_deg, ball.elevation_deg) if stated else (0, 0)
+        numbers = ",".join(f"{value:.6f}" for value in ball.found.centre_mm)
+        lines.append(f"{ball.position},1,{angles[0]},{angles[1]},probe,{ball.ball},{numbers},1.0,{ball.temperature_c}")
+    return "\n".join(lines) + "\n"
 
 
 @pytest.mark.parametrize(
@@ -47,8 +76,8 @@ def case(artefact: str) -> tuple[Job, World]:
         ("ball-tetrahedron-600", (-30.0, 45.0), [9, 9], True),
     ],
 )
-def test_every_artefact_is_measured_without_a_collision(
-    artefact: str, angles: tuple[float, float], balls: list[int], third: bool
+def test_every_artefact_is_measured_without_a_collision_and_identified(
+    tmp_path: Path, artefact: str, angles: tuple[float, float], balls: list[int], third: bool
 ) -> None:
     positions = (Position(1, 45.0, 0.0), Position(1, *angles))
     job, world = case(artefact)
@@ -63,10 +92,13 @@ def test_every_artefact_is_measured_without_a_collision(
     assert judge.seen().collisions == []
     assert measured.lost == 0
     assert [len(position.balls) for position in measured.positions] == balls
-    found = [ball for position in measured.positions for ball in position.balls]
-    estimation = estimate_from_balls(job, found, no_correction)
-    assert estimation.estimate.chi2_normalised < 2.0
-    assert not estimation.estimate.rejected
+    path = tmp_path / "balls.csv"
+    path.write_text(as_file(measured, stated=not third))
+    for formulation in ("centres",) if third else ("centres", "distances"):
+        result = command("identify", str(path), *options(artefact, tmp_path), "--formulation", formulation)
+        assert result["balls"] == sum(balls)
+        assert result["chi2_normalised"] < 2.0
+        assert result["rejected"] == []
     nominal = job.layout.nominal(positions[0])
     chosen = choose_alignment_balls(nominal, measured.positions[0].ball_numbers)
     assert (chosen.third is not None) is third
@@ -83,3 +115,17 @@ def test_three_balls_determine_the_pose_of_a_plate_and_two_that_of_a_bar() -> No
     assert by_two[[0, 8]] == pytest.approx(found[[0, 8]])
     assert np.abs(by_two - found).max() > 10.0
     assert align_to_third_ball(by_two, 0, 8, 2, found[2]) == pytest.approx(found)
+
+
+def test_a_straight_bar_is_ranked_designed_and_studied_in_every_formulation_and_set(tmp_path: Path) -> None:
+    bar = ("--case", "case-study", "--artefact", str(CONFIG / "artefacts" / "straight-bar-1500.toml"))
+    for formulation, positions in product(("centres", "distances"), ("S2", "S1+S2+S3")):
+        ranked = command("rank", *bar, "--set", positions, "--formulation", formulation, "--grid", "6x3x3")
+        assert 0 < ranked["rank"] < ranked["parameters"]
+    few = (*bar, "--stations", "1")
+    designed = command("design", *few, "--positions", "2", "--grid-deg", "90", "--out", str(tmp_path / "design.csv"))
+    assert designed["expected_vce_um"] < designed["expected_ve_um"]
+    found = command("study", "strategy", *few, "--machines", "1", "--workers", "1", "--out", str(tmp_path))
+    for way in ("centres, full weights, prior", "distances, unit weights, prior"):
+        assert list(found["vce_aligned_um"][way]) == ["S1", "S2", "S3", "S1+S2", "S1+S3", "S2+S3", "S1+S2+S3"]
+        assert max(found["vce_aligned_um"][way].values()) < found["ve_aligned_um"]
