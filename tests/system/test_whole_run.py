@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from nights import Night, document, memory_directory, short_document
 from stored_run import StoredRun, repeated, stored_run
 
 from agent.cli.calibrate import conclude
+from agent.cli.main import main
 from agent.errors import GateRefused
 from agent.execution.encoding import table_digest
 from agent.execution.rig import Rig
@@ -24,6 +28,7 @@ from agent.history.run_row import run_rows
 from agent.planning.job_preparation import prepare_job
 from agent.results.gate_forecast import forecast_gates
 from agent.runs.reference_state import read_reference
+from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult
 from agent.settings.schema import Settings
 from drivers.roles import TableImage
@@ -38,20 +43,30 @@ ACTING_KINDS = {step.__name__ for step in STEPS_WITH_EFFECT}
 
 @dataclass
 class TwoNights:
-    """The case study calibrated, and calibrated again with the first table active."""
+    """The case study calibrated, and calibrated again with the first table active, by `volcal calibrate --json`."""
 
     night: Night
     state: Path
     first: RunResult
-    second: RunResult
+    second: Result
     after_first: tuple[int, dict[int, TableImage]]
     true_ve_um: tuple[float, float, float]
+
+    @property
+    def run_ids(self) -> tuple[str, str]:
+        return self.first.outcome.run_id, str(self.confirmed["run_id"])
+
+    @property
+    def confirmed(self) -> dict[str, Any]:
+        """Outcome of the second run, as the command printed it."""
+        found: dict[str, Any] = json.loads(self.second.stdout)
+        return found
 
     def stored(self, ended: RunResult) -> StoredRun:
         return stored_run(self.state, ended.outcome.run_id)
 
-    def estimate(self, ended: RunResult) -> StoredEstimate:
-        path = self.state / ended.outcome.run_id / "estimate.json"
+    def estimate(self, run_id: str) -> StoredEstimate:
+        path = self.state / run_id / "estimate.json"
         return parse_estimate(path.read_text(), str(path))
 
 
@@ -65,7 +80,11 @@ def nights() -> Iterator[TwoNights]:
         truth = night.world.truth
         found = (night.active, dict(night.banks))
         before, after = (truth.true_volumetric_error(bank)[1] for bank in (0, night.active))
-        second = night.run(document(state))
+        with pytest.MonkeyPatch.context() as patch:
+            settings = Settings.model_validate(document(state))
+            patch.setattr("agent.cli.calibrate.load_settings", lambda _: settings)
+            patch.setattr("agent.cli.calibrate.RunHooks", partial(RunHooks, devices=night.hooks.devices))
+            second = CliRunner().invoke(main, ["calibrate", "--json", "--config", str(state.parent / "volcal.toml")])
         last = truth.true_volumetric_error(night.active)[1]
         yield TwoNights(night, state, first, second, found, (before, after, last))
 
@@ -158,7 +177,7 @@ def test_journal_stores_balls_backup_and_states(nights: TwoNights) -> None:
 
 
 def test_second_night_sees_the_bare_machine_through_the_first_table(nights: TwoNights) -> None:
-    one, two = nights.estimate(nights.first), nights.estimate(nights.second)
+    one, two = (nights.estimate(run_id) for run_id in nights.run_ids)
     found = [
         dict(zip(run.model.names, zip(run.parameters, np.diag(run.covariance), strict=True), strict=True))
         for run in (one, two)
@@ -173,32 +192,30 @@ def test_second_night_sees_the_bare_machine_through_the_first_table(nights: TwoN
 
 
 def test_a_machine_that_is_still_good_is_confirmed_and_nothing_is_written(nights: TwoNights) -> None:
-    ended = nights.second
-    assert ended.error is None
-    conclude(ended)
-    outcome, confirmed = ended.outcome, ended.outcome.confirmed
-    assert confirmed is not None
-    assert (outcome.state, outcome.proof, outcome.table_bank) == (RunState.COMPLETE, None, 1)
-    assert 0.75 * confirmed.kept_um < confirmed.new_um < confirmed.kept_um
+    assert nights.second.exit_code == 0, nights.second.output
+    outcome = nights.confirmed
+    confirmed = outcome["confirmed"]
+    assert (outcome["state"], outcome["verified"], outcome["table_bank"]) == ("complete", None, 1)
+    assert 0.75 * confirmed["ve_kept_um"] < confirmed["ve_new_um"] < confirmed["ve_kept_um"]
     assert nights.night.active == 1
     assert nights.night.banks.keys() == {1}
     assert nights.night.banks[1].same_as(nights.after_first[1][1])
     assert nights.true_ve_um[2] == nights.true_ve_um[1]
-    run = nights.stored(ended)
+    run = stored_run(nights.state, outcome["run_id"])
     assert run.steps_of("StageTable", "ActivateBank") == []
     assert [(table.role, table.bank) for table in run.tables] == [("backup", 1)]
     assert str(run.row.reason).startswith("confirmed: ")
-    assert "confirmed: the active compensation is kept" in Path(str(outcome.report)).read_text()
-    row = run_rows(read_record(nights.state, outcome.run_id)).run
-    assert (row["night"], row["accepted"], row["acting_um"]) == ("confirmed", None, confirmed.kept_um)
+    assert "confirmed: the active compensation is kept" in Path(outcome["report"]).read_text()
+    row = run_rows(read_record(nights.state, outcome["run_id"])).run
+    assert (row["night"], row["accepted"], row["acting_um"]) == ("confirmed", None, confirmed["ve_kept_um"])
 
 
 def test_later_nights_start_from_a_confirmed_run(nights: TwoNights) -> None:
     reference = read_reference(nights.state)
     assert reference is not None
-    assert reference.run_id == nights.second.outcome.run_id
+    assert reference.run_id == nights.run_ids[1]
     assert reference.table.crc32 == table_digest(nights.night.banks[1])
-    model, first = reference.estimate.model, nights.estimate(nights.first)
+    model, first = reference.estimate.model, nights.estimate(nights.run_ids[0])
     grid, offset = evaluation_grid(model.ranges_mm, (8, 6, 6)), first.tool_offsets[0]
     written = deviation_basis(model, grid, offset) @ reference.table.written
     table = deviation_basis(first.model, grid, offset) @ first.parameters
