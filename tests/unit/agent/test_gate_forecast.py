@@ -74,7 +74,10 @@ def test_a_small_machine_passes_with_the_defaults(small: Path) -> None:
     assert 0.3 < gates["extrapolation"]["expected"] < 0.8
 
 
-@pytest.mark.parametrize("shipped", ["case-study.toml", "two-mounts.toml", "grbl.toml", "linuxcnc/volcal.toml"])
+@pytest.mark.parametrize(
+    "shipped",
+    [path.relative_to(CONFIG).as_posix() for path in (*CONFIG.glob("*.toml"), *CONFIG.glob("linuxcnc/*.toml"))],
+)
 def test_the_shipped_settings_pass(shipped: str) -> None:
     checked = check(CONFIG / shipped)
     assert checked.exit_code == 0, checked.output
