@@ -49,7 +49,8 @@ def agree(name: str, row: dict[str, str], artefact: Artefact, expression: str) -
     assert trial.planned is not None and budget is not None
     found = (trial.planned.size, budget.expected.raw_um, budget.expected.aligned_um)
     stored = (int(row["ball_centres"]), float(row["vce_raw_um"]), float(row["vce_aligned_um"]))
-    assert stored == pytest.approx(found, rel=CLOSE), f"run `volcal study {name}` again and correct its page: {row}"
+    command = f"volcal study {name} --case case-study"
+    assert stored == pytest.approx(found, rel=CLOSE), f"run `{command}` again and correct its page: {row}"
 
 
 def test_times_and_errors_of_the_sets_are_those_of_the_program() -> None:
