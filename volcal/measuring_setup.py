@@ -33,9 +33,9 @@ CASE_STUDY_STATIONS_MM = (
 class MeasuringSetup:
     """Set-up of a machine and an artefact on a mount at several stations. Each ball is touched five times.
 
-    `stations_mm`, shape (S, 3), contains one point for each of S stations, starting with station 1. It is the point on
-    the azimuth axis of the mount at the height of the middle of the ball bar, in the workpiece frame. `tool` is the
-    name of the tool used for measuring; None means the first tool of the machine. `touch_sigma_um` is the standard
+    `stations_mm`, shape (S, 3), contains one point for each of S stations, starting with station 1. It is the point
+    where the azimuth axis and the elevation axis of the mount meet, in the workpiece frame. `tool` is the name of the
+    tool used for measuring; None means the first tool of the machine. `touch_sigma_um` is the standard
     deviation of the noise of one touch, in µm. `clearance_mm` is the distance to the ends of travel that a touch needs
     in addition to the radii of ball and tip. Raises DataError or ModelError if a value is invalid.
 

@@ -64,8 +64,8 @@ class RoleSettings(StrictModel):
 class StationSettings(StrictModel):
     """Stations of the mount, numbered from 1.
 
-    `places_mm` contains one point for each station, in the workpiece frame: the point on the azimuth axis of the mount
-    at the height of the middle of the artefact (the bar).
+    `places_mm` contains one point for each station, in the workpiece frame: the point where the azimuth axis and the
+    elevation axis of the mount meet.
 
     If each station has a mount of its own, `artefacts` lists one artefact file per station. It is omitted if a single
     artefact is moved between the mounts. `parked_deg` contains the azimuth and elevation of the mounts at which no

@@ -101,8 +101,8 @@ class Workpiece:
 
     @property
     def location_mm(self) -> Array:
-        """Point on the azimuth axis of the mount at the height of the middle of the ball bar, shape (3,), in mm in the
-        workpiece frame.
+        """Point where the azimuth axis and the elevation axis of the mount meet, shape (3,), in mm in the workpiece
+        frame.
         """
         return self._location_mm
 

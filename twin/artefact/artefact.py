@@ -1,8 +1,9 @@
 """Ball artefact with its calibrated ball centres, and the effect of temperature and gravity on the centres.
 
-The artefact is described as a ball bar. The origin of the artefact frame is on the axis of the bar, at its middle. The
-X axis points along the bar. The holders (posts) of the balls point along -Y. The Z axis points upwards if the elevation
-of the mount is 0. Any other ball artefact (plate, tetrahedron, cross) differs only in its list of ball centres.
+The artefact has any shape: a bar, a plate, a tetrahedron. It consists of balls and of the solid parts that carry them.
+The mount is fixed at the origin of the artefact frame. If azimuth and elevation of the mount are 0, the axes of this
+frame are parallel to those of the workpiece frame, with Z upwards. On a bar, the origin is on the axis of the bar, at
+its middle, and the X axis points along the bar.
 """
 
 from __future__ import annotations
