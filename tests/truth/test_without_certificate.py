@@ -15,7 +15,17 @@ from foreign_files import artefact_text, ball_text, machine_text, rows_of
 from agent.cli.main import main
 from agent.results.artefact_calibration import calibration_warnings
 from agent.results.observations import ReferenceArtefact
-from campaigns.foreign.artefact import CERTIFICATE_MM, S1, S2, S3, ForeignBar, measure, straight_bar, tilted_bar
+from campaigns.foreign.artefact import (
+    CERTIFICATE_MM,
+    S1,
+    S2,
+    S3,
+    STATIONS_MM,
+    ForeignBar,
+    measure,
+    straight_bar,
+    tilted_bar,
+)
 from campaigns.foreign.machine import TOOL, foreign_machine
 from campaigns.foreign.score import family_of, true_error_um
 from twin.artefact.artefact import Artefact
@@ -150,6 +160,21 @@ def test_a_straight_bar_shows_its_own_pattern(seed: int) -> None:
     # the roll about the line is free: the alignment finds it from the pattern
     assert np.mean(np.abs(error) <= calibration.expanded_uncertainty_mm) > 0.85
     assert 1e3 * np.abs(error[:, 1:]).max() < 3.0
+
+
+def test_a_later_night_knows_the_pattern_of_a_straight_bar() -> None:
+    """At one station the straightness of the machine would make a wrong pattern."""
+    rng = np.random.default_rng(1)
+    machine, bar = foreign_machine(rng), straight_bar(rng, ROUGH_MM)
+    known, family = without_certificate(bar, 1), family_of(6)
+    on_line = replace(known, balls=known.balls * [1.0, 0.0, 0.0] - [0.0, 60.0, 0.0])
+    first = measure(machine, bar, S1 + S2 + S3, np.random.default_rng(101)).seen
+    before = identify(family.model, first, on_line, family)
+    night = measure(machine, bar, S3, np.random.default_rng(102), stations=STATIONS_MM[:1]).seen
+    after = identify(family.model, night, on_line, family, Options(carried_over=before.carried_over()))
+    assert after.rejected == ()
+    assert after.chi2_normalised < 1.3
+    assert true_error_um(machine, after) < 1.05 * true_error_um(machine, before)
 
 
 def test_equal_weights_need_a_certificate() -> None:

@@ -28,7 +28,7 @@ from twin.identification.options import Options
 from twin.identification.poses import Poses, rotation_matrices
 from twin.identification.problem import IdentificationProblem, build_problem
 from twin.identification.straight_lines import StraightLines
-from twin.identification.straight_pattern import measured_pattern
+from twin.identification.straight_pattern import known_centres, measured_pattern
 from twin.machine.machine_population import Family
 
 _CONVERGED_RAD = 1e-7  # the result must not depend on the start
@@ -65,14 +65,17 @@ def with_estimated_roll(problem: IdentificationProblem, scales: Scales) -> Ident
     if lines is None:
         return problem
     rolled, local = np.zeros(problem.layout.positions), problem.local
-    rough = not problem.nuisance.errors.has_certificate
-    if rough:
-        rolled, local = measured_pattern(problem, lines)
+    pattern_is_measured = False
+    if not problem.nuisance.errors.has_certificate:
+        known = known_centres(problem)
+        pattern_is_measured = known is None
+        rolled, local = measured_pattern(problem, lines) if known is None else (rolled, known)
         arms = replace(problem.arms, pattern=local - problem.local)
         problem = replace(problem, arms=arms).with_poses(_rolled(problem, lines, rolled))
     for _ in range(_MAX_ITERATIONS):
         vector, estimated = _roll_vector(problem, lines, local, scales)
-        local = local if rough else estimated
+        if not pattern_is_measured:
+            local = estimated
         # mode of the likelihood of both coefficients times a von Mises prior at the mount's roll; a well-seen pattern
         # (5 standard deviations or more) leaves the prior no weight, so that the start does not matter
         concentration = np.exp(-0.5 * np.linalg.norm(vector, axis=1))

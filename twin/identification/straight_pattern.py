@@ -28,6 +28,17 @@ Complex = np.ndarray[Any, np.dtype[np.complex128]]
 Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 
+def known_centres(problem: IdentificationProblem) -> Array | None:
+    """Return the ball centres (n, 3) in mm that an earlier estimate found; None if the problem carries none over."""
+    known = problem.known
+    if known is None or not known.information_vector.any():
+        return None
+    inside, mean = known.members, np.zeros(problem.blocks.size)
+    mean[inside] = np.linalg.solve(known.precision[np.ix_(inside, inside)], known.information_vector[inside])
+    errors = mean[problem.blocks.certificate]
+    return problem.local + problem.nuisance.displacement(problem.observations.ball, errors, np.zeros(0))
+
+
 def measured_pattern(problem: IdentificationProblem, lines: StraightLines) -> tuple[Array, Array]:
     """Return the rolls (K,) in rad of the positions relative to the poses of `problem`, and the ball centres (n, 3) in
     mm in the artefact's frame, with the pattern that all positions have in common.
@@ -51,7 +62,7 @@ def measured_pattern(problem: IdentificationProblem, lines: StraightLines) -> tu
 @dataclass(frozen=True, eq=False)
 class _StraightPosition:
     """Balls of one position on a line: their places `along` (m,) it, and their distances from it as complex numbers
-    (m,), `known` beforehand and `measured`, all in mm. `number` is that of the position, `rows` are its
+    (m,), `known` from the artefact file and `measured`, all in mm. `number` is that of the position, `rows` are its
     rows, and `basis` (m, 2) is an orthonormal basis of shift and tilt."""
 
     number: int
@@ -73,10 +84,10 @@ def _positions(problem: IdentificationProblem, lines: StraightLines) -> list[_St
     layout, poses = problem.layout, problem.poses
     rotations, translations = poses.rotation[layout.index], poses.translation[layout.index]
     found = np.einsum("nji,nj->ni", rotations, problem.touched - translations)
-    centres, positions = _known_centres(problem), []
+    positions = []
     for number in np.flatnonzero(lines.straight).tolist():
         rows, frame = np.flatnonzero(layout.index == number), lines.frame[number]
-        inside, seen = centres[rows] @ frame, found[rows] @ frame
+        inside, seen = problem.local[rows] @ frame, found[rows] @ frame
         basis = np.linalg.qr(np.column_stack((np.ones(len(rows)), inside[:, 0])))[0]
         known, measured = (one[:, 1] + 1j * one[:, 2] for one in (inside, seen))
         balls = problem.observations.ball[rows]
@@ -100,15 +111,3 @@ def _common_pattern(positions: list[_StraightPosition], count: int) -> tuple[Com
             seen[one.balls] += 1.0
         pattern = np.divide(total, seen, out=pattern.copy(), where=seen > 0.0)
     return pattern, turns
-
-
-def _known_centres(problem: IdentificationProblem) -> Array:
-    """Return the ball centres (n, 3) in mm that are known beforehand: those of the artefact file, with the errors that
-    an earlier estimate found."""
-    known = problem.known
-    if known is None or not known.information_vector.any():
-        return problem.local
-    inside, mean = known.members, np.zeros(problem.blocks.size)
-    mean[inside] = np.linalg.solve(known.precision[np.ix_(inside, inside)], known.information_vector[inside])
-    errors = mean[problem.blocks.certificate]
-    return problem.local + problem.nuisance.displacement(problem.observations.ball, errors, np.zeros(0))
