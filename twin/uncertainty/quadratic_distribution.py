@@ -210,9 +210,18 @@ class QuadraticDistribution:
         return None
 
     def _exponent(self, path: Complex, above: float, sign: float) -> Complex:
-        scaled = 2.0 * np.multiply.outer(path, self.weights)
-        cumulants = -0.5 * np.log1p(-scaled) + 0.5 * self.shifts**2 * scaled / (1.0 - scaled)
-        return np.asarray(cumulants.sum(axis=-1) - path * above - np.log(sign * path))
+        """Return K(s) - s above - log(±s) at the points s = `path`, with the cumulants K of Q - c₀: the sum over j of
+        -½ log(1 - z) + ½ δ² z / (1 - z) with z = 2 s λ = x + i y. In real parts, which are much faster than complex
+        logarithms, |1 - z|² = 1 + x² + y² - 2 x and z / (1 - z) = (z - |z|²) / |1 - z|².
+        """
+        x, y = (2.0 * np.multiply.outer(part, self.weights) for part in (path.real, path.imag))
+        size = x**2 + y**2
+        distance = size - 2.0 * x
+        growth = 0.5 * self.shifts**2 / (1.0 + distance)
+        real = (x - size) * growth - 0.25 * np.log1p(distance)
+        imaginary = y * growth + 0.5 * np.arctan2(y, 1.0 - x)
+        cumulants = real.sum(axis=-1) + 1j * imaginary.sum(axis=-1)
+        return np.asarray(cumulants - path * above - np.log(sign * path))
 
     def _slope(self, s: float, above: float) -> float:
         """Return the derivative of the exponent at real s."""
