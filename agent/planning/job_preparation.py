@@ -72,6 +72,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         ),
         gate_limits=settings.gates,
     )
+    _refuse_low_mount(job)
     _refuse_nothing_reachable(job)
     if settings.procedure.position_set.endswith(POSITION_FILES):
         _refuse_unreachable_entry(job)
@@ -128,6 +129,18 @@ def _refuse_overlap(positions: Sequence[Position], held_out: Sequence[Position])
             key="verification.positions_deg",
             hint="choose orientations that the position set does not contain",
         )
+
+
+def _refuse_low_mount(job: Job) -> None:
+    """Raise ConfigurationError if the artefact at a station is not even free at the elevation 0."""
+    for station in job.layout.locations_mm:
+        elevations = job.layout.elevations(station)
+        if not elevations.contains(0.0):
+            raise ConfigurationError(
+                f"the artefact at station {station} hits the {elevations.obstacle} at the elevation 0",
+                key="stations.places_mm",
+                hint="raise the mount, or correct mount.table_z_mm and the parts in the artefact file",
+            )
 
 
 def _refuse_nothing_reachable(job: Job) -> None:

@@ -22,6 +22,7 @@ STEP_MM = 4.0
 """Smallest motion between two checks, in mm; it is less than half the thickness of the thinnest relevant body."""
 _SEARCH_RADIUS_MM = 150.0
 _ORIGIN: Point = (0.0, 0.0, 0.0)
+_STANDING = (TABLE, "pedestal")
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,26 @@ def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, 
         if instant >= end_s:
             return None
         instant = min(end_s, instant + max(gap_mm, STEP_MM) / speed)
+
+
+def first_table_collision(workpiece: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
+    """Return the first collision of the turning artefact with the machine table between the instants `start_s` and
+    `end_s`, or None.
+
+    The artefact is checked at successive instants; between two checks its fastest parts move at most by the present gap
+    above the table, or by the constant `STEP_MM` if the gap is smaller.
+    """
+    speed = math.radians(workpiece.mount.max_speed_deg_per_s) * workpiece.sweep_radius_mm
+    instant = start_s
+    while True:
+        bodies = workpiece.snapshot(instant).bodies
+        top = next(body.shape.upper[2] for body in bodies if body.name == TABLE)
+        height, lowest = min((body.shape.lower[2], body.name) for body in bodies if not body.name.startswith(_STANDING))
+        if height <= top:
+            return TurnCrash(instant, lowest, TABLE)
+        if instant >= end_s:
+            return None
+        instant = min(end_s, instant + max(height - top, STEP_MM) / speed)
 
 
 def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:

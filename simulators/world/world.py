@@ -12,7 +12,12 @@ from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
 from simulators.world.thermal_effects import ThermalEffects
 from simulators.world.true_error import MachineTruth
-from simulators.world.turn_collisions import TurnCrash, first_mount_collision, first_turn_crash
+from simulators.world.turn_collisions import (
+    TurnCrash,
+    first_mount_collision,
+    first_table_collision,
+    first_turn_crash,
+)
 from simulators.world.workpiece import Workpiece
 from simulators.world.worktable import Worktable
 from twin.collision.geometry import point
@@ -136,7 +141,7 @@ class World:
         self._looked_ahead = False
 
     def _look_ahead(self) -> TurnCrash | None:
-        """Return the first collision of a turning mount with the probe or with another mount, or None.
+        """Return the first collision of a turning mount with the probe, the table or another mount, or None.
 
         Mounts at rest are skipped.
         """
@@ -147,7 +152,10 @@ class World:
             if ends_s <= self.now:
                 continue
             others = [other for other in pieces if other is not piece]
-            met = [first_turn_crash(piece, self.controller, self.now, ends_s)]
+            met = [
+                first_turn_crash(piece, self.controller, self.now, ends_s),
+                first_table_collision(piece, self.now, ends_s),
+            ]
             met += [first_mount_collision(piece, other, self.now, ends_s) for other in others]
             crashes += [crash for crash in met if crash is not None]
         return min(crashes, key=lambda crash: crash.time_s, default=None)

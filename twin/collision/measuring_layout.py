@@ -17,6 +17,7 @@ from twin.artefact.position_set import Position, is_reachable, mount_pose
 from twin.artefact.touch_pattern import approach_directions
 from twin.collision.accessibility import accessible_balls, measuring_scene
 from twin.collision.bodies import Body
+from twin.collision.free_elevations import FreeElevations, free_elevations
 from twin.collision.geometry import Point, point
 from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry
@@ -72,6 +73,7 @@ class MeasuringLayout:
     # Accessibility does not depend on the location along the station axis, unless there is more than one mount. It is
     # expensive to compute and needed repeatedly for every position, hence the cache.
     _accessible: dict[_AccessKey, Mask] = field(default_factory=dict, init=False, repr=False)
+    _elevations: dict[tuple[int, float], FreeElevations] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def frame(self) -> ProbeFrame:
@@ -116,8 +118,10 @@ class MeasuringLayout:
     def accessible(self, position: Position) -> Mask:
         """Return a boolean array with one element per ball of the artefact in `position`. An element is True if no body
         obstructs the probe at its ball. The bodies are the artefact, the mount, and the bodies at the neighbouring
-        stations.
+        stations. No ball is accessible at an elevation at which the artefact itself would hit the table or its mount.
         """
+        if not self.elevations(position.station).contains(position.elevation_deg):
+            return np.zeros(self.artefact_at(position.station).count, dtype=np.bool_)
         location = self.location(position.station)
         other_bodies = self.neighbours.get(position.station, ())
         among = position.station if other_bodies else 0
@@ -146,6 +150,14 @@ class MeasuringLayout:
     @property
     def _directions(self) -> Array:
         return approach_directions(5, self.frame.stylus_axis) if self.directions is None else self.directions
+
+    def elevations(self, station: int) -> FreeElevations:
+        """Return the range of elevations in which the artefact at `station` hits neither its mount nor the table."""
+        height_mm = float(self.location(station)[2]) - self.mount.table_z_mm
+        key = (station if station in self.own_artefacts else 0, height_mm)
+        if key not in self._elevations:
+            self._elevations[key] = free_elevations(self.artefact_at(station), self.mount, height_mm)
+        return self._elevations[key]
 
     def artefact_at(self, station: int) -> Artefact:
         """Return the artefact that is measured at the given station."""

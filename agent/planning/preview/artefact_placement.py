@@ -26,9 +26,11 @@ def artefact_placement_of(job: Job, position: Position, *, held_out: bool) -> Ar
     nominal = job.layout.nominal(position)
     centres = nominal + job.tool_offset_mm
     reached = job.layout.reachable(position, nominal)
+    elevations = job.layout.elevations(position.station)
+    struck = "" if elevations.contains(position.elevation_deg) else f"the artefact would hit the {elevations.obstacle}"
     scene = Scene(job.layout.probe.bodies(job.layout.frame), around)
     balls = tuple(
-        PreviewBall(number, point(centre), "" if within else obstruction_of(job, scene, number, axes))
+        PreviewBall(number, point(centre), "" if within else struck or obstruction_of(job, scene, number, axes))
         for number, (centre, axes, within) in enumerate(zip(centres, nominal, reached.tolist(), strict=True))
     )
     return ArtefactPlacement(position, held_out, balls, tuple(body for body in around if body.name != TABLE))
