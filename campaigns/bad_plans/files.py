@@ -129,9 +129,14 @@ def _machine() -> list[BadPlan]:
 def _geometry() -> list[BadPlan]:
     return [
         config("stem longer than the probe", setting("probe.stem_length_mm", 240.0), "too short", "probe.reach_mm"),
-        config("reach shorter than the body", setting("probe.reach_mm", 60.0), "too short", "probe.reach_mm"),
+        config(
+            "reach shorter than the body",
+            setting("probe", {"reach_mm": 60.0, "stem_length_mm": 50.0}),
+            "too short",
+            "reach_mm",
+        ),
         config("datum ball that is not there", setting("qualification", {"ball": 11}), "no ball 11"),
-        config("table above the bar", setting("mount.table_z_mm", 900.0), "three"),
+        config("table above the bar", setting("mount.table_z_mm", 900.0), "hits the table", "stations.places_mm"),
         config("pedestal in front of the balls", setting("mount.pedestal_radius_mm", 900.0), "three"),
         config("bar as thick as its holders are long", artefact("beam.radius_mm", 90.0), "three"),
         config("holders as thick as balls", artefact("holders.radius_mm", 14.0), "three"),
