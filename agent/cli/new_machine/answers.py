@@ -23,7 +23,7 @@ from agent.planning.setup_proposal.artefact_setup import (
 )
 from agent.planning.setup_proposal.controller_setup import CONTROLLERS, MODBUS, SERIAL, SIMULATED, ControllerSetup
 from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES, MachineClass
-from agent.planning.setup_proposal.machine_setup import Limits, MachineSetup, Triple
+from agent.planning.setup_proposal.machine_setup import Limits, MachineSetup, Triple, check_travel
 from agent.planning.setup_proposal.spindle import SPINDLES, parse_spindle
 from agent.planning.setup_proposal.station_setup import StationSetup, propose_stations
 from drivers.clock import RealClock
@@ -269,7 +269,9 @@ def parse_travel(texts: tuple[str, ...] | list[str]) -> ThreeLimits:
     """
     if len(texts) != len(AXES):
         raise DataError(f"{len(texts)} travels, three are needed", hint="state X, Y and Z, such as 800 500 400")
-    x, y, z = (_limits_of(text) for text in texts)
+    x, y, z = limits = tuple(_limits_of(text) for text in texts)
+    for axis, (low, high) in zip(AXES, limits, strict=True):
+        check_travel(axis, low, high)
     return x, y, z
 
 

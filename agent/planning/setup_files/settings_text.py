@@ -80,7 +80,7 @@ def _add_controller(text: TomlText, machine: MachineSetup, controller: Controlle
     for name, value in controller.connection_options().items():
         text.key(name, value)
     if controller.kind == SERIAL:
-        zeros = [float(-high) for _, high in machine.limits_mm]
+        zeros = [0.0 - high for _, high in machine.limits_mm]
         text.key(
             "axis_zero_mm",
             zeros,
@@ -190,4 +190,4 @@ def _add_limits(
         )
     if wide:
         text.key("max_correction_um", 1000.0, f"a {machine.kind.name} may have large errors")
-        text.key("max_slope_um_per_mm", 2.0, "the same")
+        text.key("max_slope_um_per_mm", 5.0, "the same")

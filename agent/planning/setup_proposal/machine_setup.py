@@ -13,7 +13,7 @@ from twin.machine.kinematic_chain import AXES, parse_chain
 Limits = tuple[float, float]
 Triple = tuple[float, float, float]
 
-SHORTEST_TRAVEL_MM = 100.0
+SHORTEST_TRAVEL_MM = 40.0
 LONGEST_TRAVEL_MM = 20000.0
 STEM_SHARE = 0.5
 """Length of the thin stem of the probe relative to the distance from the ram reference to the stylus centre."""
@@ -47,13 +47,7 @@ class MachineSetup:
     def __post_init__(self) -> None:
         parse_chain(self.chain)
         for letter, (low, high) in zip(AXES, self.limits_mm, strict=True):
-            if not SHORTEST_TRAVEL_MM <= high - low <= LONGEST_TRAVEL_MM:
-                raise DataError(
-                    f"{letter} from {low:g} to {high:g} mm is no travel between {SHORTEST_TRAVEL_MM:g} and "
-                    f"{LONGEST_TRAVEL_MM:g} mm",
-                    hint="state lengths in mm, or LOWEST:HIGHEST axis position",
-                    key="travel",
-                )
+            check_travel(letter, low, high)
         if not self.stylus_mm > 0.0:
             raise DataError(f"the stylus length must be positive, got {self.stylus_mm:g}", key="stylus")
 
@@ -85,6 +79,17 @@ class MachineSetup:
             "ram_half_width_mm": self.kind.ram_half_width_mm,
             "ram_length_mm": _rounded(self.travel_mm[self.spindle.axis] + 100.0),
         }
+
+
+def check_travel(axis: str, low: float, high: float) -> None:
+    """Raise DataError if the range of an axis position is not the travel of a machine tool in mm."""
+    if not SHORTEST_TRAVEL_MM <= high - low <= LONGEST_TRAVEL_MM:
+        raise DataError(
+            f"{axis} from {low:g} to {high:g} mm is no travel between {SHORTEST_TRAVEL_MM:g} and "
+            f"{LONGEST_TRAVEL_MM:g} mm",
+            hint="state lengths in mm, or LOWEST:HIGHEST axis position",
+            key="travel",
+        )
 
 
 def _rounded(value: float) -> float:

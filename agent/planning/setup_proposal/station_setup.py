@@ -132,12 +132,15 @@ def station_axis(machine: MachineSetup) -> str:
 def _middle(machine: MachineSetup, bar: BarSetup, shaft_mm: float) -> Triple:
     """Return the place of the mount at which the bar is in the middle of the volume that the stylus reaches.
 
-    Along the spindle it is farther away by half the holders, which take part of the travel in front of the bar, and by
-    most of the shaft, which holds the bar before or above the mount.
+    Along the spindle it is farther away by most of the shaft, which holds the bar before or above the mount, and by
+    part of the holders. On a flat machine with a vertical spindle, which inclines the bar little, it is nearly all of
+    both.
     """
     place = [0.5 * sum(machine.stylus_range(axis)) for axis in range(3)]
     spindle = machine.spindle
-    place[spindle.axis] += spindle.sign * (0.5 * bar.holder_mm + SHAFT_TOWARDS_SPINDLE * shaft_mm)
+    steepness = _elevation(machine, bar) / FULL_ELEVATION_DEG if spindle.is_vertical else 1.0
+    along = 1.0 - (1.0 - SHAFT_TOWARDS_SPINDLE) * steepness
+    place[spindle.axis] += spindle.sign * along * (shaft_mm + (1.0 - 0.5 * steepness) * bar.holder_mm)
     return float(round(place[0])), float(round(place[1])), float(round(place[2]))
 
 
