@@ -29,7 +29,7 @@ class ChosenFiles:
 
     @property
     def is_sufficient(self) -> bool:
-        """Whether every gate is expected to pass, the gate `gain` with a margin."""
+        """True if every gate is expected to pass, the gate `gain` with a margin."""
         return all(forecast.passes for forecast in self.forecasts) and self.gain <= MARGIN * self.limit
 
     @property
