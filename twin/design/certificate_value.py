@@ -64,7 +64,11 @@ def certificate_value(set_up: SetUp, grid: Array) -> CertificateValue:
     present, length = _present(artefact)
     rough = np.eye(artefact.balls.size) * ROUGH_MM**2
     known = has_certificate(artefact.balls, artefact.covariance)
-    certified = artefact.covariance if known else np.eye(artefact.balls.size) * USUAL_MM**2
+    certified = artefact.covariance
+    if not known:
+        # the certified length, if there is one, would not be forgotten
+        certified = np.eye(artefact.balls.size) * USUAL_MM**2
+        certified = _with_lengths(artefact, certified, length) if present == "one length" else certified
 
     def after(covariance: Array) -> VolumetricRms:
         other = replace(artefact, covariance=covariance, uncertified=())
@@ -73,7 +77,7 @@ def certificate_value(set_up: SetUp, grid: Array) -> CertificateValue:
 
     return CertificateValue(
         present=present,
-        certificate_mm=float(np.sqrt(np.diagonal(certified).mean())),
+        certificate_mm=float(np.sqrt(np.diagonal(certified).mean())) if known else USUAL_MM,
         certificate=after(certified),
         length=length,
         one_length=after(_with_lengths(artefact, rough, length)),
