@@ -25,7 +25,7 @@ from agent.planning.setup_proposal.controller_setup import CONTROLLERS, MODBUS, 
 from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES, MachineClass
 from agent.planning.setup_proposal.machine_setup import Limits, MachineSetup, Triple, check_travel
 from agent.planning.setup_proposal.spindle import SPINDLES, parse_spindle
-from agent.planning.setup_proposal.station_setup import StationSetup, propose_stations
+from agent.planning.setup_proposal.station_setup import PROPOSED, STATED, StationSetup, propose_stations
 from drivers.clock import RealClock
 from drivers.errors import ConfigurationError, DeviceError, InputError
 from drivers.registry import DeviceContext, create_device
@@ -36,9 +36,7 @@ from twin.machine.kinematic_chain import AXES, parse_chain
 Value = TypeVar("Value")
 ThreeLimits = tuple[Limits, Limits, Limits]
 
-STATED = "as stated"
 READ = "read from the controller"
-PROPOSED = "proposed"
 S_PER_MIN = 60.0
 
 

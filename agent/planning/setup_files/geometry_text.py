@@ -18,7 +18,6 @@ PROBE_COMMENTS = {
 
 def add_mount(text: TomlText, machine: MachineSetup, stations: StationSetup) -> None:
     """Add the section `[mount]`."""
-    origin = stations.origins.get
     text.section("mount", "Rotary mount of the artefact: dimensions for its pose and for the collision check.")
     text.key("shaft_mm", stations.shaft_mm, "from the azimuth axis to the axis of the bar, along the holders")
     if machine.spindle.is_vertical:
@@ -26,7 +25,7 @@ def add_mount(text: TomlText, machine: MachineSetup, stations: StationSetup) -> 
     text.key("pedestal_radius_mm", stations.pedestal_radius_mm, "post under the azimuth axis, down to the table")
     text.key("head_mm", stations.head_mm, "top of the post above the place of the mount")
     table = "height of the table surface, workpiece frame (axis position + tool offset)"
-    text.key("table_z_mm", stations.table_z_mm, f"{table}; {origin('table_z_mm', 'proposed')}")
+    text.key("table_z_mm", stations.table_z_mm, f"{table}; {stations.origins['table_z_mm']}")
 
 
 def add_probe(text: TomlText, machine: MachineSetup) -> None:

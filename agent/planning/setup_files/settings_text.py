@@ -144,12 +144,11 @@ def _add_roles(text: TomlText) -> None:
 def _add_procedure(
     text: TomlText, machine: MachineSetup, stations: StationSetup, position_set: str, touches_per_ball: int
 ) -> None:
-    origin = stations.origins.get
     text.section("stations")
     text.comment(
         f"Places of the mount along {station_axis(machine)}: the point of its azimuth axis at the height of the middle "
         "of the bar (vertical spindle: at which the elevation axis meets it), in the workpiece frame (axis position + "
-        f"tool offset, so of a stylus centre that would stand there). {origin('places_mm', 'Proposed.')}"
+        f"tool offset, so of a stylus centre that would stand there). {stations.origins['places_mm'].capitalize()}."
     )
     text.key("places_mm", [list(place) for place in stations.places_mm])
     text.section("procedure", "How is measured; `volcal plan` shows balls, minutes and the expected result.")

@@ -30,9 +30,6 @@ class TomlText:
             self.comment(comment)
         self._lines.append(f"[{name}]")
 
-    def blank(self) -> None:
-        self._lines.append("")
-
     def key(self, name: str, value: Value, comment: str = "") -> None:
         """Add a key. Its comment stands behind the value or, if there is no room, above it. A list that is too long for
         a line is written with one item per line."""

@@ -35,11 +35,6 @@ class BarSetup:
     standard_uncertainty_um: float = STANDARD_UNCERTAINTY_UM
     origins: Mapping[str, str] = field(default_factory=dict)
 
-    @property
-    def turning_radius_mm(self) -> float:
-        """Distance of the outermost point of the bar from its middle in mm, with 15 mm beyond the end balls."""
-        return math.hypot(0.5 * self.length_mm + 15.0, self.holder_mm + self.diameter_mm)
-
 
 def propose_bar(machine: MachineSetup) -> BarSetup:
     """Return a ball bar whose length fits the travel of the machine.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from twin.machine.kinematic_chain import AXES
 
 Triple = tuple[float, float, float]
 
+STATED = "as stated"
+PROPOSED = "proposed"
 MOST_STATIONS = 6
 OVERLAP = 1.5
 """Number of bar lengths per travel along which the stations stand: neighbouring stations overlap by a half."""
@@ -62,7 +64,7 @@ class StationSetup:
     pedestal_radius_mm: float
     head_mm: float
     elevation_deg: float
-    origins: Mapping[str, str] = field(default_factory=dict)
+    origins: Mapping[str, str]
 
 
 def propose_stations(
@@ -95,6 +97,10 @@ def propose_stations(
         pedestal_radius_mm=mount.pedestal_radius_mm,
         head_mm=mount.head_mm,
         elevation_deg=_elevation(machine, bar),
+        origins={
+            "places_mm": PROPOSED if first_mm is None else STATED,
+            "table_z_mm": PROPOSED if table_z_mm is None else STATED,
+        },
     )
 
 
