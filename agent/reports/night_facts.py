@@ -11,7 +11,7 @@ from agent.reports.page.number_format import fixed
 from agent.results.decision_kinds import OUTCOME
 from agent.results.run_outcome import Decision
 
-GOOD = (Decision.WITHIN, Decision.FUSED, Decision.WRITTEN, Decision.FULL_DONE, Decision.CONFIRMED)
+GOOD = (Decision.WITHIN, Decision.FUSED, Decision.WRITTEN, Decision.FULL_DONE)
 
 
 def night_of(record: RunRecord) -> Mapping[str, Any] | None:

@@ -58,8 +58,8 @@ class Confirmation:
 
 
 class Decision(Enum):
-    """Decision that ends a nightly run or a verification. A full calibration, at night or not, has CONFIRMED if it
-    keeps the active table."""
+    """Decision that ends a nightly run or a verification. CONFIRMED is that of a calibration that keeps the active
+    table."""
 
     WITHIN = "within limits"
     OUT = "out of limits"

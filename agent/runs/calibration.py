@@ -26,6 +26,7 @@ from agent.results.estimation import (
     thermometer_facts,
 )
 from agent.results.gates import (
+    CHANGE,
     Gate,
     change_gate,
     estimate_gates,
@@ -53,7 +54,8 @@ class CalibrationRun(GuardedRun):
 
     `reference` is the last accepted night of this machine (the last run whose estimate was accepted), against which the
     change of the machine is judged; it is None if there is no accepted night. `nights` is the number of nights since
-    then.
+    then. `changed` is True if an earlier measurement has shown that the machine has changed. The active table is then
+    replaced, never confirmed.
     """
 
     def __init__(
@@ -63,8 +65,11 @@ class CalibrationRun(GuardedRun):
         reference: ReferenceState | None = None,
         nights: float = 0.0,
         consent: Consent = Consent.ASK,
+        *,
+        changed: bool = False,
     ) -> None:
         super().__init__(job, context)
+        self._changed = changed
         self._reference = reference
         self._nights = nights
         self._consent = consent
@@ -92,7 +97,8 @@ class CalibrationRun(GuardedRun):
         new_um = estimation.volumetric.after_aligned.value_um
         gain = expected_gain(estimation.estimate, new_um, self._correction, job.tool_offset_mm)
         gates = self._estimate_gates(estimation)
-        if not gain.reaches(job.settings.verification.min_gain):
+        changed = self._changed or any(gate.name == CHANGE and not gate.passed for gate in gates)
+        if not changed and not gain.reaches(job.settings.verification.min_gain):
             self._pass_gates(of_measurement(gates))
             self._confirm(estimation, gain, job.balls_of(progress.measured, held_out=True))
             return

@@ -12,7 +12,7 @@ from agent.results.predicted_accuracy import preflight_estimate
 from agent.runs.calibration import CalibrationRun
 from agent.runs.consent import Consent
 from agent.runs.planned_run import PlannedRun, StartConditions
-from agent.runs.reference_state import ReferenceState, reference_for
+from agent.runs.reference_state import ReferenceState, full_calibration_need, reference_for
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,13 @@ class FullCalibration:
         preflight_estimate(job, preflight.measured)
         reference = reference_for(job, start.run)
         nights = nights_since(reference, self.nights, start.at)
+        changed = full_calibration_need(job.settings.state_directory, start.run) is not None
         return PlannedRun(
-            job, self, start, preflight, lambda context: CalibrationRun(job, context, reference, nights, self.consent)
+            job,
+            self,
+            start,
+            preflight,
+            lambda context: CalibrationRun(job, context, reference, nights, self.consent, changed=changed),
         )
 
 

@@ -151,7 +151,7 @@ def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Jud
     The operator is not asked for consent to a table for the changed machine, because the permission for a full
     calibration includes this consent.
     """
-    full = CalibrationRun(job, context, judge.reference, judge.nights, Consent.GIVEN)
+    full = CalibrationRun(job, context, judge.reference, judge.nights, Consent.GIVEN, changed=True)
     full.progress = run.progress
     full.progress.job = job
     full.progress.night = report
@@ -159,11 +159,6 @@ def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Jud
     proof = full.progress.proof
     if proof is not None and not proof.accepted:
         full.progress.night = replace(report, decision=Decision.RESTORED, reason=proof.reason)
-    confirmed = full.progress.confirmed
-    if confirmed is not None:
-        full.progress.night = replace(
-            report, decision=Decision.CONFIRMED, ve_now_um=confirmed.kept_um, ve_after_um=confirmed.new_um
-        )
 
 
 def refusal_until_full(reason: str) -> GateRefused:
