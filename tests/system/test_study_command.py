@@ -155,7 +155,7 @@ class TestBadInput:
         refused(here(*SMALL, "--out", tmp_path / "taken"), 2, "this is a file, a directory is needed")
 
     def test_the_published_method_outside_its_studies_or_with_another_prior(self, tmp_path: Path) -> None:
-        published = ["--formulation", "published", "--out", tmp_path]
+        published: list[str | Path] = ["--formulation", "published", "--out", tmp_path]
         refused(here(*SMALL, *published), 2, "the publication has no study 'monte-carlo'", "ball-count", "strategy")
         refused(here("strategy", *published, "--prior", "on"), 2, "unit weights and no prior", "omit --prior")
         assert list(tmp_path.iterdir()) == []
