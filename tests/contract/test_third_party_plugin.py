@@ -80,7 +80,9 @@ def test_it_is_found_configured_and_diagnosed(installed: Path, settings: Path, t
     completed = run(installed, "agent.cli.main", "doctor", "--config", str(settings), "--json", cwd=tmp_path)
     assert "Traceback" not in completed.stderr
     lines = {line["subject"]: line for line in json.loads(completed.stdout)["acme"]}
-    assert all(line["ok"] for line in lines.values()), lines
+    # the example's controller has another travel than the machine of the shipped settings, and is slower
+    differing = {subject for subject, line in lines.items() if not line["ok"]}
+    assert differing == {"travel X", "rapid X", "rapid Y", "rapid Z"}, lines
     assert lines["link"]["text"].startswith("acme 127.0.0.1:")
     assert lines["permissions"]["text"] == "0 missing"
 
