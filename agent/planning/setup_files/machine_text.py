@@ -58,9 +58,9 @@ def machine_text(machine: MachineSetup) -> str:
         "model.family",
         f"How large the errors of such a machine may be: half-widths of the prior, lowest order first. Proposed for "
         f"class {machine.kind.name} with a longest axis of {max(machine.travel_mm):g} mm, as "
-        f"{machine.kind.tolerance_share:g} times the tolerances of acceptance tests of machining centres (ISO 10791-1, "
-        "-2 and -4), scaled with the length of the axis. Typical values, not measured on this machine; the report of a "
-        "run says how well they agree with it.",
+        f"{machine.kind.tolerance_share:g} times reference tolerances of the size that acceptance tests of machining "
+        "centres allow, scaled with the length of the axis. Typical values, neither those of a standard nor measured "
+        "on this machine: the report of a run says how well they agree with it.",
     )
     for name, value in propose_family(machine.kind, machine.travel_mm).items():
         text.key(name, value, FAMILY_COMMENTS[name])

@@ -1,8 +1,7 @@
 """Proposed family of errors: half-widths of the error parameters of machines of one class and size.
 
-The half-widths follow from the tolerances of acceptance tests. For machining centres with axes up to 2000 mm, the
-tolerances of ISO 10791-1, -2 and -4 are close to power laws in the length of the axis, which are used here at all
-lengths:
+The half-widths follow from reference tolerances, which are power laws in the length L of the axis. They are chosen to
+be of the size that acceptance tests of machining centres allow, and they reproduce no table of a standard:
 
     mean positioning deviation     12 µm · (L / 800 mm)^0.5
     straightness                   15 µm · (L / 800 mm)^0.66
