@@ -82,6 +82,9 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
     run_errors.GateRefused: AlarmCode(
         420, "the result failed an acceptance gate", "the previous table stays active; see the gate given in the alarm"
     ),
+    run_errors.ForecastRefused: AlarmCode(
+        421, "an acceptance gate is expected to refuse the run", "change the settings key given in the alarm"
+    ),
     run_errors.MeasurementFault: AlarmCode(
         430, "measurement outside its limits", "clean the balls and the stylus; check clamping and temperature"
     ),

@@ -60,7 +60,8 @@ def test_what_cannot_be_meant_is_refused_by_its_key(change: Change, key: str, sa
 def test_artefacts_of_two_kinds_are_refused_by_their_key(tmp_path: Path) -> None:
     short = tmp_path / "short.toml"
     lines = Path(BARS[1]).read_text(encoding="utf-8").splitlines()
-    short.write_text("\n".join(lines[:-2] + lines[-1:]), encoding="utf-8")
+    last_ball = lines.index("]") - 1
+    short.write_text("\n".join(lines[:last_ball] + lines[last_ball + 1 :]), encoding="utf-8")
     with pytest.raises(ConfigurationError, match="10 balls") as caught:
         two_mounts(lambda d: d["stations"].update(artefacts=[BARS[0], str(short)]))
     assert caught.value.where["key"] == "stations.artefacts"
