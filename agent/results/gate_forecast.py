@@ -163,16 +163,22 @@ class _Design:
         return prior - posterior if self.job.settings.identification.prior else prior + posterior
 
     def estimate_gates(self) -> tuple[Gate, ...]:
-        limits, offset = self.job.gate_limits, self.job.tool_offset_mm
-        form = field_forms(self.estimate, evaluation_grid(self.estimate.model.ranges_mm), offset)[1]
+        limits = self.job.gate_limits
         return (
             fit_gate(1.0, limits),
             redundancy_gate(self.estimate.degrees_of_freedom, limits),
-            gain_gate(*self._errors_um(form), limits),
+            gain_gate(*self.travel_errors_um, limits),
             self._certificate(limits.max_certificate_sigma),
             self._change(),
             Gate(NIGHT, limits.night_false_alarm <= 0.5, 0.5, limits.night_false_alarm, "probability of a night"),
         )
+
+    @cached_property
+    def travel_errors_um(self) -> tuple[float, float]:
+        """Rms volumetric errors in µm over the whole travel, after removal of the best-fitting rigid motion, that the
+        table is expected to correct and to leave."""
+        grid = evaluation_grid(self.estimate.model.ranges_mm)
+        return self._errors_um(field_forms(self.estimate, grid, self.job.tool_offset_mm)[1])
 
     def _errors_um(self, form: Array) -> tuple[float, float]:
         """Return the rms volumetric errors in µm that the table is expected to correct and to leave, for a quadratic
@@ -232,8 +238,7 @@ class _Design:
     def replacement_gates(self) -> tuple[Gate, ...]:
         """Return the gates of the rule by which a new table replaces the active compensation, which is none."""
         limits = self.job.settings.verification
-        form = field_forms(self.estimate, evaluation_grid(self.estimate.model.ranges_mm), self.job.tool_offset_mm)[1]
-        corrected_um, left_um = self._errors_um(form)
+        corrected_um, left_um = self.travel_errors_um
         gain = ExpectedGain(math.hypot(corrected_um, left_um), left_um)
         text = f"relative decrease of the VE from {gain.kept_um:.2f} to {gain.new_um:.2f} µm by the first table"
         return (

@@ -41,6 +41,11 @@ class Rod:
         axis = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
         return start - (start @ axis) * axis, axis, float(start @ axis), float(end @ axis)
 
+    def points(self, count: int) -> Array:
+        """Return `count` + 1 evenly spaced points (count + 1, 3) in mm on the axis of the rod, both ends included."""
+        base, axis, first, last = self.line
+        return np.asarray(base + np.linspace(first, last, count + 1)[:, None] * axis)
+
 
 @dataclass(frozen=True)
 class Beam:

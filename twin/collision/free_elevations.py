@@ -76,8 +76,7 @@ def _points(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
     mount location in the axes of the artefact frame, and the radius (n,) of the part around each point."""
     points, radii = [artefact.balls], [np.full(artefact.count, artefact.ball_radius_mm)]
     for rod in artefact.rods:
-        start, end = np.array(rod.start_mm), np.array(rod.end_mm)
-        count = math.ceil(float(np.linalg.norm(end - start)) / _SPACING_MM) + 1
-        points.append(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start))
-        radii.append(np.full(count, rod.radius_mm))
+        along = rod.points(math.ceil(math.dist(rod.start_mm, rod.end_mm) / _SPACING_MM))
+        points.append(along)
+        radii.append(np.full(len(along), rod.radius_mm))
     return np.concatenate(points) + mount.shaft_vector_mm, np.concatenate(radii)

@@ -138,10 +138,10 @@ def _covered(artefact: Artefact) -> tuple[Array, Array]:
     """
     points, radii = [artefact.balls], [np.full(artefact.count, artefact.ball_radius_mm)]
     for rod in artefact.rods:
-        base, axis, first, last = rod.line
+        _, _, first, last = rod.line
         length = last - first
         count = max(2 * math.ceil(length / SLAB_MM), 8)
-        points.append(base + np.linspace(first, last, count + 1)[:, None] * axis)
+        points.append(rod.points(count))
         half_spacing = min(0.25 * SLAB_MM, length / 16.0)
         radii.append(np.full(count + 1, math.hypot(rod.radius_mm, half_spacing)))
     return np.concatenate(points), np.concatenate(radii)

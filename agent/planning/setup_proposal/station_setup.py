@@ -83,7 +83,7 @@ def propose_stations(
     """
     mount = propose_mount(bar)
     shaft = shaft_mm or mount.shaft_mm
-    along = max(machine.spindle.horizontal_across, key=lambda axis: machine.travel_mm[axis])
+    along = _station_axis(machine)
     middle = first_mm or _middle(machine, bar, shaft)
     low, high = machine.stylus_range(along)
     inset = min(0.5 * END_SHARE * bar.length_mm, 0.5 * (high - low))
@@ -132,7 +132,11 @@ def positions_of(stations: StationSetup, spindle: ProbeFrame) -> tuple[Position,
 
 def station_axis(machine: MachineSetup) -> str:
     """Return the letter of the axis along which the stations stand."""
-    return AXES[max(machine.spindle.horizontal_across, key=lambda axis: machine.travel_mm[axis])]
+    return AXES[_station_axis(machine)]
+
+
+def _station_axis(machine: MachineSetup) -> int:
+    return max(machine.spindle.horizontal_across, key=lambda axis: machine.travel_mm[axis])
 
 
 def _middle(machine: MachineSetup, bar: BarSetup, shaft_mm: float) -> Triple:
