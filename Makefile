@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc gcode schema reference deb deb-test clean
+.PHONY: setup run test quick check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming foreign linuxcnc grbl gcode schema reference deb deb-test clean
 
 setup: $(STAMP)
 
@@ -79,6 +79,12 @@ warming: setup
 MACHINES ?= 500
 foreign: setup
 	$(BIN)/python -m campaigns.foreign --machines $(MACHINES)
+
+# A whole calibration over a serial line with a simulated GRBL and grblHAL, disturbed at random instants: holds, resets,
+# alarms, cables unplugged and replugged. Half an hour on two busy cores; ends with one line of JSON.
+EVENTS ?= 600
+grbl: setup
+	$(BIN)/python -m campaigns.grbl --events $(EVENTS)
 
 # A million lines of a part program corrected: seconds, memory, and the ratio to one block at a time.
 gcode: setup

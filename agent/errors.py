@@ -8,6 +8,8 @@
         ├── GateRefused           the estimate must not become a table
         ├── ForecastRefused       a gate is expected to refuse a run with these settings  exit code 7
         ├── MeasurementFault      a ball, a probe check or a drift is out of its limits
+        │   ├── ArtefactMoved     balls are no longer where they were before an interruption
+        │   └── PlacementLost     an artefact placed by hand no longer stands where it was measured
         ├── PlanDiverged          recorded steps do not match the rebuilt plan
         ├── JournalFailed         events can no longer be recorded durably (disk full, disk gone)
         ├── Busy                  another run owns the machine
@@ -41,6 +43,14 @@ class ForecastRefused(RunError):
 
 class MeasurementFault(RunError):
     pass
+
+
+class ArtefactMoved(MeasurementFault):
+    pass
+
+
+class PlacementLost(MeasurementFault):
+    """Error that the engine raises inside the plan, which may then have the artefact placed again."""
 
 
 class PlanDiverged(RunError):

@@ -113,6 +113,7 @@ def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) 
             "bridge_command": machine.bridge_command,
             "motion_margin_s": 120.0,
             "response_timeout_s": ANSWER_WITHIN_S,
+            "heartbeat_timeout_s": 60.0,
             "compensation": {"method": "external-offsets", "directory": str(trial.work / "tables")},
         }
     )
@@ -148,7 +149,13 @@ def largest_applied_difference_um(device: LinuxCnc, machine: LinuxCncProcess, im
     limits = device.limits()
     rng = np.random.default_rng(5)
     worst = 0.0
-    link = BridgeLink(machine.bridge_command, response_timeout_s=5.0, watchdog_timeout_s=0.0, device="motors")
+    link = BridgeLink(
+        machine.bridge_command,
+        response_timeout_s=5.0,
+        watchdog_timeout_s=0.0,
+        heartbeat_timeout_s=60.0,
+        device="motors",
+    )
     link.open()
     try:
         for x in rng.uniform(limits.lower_mm[0] + 1.0, limits.upper_mm[0] - 1.0, POINTS):
@@ -178,6 +185,7 @@ def _write_changed_copy(example: Path, path: Path, changes: dict[str, str]) -> P
 SHORT_CHANGES = {
     # other tests may keep the computer busy
     "motion_margin_s = 120.0": f"motion_margin_s = 600.0\nresponse_timeout_s = {ANSWER_WITHIN_S}",
+    "heartbeat_timeout_s = 5.0": "heartbeat_timeout_s = 60.0",
     "watchdog_timeout_s = 2.0": "watchdog_timeout_s = 20.0",
     # one touch per point, at the feed of the search
     "touch_stages = 2": "touch_stages = 1",
@@ -185,8 +193,6 @@ SHORT_CHANGES = {
     "stations = [1, 4]": "stations = [1]\npositions_deg = [[30.0, 30.0]]",
     "limit_um = 3.5": "limit_um = 5.0",
     "[probe_check]": "[reversal]\nenabled = false\n\n[probe_check]",
-    # the other three quarters of the travel remain uncertain
-    "[timing]": "[gates]\nmax_remaining_fraction = 0.8\n\n[timing]",
 }
 """Changes of the settings that make the run short enough to be repeated after every change of the source."""
 SHORT_SCENARIO = {

@@ -191,6 +191,15 @@ class StepTracing(Protocol):
 
 
 @runtime_checkable
+class RestorableLink(Protocol):
+    """Device that restores its link after an interruption while nothing moves, and counts the interruptions."""
+
+    def interruptions(self) -> int:
+        """Return the number of interruptions of the link since the device was created after which it was restored."""
+        ...
+
+
+@runtime_checkable
 class Probe(Protocol):
     """Touch-trigger probe in the spindle."""
 
@@ -263,6 +272,7 @@ class OperatorTask(Enum):
     """Tasks that an operator can be asked to do."""
 
     MOVE_ARTEFACT = "move the artefact and its mount to a station"
+    PLACE_ARTEFACT = "place the artefact by hand in a position"
     CONSENT = "consent"
 
 
@@ -277,6 +287,32 @@ class OperatorRequest:
     task: OperatorTask
     text: str
     station: int | None = None
+
+
+@dataclass(frozen=True)
+class BallPlace:
+    """Axis positions in mm, as the controller displays them, at which the stylus tip is at the centre of the ball
+    number `ball`, counted from 0."""
+
+    ball: int
+    position_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class PlacementRequest(OperatorRequest):
+    """Request to place the artefact by hand at `station` with the given azimuth and elevation.
+
+    `balls` gives the places of some balls; the first of them is measured first. If an earlier attempt at the same
+    position was refused, `refused` is the reason as a code (a value of
+    `agent.probing.hand_placement.PlacementFault`), and `refused_ball` is the ball that it concerns. Otherwise `refused`
+    is empty.
+    """
+
+    azimuth_deg: float = 0.0
+    elevation_deg: float = 0.0
+    balls: tuple[BallPlace, ...] = ()
+    refused: str = ""
+    refused_ball: int | None = None
 
 
 @runtime_checkable

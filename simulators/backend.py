@@ -20,6 +20,7 @@ from drivers.roles import (
     OperatorRequest,
     OperatorTask,
     Orientation,
+    PlacementRequest,
     ProbeStatus,
     RotaryMount,
     StoreLimits,
@@ -135,6 +136,8 @@ class SimulatedMachineDevice:
 
     def turn(self, mount: MountPhysics, azimuth_deg: float, elevation_deg: float) -> Orientation:
         self._catch_up()
+        if not self.world.mounts:
+            raise CommandRejected("there is no mount to turn", hint="the artefact is placed by hand")
         mount.begin_turn(AZIMUTH, azimuth_deg)
         mount.begin_turn(ELEVATION, elevation_deg)
         self._sleep_until(lambda: mount.settled_s if mount.settled_s > self.world.now else None)
@@ -181,10 +184,13 @@ class SimulatedMachineDevice:
         return self._controller.temperatures()
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Move the artefact if the request asks for a move, and return True (the answer yes).
+        """Move or place the artefact if the request asks for it, and return True (the answer yes).
 
         Returns False only if a request to move the artefact names no station.
         """
+        if isinstance(request, PlacementRequest) and request.station is not None:
+            self._catch_up()
+            self.world.place_by_hand(request.station, request.azimuth_deg, request.elevation_deg)
         if request.task is OperatorTask.MOVE_ARTEFACT:
             if request.station is None:
                 return False

@@ -15,6 +15,7 @@ import structlog
 
 from drivers.errors import VolcalError
 from simulators.scenario import read_scenario
+from simulators.wire.grbl.dialect import DIALECTS
 from simulators.wire.modbus.numbers import Float64Numbers, RegisterNumberFormat, ScaledInt32Numbers
 from simulators.wire.modbus.rtu import LineSettings
 from simulators.wire.wired_machine import Links, WiredMachine
@@ -95,6 +96,13 @@ def _number(text: str, value: str, forms: str, largest: float) -> float:
     help="Modbus RTU on a pseudo-terminal instead of TCP; PATH becomes a link to it.",
 )
 @click.option("--serial", metavar="PATH|any", help="Also serve GRBL on a pseudo-terminal; PATH becomes a link to it.")
+@click.option(
+    "--serial-dialect",
+    type=click.Choice(list(DIALECTS)),
+    default="grbl",
+    show_default=True,
+    help="Firmware on the serial line: GRBL 1.1 or grblHAL.",
+)
 @click.option("--can", metavar="CHANNEL", help="CAN bus: socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH …")
 @click.option(
     "--control",
@@ -135,6 +143,7 @@ def simulate(
     modbus: tuple[str, int],
     modbus_rtu: LineSettings | None,
     serial: str | None,
+    serial_dialect: str,
     can: str | None,
     control: tuple[str, int],
     clock: float | None,
@@ -157,6 +166,7 @@ def simulate(
         numbers=numbers,
         modbus_rtu=modbus_rtu,
         serial=serial,
+        dialect=DIALECTS[serial_dialect],
     )
     try:
         machine = WiredMachine(read_scenario(config), links)

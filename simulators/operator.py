@@ -14,7 +14,7 @@ from pydantic import Field
 from drivers.errors import CommandRejected, LinkLost, LinkTimeout, ProtocolError
 from drivers.options import DriverOptions
 from drivers.registry import DeviceContext, DriverPlugin
-from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask
+from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask, PlacementRequest
 
 LONGEST_ANSWER = 65536
 log = structlog.get_logger()
@@ -63,14 +63,19 @@ class SimulatedOperator:
         return [DiagnosticFinding(self._name, ok=True, text=text)]
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Place the artefact at the requested station if the request names one, and return True (the answer yes).
+        """Place the artefact at the requested station or, by hand, in the requested position, and return True (the
+        answer yes).
 
         Raises CommandRejected if the simulator refuses the request, and LinkError if the simulator does not answer.
         """
-        if request.task is OperatorTask.MOVE_ARTEFACT:
+        if request.task is not OperatorTask.CONSENT:
             if request.station is None:
                 raise CommandRejected("the request names no station for the artefact", device=self._name)
-            self._request({"do": "place_artefact", "station": request.station})
+            if isinstance(request, PlacementRequest):
+                pose = {"azimuth_deg": request.azimuth_deg, "elevation_deg": request.elevation_deg}
+                self._request({"do": "place_by_hand", "station": request.station, **pose})
+            else:
+                self._request({"do": "place_artefact", "station": request.station})
         log.info("simulated operator finished the task", task=request.task.value, station=request.station)
         return True
 

@@ -11,14 +11,14 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from drivers.errors import ConfigurationError
 from simulators.temperatures import Coordinates, ThermalSettings
 from twin.artefact.artefact import Artefact
-from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.mount_geometry import MountGeometry, without_mount
 from twin.collision.probe_frame import ProbeFrame
 from twin.collision.probe_geometry import ProbeGeometry, ProbeSection
 from twin.errors import TwinError
@@ -96,6 +96,29 @@ class MountBehaviour(StrictModel):
     acceleration_deg_per_s2: PositiveFloat = 40.0
 
 
+class Misplacement(StrictModel):
+    """Gross error of the person who places the artefact: at the placement number `placement`, counted from 1, it stands
+    displaced by `off_mm` and turned about the vertical by `off_deg`.
+    """
+
+    placement: PositiveInt
+    off_mm: Coordinates = (0.0, 0.0, 0.0)
+    off_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
+
+
+class HandPlacementBehaviour(StrictModel):
+    """Errors of a person who places the artefact by hand in every position.
+
+    Each placement is displaced along X and Y by up to `error_mm`, along Z by up to a tenth of it, because the artefact
+    is on the table, and turned about the vertical by up to `error_deg`. The placements in `misplaced` are grossly wrong
+    in addition.
+    """
+
+    error_mm: NonNegativeFloat = 3.0
+    error_deg: NonNegativeFloat = 0.5
+    misplaced: list[Misplacement] = Field(default_factory=list)
+
+
 class StoreSettings(StrictModel):
     """Capacity of the controller's compensation banks."""
 
@@ -139,6 +162,9 @@ class ScenarioDocument(StrictModel):
     its own mount. In this case `artefacts` may give one artefact for each station; otherwise one artefact is moved from
     mount to mount.
 
+    If `placed_by_hand` is given, there is no mount: a person places the artefact in every position. Until the first
+    placement it is not on the machine.
+
     If `noise_by_step` is True, noise depends on the step tag (a number that identifies the step) that an agent sends
     with a motion, and a repeated step has the same noise. Otherwise, noise depends on the number of the motion.
     """
@@ -153,6 +179,7 @@ class ScenarioDocument(StrictModel):
     standing_at: PositiveInt = 1
     own_mounts: bool = False
     artefacts: list[Path] = Field(default_factory=list)
+    placed_by_hand: HandPlacementBehaviour | None = None
     mounts_deg: list[tuple[float, float]] = Field(default_factory=list)
     start_mm: Coordinates | None = None
     mount: Annotated[MountGeometry, forbid_unknown_keys(MountGeometry)] = MountGeometry()
@@ -165,6 +192,15 @@ class ScenarioDocument(StrictModel):
     temperatures: ThermalSettings = ThermalSettings()
     store: StoreSettings = StoreSettings()
     ageing: AgeingSettings = AgeingSettings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_mount(cls, document: Any) -> Any:
+        """Remove the parts of the mount from the geometry if the artefact is placed by hand."""
+        if not isinstance(document, dict) or document.get("placed_by_hand") is None:
+            return document
+        section = document.get("mount", {})
+        return {**document, "mount": without_mount(section)} if isinstance(section, dict) else document
 
 
 @dataclass(frozen=True)
@@ -217,11 +253,15 @@ class Scenario:
 
     @property
     def mount_count(self) -> int:
-        """Number of rotary mounts of the simulated machine."""
+        """Number of rotary mounts of the simulated machine; 0 if the artefact is placed by hand."""
+        if self.settings.placed_by_hand is not None:
+            return 0
         return len(self.settings.stations_mm) if self.settings.own_mounts else 1
 
     def _refuse_mounts_that_do_not_fit(self) -> None:
         settings, stations = self.settings, len(self.settings.stations_mm)
+        if settings.placed_by_hand is not None and settings.own_mounts:
+            raise ConfigurationError("an artefact that is placed by hand has no mount", key="own_mounts")
         if self.artefacts and not settings.own_mounts:
             raise ConfigurationError("artefacts at the stations need own_mounts = true", key="artefacts")
         if self.artefacts and len(self.artefacts) != stations:
@@ -278,6 +318,9 @@ def ideal_document(document: ScenarioDocument) -> ScenarioDocument:
             "mount_behaviour": document.mount_behaviour.model_copy(
                 update=dict.fromkeys(("index_error_deg", "wobble_um", "place_error_mm", "place_error_deg"), 0.0)
             ),
+            "placed_by_hand": None
+            if document.placed_by_hand is None
+            else HandPlacementBehaviour(error_mm=0.0, error_deg=0.0),
             "temperatures": ThermalSettings(),
         }
     )

@@ -58,16 +58,16 @@ OWN_COMMANDS = {
         logs=False,
     ),
     "calibrate": OwnCommand(
-        "agent.cli.calibrate:calibrate_command",
+        "agent.cli.run_commands.calibrate:calibrate_command",
         "Measure, identify, write the table and verify it; restore the previous table if the check fails.",
     ),
     "config": OwnCommand("agent.cli.config:config_group", "Check settings files and print their schema."),
     "demo": OwnCommand(
-        "agent.cli.demo:demo_command",
+        "agent.cli.run_commands.demo:demo_command",
         "Start the simulated machine as a process, calibrate it over TCP and CAN, and compare with the truth.",
     ),
     "design": OwnCommand(
-        "agent.cli.design:design_command",
+        "agent.cli.offline_commands.design:design_command",
         "Choose the positions that leave the smallest volumetric compensated error and write them as a position set.",
     ),
     "doctor": OwnCommand(
@@ -75,7 +75,8 @@ OWN_COMMANDS = {
         "Check settings, links and devices, and forecast the gates of a run; nothing moves.",
     ),
     "gcode": OwnCommand(
-        "agent.cli.gcode:gcode_group", "Correct part programs for controllers that have no compensation table."
+        "agent.cli.table_commands.gcode:gcode_group",
+        "Correct part programs for controllers that have no compensation table.",
     ),
     "hold": OwnCommand(
         "agent.cli.service_commands.requests:hold_command",
@@ -85,17 +86,19 @@ OWN_COMMANDS = {
     "history": OwnCommand(
         "agent.cli.history:history_group", "List every run of this machine and its trends.", logs=False
     ),
-    "identify": OwnCommand("agent.cli.identify:identify", "Identify a machine from measured ball centres."),
+    "identify": OwnCommand(
+        "agent.cli.offline_commands.identify:identify", "Identify a machine from measured ball centres."
+    ),
     "init": OwnCommand(
         "agent.cli.new_machine.init:init_command",
         "Ask about a machine and write machine, artefact, settings and simulator files into DIRECTORY, ready to run.",
     ),
     "nightly": OwnCommand(
-        "agent.cli.nightly:nightly_command",
+        "agent.cli.run_commands.nightly:nightly_command",
         "Verify the machine and, within limits, fuse the measurements of the slot with earlier nights.",
     ),
     "plan": OwnCommand(
-        "agent.cli.plan:plan_command",
+        "agent.cli.run_commands.plan:plan_command",
         "Run the preflight of the whole procedure: limits, collisions, minutes and the expected VCE.",
     ),
     "report": OwnCommand(
@@ -103,11 +106,11 @@ OWN_COMMANDS = {
         "Write the report of RUN (its identity, or `last`) from the journal alone, whatever the outcome of the run.",
     ),
     "study": OwnCommand(
-        "agent.cli.study:study_command",
+        "agent.cli.offline_commands.study:study_command",
         "Study the procedure without a machine and write NAME.png, NAME.svg, NAME.csv and NAME.json into DIR.",
     ),
     "rank": OwnCommand(
-        "agent.cli.rank:rank_command",
+        "agent.cli.offline_commands.rank:rank_command",
         "Show which errors a set-up can determine and which changes would determine more, without any device.",
     ),
     "reset": OwnCommand(
@@ -116,7 +119,7 @@ OWN_COMMANDS = {
         logs=False,
     ),
     "resume": OwnCommand(
-        "agent.cli.resume:resume_command",
+        "agent.cli.run_commands.resume:resume_command",
         "Resume the interrupted run; completed measurements are not repeated.",
     ),
     "serve": OwnCommand(
@@ -134,10 +137,10 @@ OWN_COMMANDS = {
         "Compare a run's step times with the prediction and suggest latencies for the settings.",
     ),
     "verify": OwnCommand(
-        "agent.cli.nightly:verify_command",
+        "agent.cli.run_commands.nightly:verify_command",
         "Measure a few positions with the active table and compare with the last accepted night.",
     ),
-    "table": OwnCommand("agent.cli.table:table_group", "Show, export and restore compensation tables."),
+    "table": OwnCommand("agent.cli.table_commands.table:table_group", "Show, export and restore compensation tables."),
 }
 
 

@@ -104,6 +104,8 @@ def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
 
 def _mounts(devices: Mapping[str, Device], settings: Settings) -> dict[int, RotaryMount]:
     named = settings.roles.mount
+    if named is None:
+        return {}
     if isinstance(named, str):
         return {n: mount_at_station(devices, named, n, "roles.mount") for n in stations_of(settings.stations)}
     return {n: mount_at_station(devices, named[n], n, f"roles.mount.{n}") for n in stations_of(settings.stations)}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
 
@@ -15,6 +15,14 @@ import numpy as np
 
 from agent.execution.steps import OrientTo, ReadPosition, Step, TouchTowards
 from drivers.roles import Miss, Orientation, TableImage, Touch
+
+
+@dataclass(frozen=True)
+class LostPlacement:
+    """Result of a step that was not carried out, because an artefact that was placed by hand no longer stood where it
+    had been measured. A resumed run that finds this result raises PlacementLost with the same reason."""
+
+    reason: str
 
 
 def encode_step(step: Step) -> str:
@@ -33,6 +41,8 @@ def decode_result(kind: str, text: str | None) -> Any:
     checksum were written, and the mapping ``{"shape": …, "crc32": …}`` is returned.
     """
     value: Any = None if text is None else json.loads(text)
+    if isinstance(value, dict) and value.keys() == {"placement_lost"}:
+        return LostPlacement(value["placement_lost"])
     if kind == TouchTowards.__name__:
         return Touch(_triple(value["touch"])) if "touch" in value else Miss(_triple(value["miss"]))
     if kind == OrientTo.__name__:
@@ -75,6 +85,8 @@ def _plain(value: object) -> Any:  # noqa: PLR0911  one line a type
             return {"miss": list(value.position_mm)}
         case Orientation():
             return {"azimuth_deg": value.azimuth_deg, "elevation_deg": value.elevation_deg}
+        case LostPlacement():
+            return {"placement_lost": value.reason}
         case TableImage():
             return {"shape": value.shape, "crc32": table_digest(value)}
         case np.ndarray():

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar
 
+from agent.errors import PlacementLost
 from agent.execution.steps import STEPS_WITH_EFFECT, Plan, Step
 from drivers.errors import VolcalError
 
@@ -82,18 +83,24 @@ class Engine:
         case.
 
         If a step raises a `VolcalError`, the key of the step is added to the error. If the plan itself raises a
-        `VolcalError`, the key of the last step whose result the plan received is added to the error.
+        `VolcalError`, the key of the last step whose result the plan received is added to the error. A step that raises
+        `PlacementLost` raises this error inside the plan, which may go on with other steps.
         """
         do = self._do if self._journal is None else self._do_durably
         observer = self._observer
         result: Any = None
         step: Step | None = None
         try:
+            step = plan.send(None)
             while True:
-                step = plan.send(result)
-                result = do(step)
+                try:
+                    result = do(step)
+                except PlacementLost as lost:
+                    step = plan.throw(lost)
+                    continue
                 if observer is not None:
                     observer(step, result)
+                step = plan.send(result)
         except StopIteration as stop:
             conclusion: T = stop.value
             return conclusion

@@ -10,6 +10,7 @@ plan is asked for its next step.
 from __future__ import annotations
 
 import copy
+import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -197,7 +198,11 @@ class RunJournal:
                 "UPDATE steps SET error = ? WHERE run = ? AND ordinal = ? AND key = ?",
                 (str(error), self._run, self._ordinal, step.key),
             )
-            self._insert_event("fault", {"step": step.key, "error": str(error), "type": type(error).__name__})
+            self.fault(error, step.key)
+
+    def fault(self, error: BaseException, step: str = "") -> None:
+        """Record an error that ends the run; its class decides whether the run can be resumed."""
+        self._insert_event("fault", {"step": step, "error": str(error), "type": type(error).__name__})
 
     def event(self, kind: str, record: Mapping[str, Any]) -> None:
         self._insert_event(kind, record)
@@ -236,6 +241,30 @@ class RunJournal:
             "INSERT INTO tables VALUES (?,?,?,?,?,?,?,?,?,?,?)",
             (self._run, utc_timestamp(), role, bank, *values, self._aside),
         )
+
+    def discard_since(self, key: str, reason: str) -> int:
+        """Exclude the last step `key` of the procedure and everything after it from the procedure; a replay then ends
+        before this step, and the run carries it out again.
+
+        The excluded steps remain in the journal as steps aside. The records of the balls become events of the kind
+        ``discarded``. Return the number of these balls.
+        """
+        with self._transaction():
+            reader = JournalReader(self._connection)
+            first = reader.ordinal_of(self._run, key)
+            balls = [(ball.key, ball.record_text) for ball in reader.balls(self._run) if ball.ordinal >= first]
+            where = (self._run, first)
+            self._execute("UPDATE steps SET aside = 1 WHERE run = ? AND ordinal >= ?", where)
+            self._execute("DELETE FROM balls WHERE run = ? AND ordinal >= ?", where)
+            prefix = key.rpartition("/")[0] + "/"
+            self._execute(
+                "UPDATE events SET aside = 1 WHERE run = ? AND substr(json_extract(record, '$.step'), 1, ?) = ?",
+                (self._run, len(prefix), prefix),
+            )
+            aside = self.aside()
+            for ball, record in balls:
+                aside._insert_event("discarded", {"ball": ball, "reason": reason, "record": json.loads(record)})
+        return len(balls)
 
     def stored_table(self, crc32: int) -> TableImage | None:
         """Return the compensation table with the checksum `crc32` that this run stored; None if there is none."""

@@ -151,6 +151,11 @@ class JournalReader:
         """Return the key of the step that began last in the run; None if no step has begun."""
         return self._first(str, "SELECT key FROM steps WHERE run = :run ORDER BY ordinal DESC LIMIT 1", run=run)
 
+    def ordinal_of(self, run: int, key: str) -> int:
+        """Return the sequence number of the last step `key` of the procedure of the run."""
+        query = "SELECT max(ordinal) FROM steps WHERE run = :run AND key = :key AND aside = 0"
+        return int(self._value(query, run=run, key=key))
+
     def time_span_s(self, run: int) -> tuple[float, float] | None:
         """Return a pair of machine times in s: the time at which the run's first step began, and the time at which its
         last step ended. Return None if there is no step.

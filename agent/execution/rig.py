@@ -7,7 +7,8 @@ The rig also provides the function that carries out each type of step of a plan.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TypeVar, cast
 
@@ -18,7 +19,15 @@ from agent.execution import steps as s
 from agent.execution.engine import Action
 from agent.execution.tip_trace import LastMotion
 from drivers.clock import Clock, Deadline
-from drivers.errors import ConfigurationError, DeviceError, NotActiveYet, PermissionMissing, VolcalError
+from drivers.errors import (
+    CommandRejected,
+    ConfigurationError,
+    DeviceError,
+    MotionFault,
+    NotActiveYet,
+    PermissionMissing,
+    VolcalError,
+)
 from drivers.roles import (
     Activation,
     CompensationStore,
@@ -29,6 +38,7 @@ from drivers.roles import (
     Operator,
     Orientation,
     Probe,
+    RestorableLink,
     RotaryMount,
     StepTracing,
     Thermometer,
@@ -112,6 +122,15 @@ class Rig:
                 complaints.append(str(error.at(device=name)))
         return complaints
 
+    def link_interruptions(self) -> dict[str, int]:
+        """Return, by device, the number of interruptions of the link after which the device has restored it."""
+        found: dict[str, int] = {}
+        for name, one in self.devices.items():
+            if isinstance(one, RestorableLink):
+                with suppress(DeviceError):  # a count must not end a run, nor hide the error that has ended it
+                    found[name] = one.interruptions()
+        return found
+
     def await_standstill(self) -> None:
         """Wait until the axes of the machine stand still.
 
@@ -178,12 +197,32 @@ class Rig:
 
     def _move(self, step: s.MoveTo) -> None:
         self.last_motion.begin(step.target_mm, touch=False)
-        self.machine.move_to(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s, guarded=step.guarded)
+        with self._faults_told():
+            self.machine.move_to(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s, guarded=step.guarded)
         self.last_motion.end(step.target_mm)
+
+    @contextmanager
+    def _faults_told(self) -> Iterator[None]:
+        """Raise MotionFault if a motion is rejected because the controller is in a fault, such as an emergency stop.
+
+        The rejection itself says nothing about the motion, and a run that was interrupted by a fault can be resumed.
+        """
+        try:
+            yield
+        except CommandRejected as rejection:
+            status = self.machine.status()
+            if status.state is not MotionState.FAULT:
+                raise
+            raise MotionFault(
+                f"the controller is in a fault: {status.fault or 'it gives no reason'}; {rejection.message}",
+                hint="remove the cause and reset the controller, then continue with `volcal resume`",
+                **rejection.where,
+            ) from rejection
 
     def _touch(self, step: s.TouchTowards) -> Touch | Miss:
         self.last_motion.begin(step.target_mm, touch=True)
-        result = self.probe.touch_towards(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s)
+        with self._faults_told():
+            result = self.probe.touch_towards(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s)
         self.last_motion.end(result.position_mm)
         return result
 

@@ -58,6 +58,11 @@ class Supervisor:
         with self._lock:
             self._stop_request = self._stop_request or (kind, text)
 
+    @property
+    def stop_requested(self) -> bool:
+        """True if the end of the run has been requested, also after a call of `shield`."""
+        return self._stop_request is not None
+
     def request_hold(self) -> None:
         self._hold.set()
 

@@ -117,7 +117,8 @@ def without_optimisation(job: Job) -> Job:
     """Return a copy of `job` with plain paths, which lead by way of the retreat plane, and with a measuring order that
     is not optimised.
 
-    Stations and positions are then measured in the order in which they are listed.
+    Stations and positions are then measured in the order in which they are listed. The held-out positions are those of
+    `job`: a plain path to a position that was chosen for shortest paths is not proved to be free of collisions.
     """
     procedure = job.settings.procedure.model_copy(update={"paths": "plain", "optimise_order": False})
     rules = replace(job.rules, retreat=replace(job.rules.retreat, path_rules=None))

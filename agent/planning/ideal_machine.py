@@ -12,7 +12,7 @@ from collections.abc import Callable
 from agent.execution import steps as s
 from agent.execution.engine import Action
 from agent.planning.time_model import TimeModel
-from drivers.roles import Miss, Orientation, Touch
+from drivers.roles import Miss, Orientation, PlacementRequest, Touch
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point, point
 from twin.collision.measuring_layout import MeasuringLayout
@@ -53,7 +53,7 @@ class IdealMachine:
             s.ReadPosition: lambda _: self._at_mm,
             s.CheckPermissions: lambda _: None,
             s.CheckProbe: lambda _: None,
-            s.AskOperator: lambda step: self._took(step, 0.0),
+            s.AskOperator: self._ask,
             s.Record: lambda _: None,
         }
 
@@ -75,9 +75,17 @@ class IdealMachine:
         before_deg = self._turned_deg.get(mount, target_deg if own_mounts else (0.0, 0.0))
         self._took(step, self._model.turn_s(before_deg, target_deg))
         self._turned_deg[mount] = target_deg
-        nominal = self._layout.nominal(Position(step.station, step.azimuth_deg, step.elevation_deg))
-        self._balls = [point(ball) for ball in nominal]
+        self._set_balls(Position(step.station, step.azimuth_deg, step.elevation_deg))
         return Orientation(*target_deg)
+
+    def _ask(self, step: s.AskOperator) -> None:
+        self._took(step, 0.0)
+        request = step.request
+        if isinstance(request, PlacementRequest) and request.station is not None:
+            self._set_balls(Position(request.station, request.azimuth_deg, request.elevation_deg))
+
+    def _set_balls(self, position: Position) -> None:
+        self._balls = [point(ball) for ball in self._layout.nominal(position)]
 
     def _contact(self, path: StraightPath) -> float | None:
         """Return the distance in mm along `path` at which the tip first touches a ball; None if it touches no ball."""

@@ -108,7 +108,7 @@ class Job:
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
         standing_at = self.settings.stations.standing_at if carried else None
-        if not self.settings.procedure.optimise_order:
+        if self.rules.placement is not None or not self.settings.procedure.optimise_order:
             return MeasuringOrder("measure", by_station(both, self.stations), standing_at)
         stations = self._ordering.stations(self.stations, standing_at, self.verified_stations)
         return MeasuringOrder("measure", self._ordering.positions(both, stations), standing_at)
@@ -135,16 +135,20 @@ class Job:
         """
         return prepare_probe(self.measuring_order, self.layout, self.rules, self.preparation)
 
-    def verification_order(self, standing_at: int | None) -> MeasuringOrder:
+    def verification_order(self, standing_at: int | None, placed: Position | None = None) -> MeasuringOrder:
         """Return the order in which the held-out positions are measured with the new compensation table active.
 
         `standing_at` is the station at which the artefact stands. The order starts there if held-out positions are
-        measured at this station.
+        measured at this station. `placed` is the position in which an artefact that is placed by hand stands; it comes
+        first if it is held out.
         """
-        order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
+        if self.rules.placement is not None:
+            order = tuple(sorted(self.held_out, key=lambda position: position != placed))
+            return MeasuringOrder("verify", order, standing_at, placed)
+        stations = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         if not self.settings.procedure.optimise_order:
-            return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
-        return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
+            return MeasuringOrder("verify", by_station(self.held_out, stations), standing_at)
+        return MeasuringOrder("verify", self._ordering.positions(self.held_out, stations), standing_at)
 
     def balls_of(self, measured: MeasuredPositions, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
         """Return those balls in `measured` that belong to held-out positions or, if `held_out` is False, to all other

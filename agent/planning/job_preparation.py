@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from agent.files import translated
 from agent.model_files import load_machine, load_positions
 from agent.planning.held_out_positions import (
@@ -18,15 +20,21 @@ from agent.planning.held_out_positions import (
 )
 from agent.planning.job import HeldOutChoice, Job, KnownHeldOut
 from agent.planning.procedure_rules import layout_of, preparation_of, probing_of, retreat_of
-from agent.planning.stations import check_stations, load_artefacts, station_change
+from agent.planning.stations import check_stations, hand_placement, load_artefacts, station_change
 from agent.planning.temperature_rules import drift_limits_of, settling_of
 from agent.probing.position import PositionRules
+from agent.probing.run_plan import gap_above_mm
 from agent.settings.load import POSITION_FILES
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position, parse_position_set
+from twin.collision.locating_balls import depth_in_table_mm, locating_balls
 from twin.collision.probe_frame import ProbeFrame
 from twin.design.procedure import MIN_BALLS
+from twin.errors import TwinError
+
+IN_TABLE_MM = 1.0
+"""Depth in mm to which an artefact that is placed by hand may be inside the table according to its file."""
 
 
 def prepare_job(settings: Settings, base: Path) -> Job:
@@ -69,10 +77,12 @@ def prepare_job(settings: Settings, base: Path) -> Job:
             drift_limits_of(settings.procedure, settings.temperature),
             settling_of(settings.temperature),
             station_change(settings.roles, settings.stations),
+            hand_placement(settings),
         ),
         gate_limits=settings.gates,
     )
     _refuse_low_mount(job)
+    _refuse_unsafe_placement(job)
     _refuse_nothing_reachable(job)
     if settings.procedure.position_set.endswith(POSITION_FILES):
         _refuse_unreachable_entry(job)
@@ -141,6 +151,46 @@ def _refuse_low_mount(job: Job) -> None:
                 key="stations.places_mm",
                 hint="raise the mount, or correct mount.table_z_mm and the parts in the artefact file",
             )
+
+
+def _refuse_unsafe_placement(job: Job) -> None:
+    """Raise ConfigurationError if an artefact that is placed by hand would stand in the table, or if it could not be
+    located safely in a position that is to be measured."""
+    if job.layout.placement is None:
+        return
+    listed = listed_positions(job.settings, verification_stations(job.settings))
+    for position in (*job.positions, *listed):
+        where = f"station {position.station}, azimuth {position.azimuth_deg:g}°, elevation {position.elevation_deg:g}°"
+        sunk_mm = depth_in_table_mm(job.layout, position)
+        if sunk_mm > IN_TABLE_MM:
+            raise ConfigurationError(
+                f"the artefact would be {sunk_mm:.1f} mm inside the table at {where}",
+                key="stations.places_mm",
+                hint="correct the height of the place, mount.table_z_mm, or the parts in the artefact file",
+            )
+        balls = np.flatnonzero(job.layout.reachable(position, job.layout.nominal(position))).tolist()
+        if len(balls) >= MIN_BALLS:
+            _refuse_no_gap(job, position, where)
+            try:
+                locating_balls(job.layout, position, balls)
+            except TwinError as error:
+                raise ConfigurationError(
+                    f"{error.message} ({where})", key="procedure.position_set", hint=error.hint
+                ) from error
+
+
+def _refuse_no_gap(job: Job, position: Position, where: str) -> None:
+    """Raise ConfigurationError if the probe could not cross above an artefact that stands within its tolerance."""
+    assert job.layout.placement is not None  # noqa: S101  the artefact is placed by hand
+    tolerance_mm = job.layout.placement.distance_mm
+    gap_mm = gap_above_mm(position, job.layout, job.rules)
+    if gap_mm <= tolerance_mm:
+        raise ConfigurationError(
+            f"the probe cannot cross above the artefact ({where}): at the end of travel, the tip is {gap_mm:.1f} mm "
+            f"above it, and the artefact may stand {tolerance_mm:g} mm too high",
+            key="stations.places_mm",
+            hint="lower the place of the station, or use a shorter tool",
+        )
 
 
 def _refuse_nothing_reachable(job: Job) -> None:

@@ -159,7 +159,7 @@ class _Replay:
                 return self._touch_s(step)
             case "OrientTo":
                 return self._turn_s((step.detail["azimuth_deg"], step.detail["elevation_deg"]))
-            case "AskOperator" if step.detail["request"]["task"] == OperatorTask.MOVE_ARTEFACT.value:
+            case "AskOperator" if step.detail["request"]["task"] != OperatorTask.CONSENT.value:
                 return 0.0
         return None
 

@@ -16,7 +16,8 @@ from itertools import pairwise, permutations
 
 from agent.planning.time_model import TimeModel
 from agent.probing.paths.approach_points import TipLocation
-from agent.probing.paths.free_paths import ArtefactPose, FreePathFinder
+from agent.probing.paths.artefact_bodies import ArtefactPose
+from agent.probing.paths.free_paths import FreePathFinder
 from agent.probing.position import PositionRules
 from twin.artefact.pose_alignment import choose_alignment_balls
 from twin.artefact.position_set import Position

@@ -141,8 +141,8 @@ def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions
     the new compensation table.
     """
     prepared = yield from job.preparation_plan()
-    order = replace(job.measuring_order, standing_at=prepared.standing_at)
+    order = replace(job.measuring_order, standing_at=prepared.standing_at, placed=prepared.placed)
     measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.repeat_rules)
-    order = job.verification_order(measured.standing_at)
+    order = job.verification_order(measured.standing_at, measured.placed)
     verified = yield from measure_positions(order, job.layout, prepared.rules, measured.mount_poses)
     return measured, verified

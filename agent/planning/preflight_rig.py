@@ -41,7 +41,9 @@ def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None
         machine=in_role(devices, "preflight", Machine, "preflight.driver"),
         probe=in_role(devices, "preflight", Probe, "preflight.driver"),
         mounts={
-            n: mount_at_station(devices, "preflight", n, "preflight.driver") for n in stations_of(settings.stations)
+            n: mount_at_station(devices, "preflight", n, "preflight.driver")
+            for n in stations_of(settings.stations)
+            if not settings.stations.placed_by_hand
         },
         store=in_role(devices, "preflight", CompensationStore, "preflight.driver"),
         thermometer=in_role(devices, "preflight", Thermometer, "preflight.driver"),
@@ -51,8 +53,11 @@ def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None
 
 
 def _own_at_stations(job: Job) -> dict[str, object]:
-    """Return additional options of the simulated machine if each station has a mount of its own, else an empty dict."""
+    """Return additional options of the simulated machine if the artefact is placed by hand or if each station has a
+    mount of its own, else an empty dict."""
     change, settings = job.rules.change, job.settings
+    if settings.stations.placed_by_hand:
+        return {"placed_by_hand": {}}
     if not change.own_mounts:
         return {}
     return {

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from agent.files import translated
-from agent.planning.stations import Artefacts, bodies_around, park_distance_mm, station_change
+from agent.planning.stations import Artefacts, bodies_around, park_distance_mm, placement_tolerance, station_change
 from agent.planning.time_model import time_model
+from agent.probing.hand_placement import search_columns
 from agent.probing.paths.free_paths import FreePathRules
 from agent.probing.paths.retreat import Retreat
 from agent.probing.preparation import Preparation
@@ -20,7 +21,9 @@ from agent.probing.qualification import QualificationRules
 from agent.probing.reversal import ReversalCheck
 from agent.settings.schema import ProcedureSettings, QualificationSettings, Settings, StationSettings, TimingSettings
 from drivers.errors import ConfigurationError
+from twin.arrays import Array
 from twin.artefact.artefact import Artefact
+from twin.artefact.placement_tolerance import PlacementTolerance
 from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, ring_directions
 from twin.collision.free_paths import AxisDynamics
 from twin.collision.measuring_layout import MeasuringLayout
@@ -106,6 +109,10 @@ def layout_of(
     """
     travel, tool_mm = np.array(machine.limits), np.asarray(machine.tools[settings.tool], dtype=np.float64)
     below, above = probing.required_travel_mm
+    tolerance = placement_tolerance(settings.stations)
+    if tolerance is not None:
+        across = _placement_margin_mm(tolerance, artefacts.all, probing)
+        below, above = below + across, above + across
     with translated(ConfigurationError):
         probe = settings.probe.geometry(float(tool_mm @ probing.stylus_axis))
     return MeasuringLayout(
@@ -124,7 +131,17 @@ def layout_of(
         neighbours=bodies_around(
             settings.mount, settings.stations, station_change(settings.roles, settings.stations), artefacts
         ),
+        placement=tolerance,
     )
+
+
+def _placement_margin_mm(tolerance: PlacementTolerance, artefact: Artefact, probing: ProbingParameters) -> Array:
+    """Return the additional travel (3,) in mm that an artefact placed by hand needs at either end: its displacement
+    within the tolerance, and the search around the place of a ball. Along the stylus, the table determines where it
+    stands."""
+    displaced_mm = tolerance.displacement_mm(float(np.linalg.norm(artefact.balls, axis=1).max()))
+    searched_mm = max(float(np.linalg.norm(aside)) for aside in search_columns(tolerance, probing))
+    return np.asarray((displaced_mm + searched_mm) * (1.0 - np.abs(probing.stylus_axis)))
 
 
 def retreat_of(
@@ -137,6 +154,7 @@ def retreat_of(
     """Return the retreat plane (the end of travel from which the stylus points towards the artefact), a park location
     beside each station, and the rules of the paths of the probe.
 
+    An artefact that is placed by hand is measured on paths above it, so there are no rules of paths between its parts.
     Each park location is within the travel of the axes. Raises ConfigurationError if there is no room for a park
     location.
     """
@@ -154,7 +172,8 @@ def retreat_of(
                 hint=f"the travel of {AXES[along]} is {low:g} to {high:g} mm, station {number} is at {at:g} mm",
             )
         park[number] = target
-    path_rules = free_path_rules_of(procedure, timing, machine) if procedure.paths == "shortest" else None
+    short = procedure.paths == "shortest" and not stations.placed_by_hand
+    path_rules = free_path_rules_of(procedure, timing, machine) if short else None
     frame = layout.frame
     return Retreat(
         retreat_axis=frame.axis,

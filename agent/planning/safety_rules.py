@@ -32,6 +32,9 @@ def checked_plan(
     station.
     """
     fastest = max(procedure.touch_feed_mm_per_min, procedure.first_touch_feed_mm_per_min) / SECONDS_A_MINUTE
+    if stations.placed_by_hand:
+        # The search for an artefact is a touch at the feed of guarded moves, at which the tip stops in its overtravel.
+        fastest = max(fastest, procedure.guarded_feed_mm_per_min / SECONDS_A_MINUTE)
     rules = _Rules(fastest, len(stations.places_mm), carried, stations.standing_at)
     result: Any = None
     try:
@@ -76,7 +79,7 @@ class _Rules:
                 self._permitted = True
             case s.CheckProbe():
                 self._probe_seen = True
-            case s.AskOperator() if step.request.task is OperatorTask.MOVE_ARTEFACT:
+            case s.AskOperator() if step.request.task is not OperatorTask.CONSENT:
                 self.stands_at = step.request.station
             case s.OrientTo() | s.HomeMount():
                 yield from self._turned(step.station)

@@ -1,10 +1,11 @@
 """Mounts and artefacts at the stations.
 
-There are three arrangements:
+There are four arrangements:
 
 - One mount with its artefact is carried from station to station.
 - Each station has its own mount, and one artefact is carried.
 - Each station has its own mount and its own artefact.
+- There is no mount, and the operator places the artefact by hand in each position.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 
 from agent.files import translated
 from agent.model_files import load_artefact
+from agent.probing.hand_placement import HandPlacement
 from agent.probing.station_change import CarriedItem, StationChange
 from agent.settings.schema import DeviceSettings, RoleSettings, Settings, StationSettings
 from drivers.errors import ConfigurationError
@@ -25,8 +27,10 @@ from drivers.registry import has_several_mounts
 from twin.artefact.artefact import Artefact
 from twin.artefact.combined_artefact import combine_artefacts
 from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.placement_tolerance import PlacementTolerance
 from twin.collision.bodies import Body
 from twin.collision.neighbour_stations import neighbour_bodies
+from twin.units import S_PER_MIN
 
 LARGEST_PARK_DISTANCE_MM = 1000.0
 """Park distance on a machine with enough travel: no mount that a person can carry reaches this far."""
@@ -70,7 +74,7 @@ def station_change(roles: RoleSettings, stations: StationSettings) -> StationCha
     """Return the rules for the change from one station to another: what the operator carries, and the angles of the
     mounts that are not in use.
     """
-    if isinstance(roles.mount, str):
+    if roles.mount is None or isinstance(roles.mount, str):
         return StationChange()
     carried = CarriedItem.ARTEFACT if stations.artefacts is None else CarriedItem.NOTHING
     return StationChange(carried, tuple(sorted(roles.mount)), stations.parked_deg)
@@ -110,6 +114,15 @@ def check_stations(settings: Settings) -> None:
     Raises ConfigurationError, which names the settings key, if they contradict each other.
     """
     named = settings.roles.mount
+    if settings.stations.placed_by_hand:
+        _refuse_mount(settings)
+        return
+    if named is None:
+        raise ConfigurationError(
+            "no device is the mount",
+            key="roles.mount",
+            hint="name the device that turns the artefact, or set stations.placed_by_hand = true if there is none",
+        )
     if isinstance(named, str):
         if settings.stations.artefacts is not None:
             raise ConfigurationError(
@@ -120,6 +133,49 @@ def check_stations(settings: Settings) -> None:
         return
     _check_mounts(named, len(settings.stations.places_mm), settings.devices)
     _check_artefacts(settings.artefact, settings.stations)
+
+
+def _refuse_mount(settings: Settings) -> None:
+    """Raise ConfigurationError if the settings contradict an artefact that is placed by hand."""
+    if settings.roles.mount is not None:
+        raise ConfigurationError(
+            "an artefact that is placed by hand has no mount",
+            key="roles.mount",
+            hint="remove the key, or stations.placed_by_hand",
+        )
+    if settings.stations.artefacts is not None:
+        raise ConfigurationError(
+            "an artefact that is placed by hand is the same at all stations",
+            key="stations.artefacts",
+            hint="remove the key; the file is named by artefact",
+        )
+    if settings.verification.positions_deg is None:
+        raise ConfigurationError(
+            "the orientations for the verification must be listed, because only you know how the artefact can stand",
+            key="verification.positions_deg",
+            hint="list pairs of azimuth and elevation that the position set does not contain",
+        )
+
+
+def hand_placement(settings: Settings) -> HandPlacement | None:
+    """Return the rules for an artefact that is placed by hand; None if a mount holds it."""
+    stations, tolerance = settings.stations, placement_tolerance(settings.stations)
+    if tolerance is None:
+        return None
+    procedure = settings.procedure
+    return HandPlacement(
+        tolerance=tolerance,
+        attempts=stations.placement_attempts,
+        search_feed_mm_per_s=procedure.guarded_feed_mm_per_min / S_PER_MIN,
+        touch_feed_mm_per_s=procedure.first_touch_feed_mm_per_min / S_PER_MIN,
+    )
+
+
+def placement_tolerance(stations: StationSettings) -> PlacementTolerance | None:
+    """Return the tolerance of an artefact that is placed by hand; None if a mount holds it."""
+    if not stations.placed_by_hand:
+        return None
+    return PlacementTolerance(stations.placement_tolerance_mm, stations.placement_tolerance_deg)
 
 
 def _check_mounts(named: Mapping[int, str], count: int, devices: Mapping[str, DeviceSettings]) -> None:

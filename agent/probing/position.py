@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.errors import MeasurementFault
+from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import Plan, Record
 from agent.probing.ball import FittedBall, LostBall, measure_ball
+from agent.probing.hand_placement import HandPlacement
 from agent.probing.paths.path_planner import PathPlanner, PlainPathPlanner
 from agent.probing.paths.retreat import Retreat
 from agent.probing.position_drift import DriftLimits, judge_drift
@@ -115,11 +116,15 @@ class MeasuredPosition:
 
 @dataclass(frozen=True)
 class PositionRules:
+    """Rules of the measurement of a position. `placement` has the rules for an artefact that is placed by hand; it is
+    None if a mount holds the artefact."""
+
     probing: ProbingParameters
     retreat: Retreat
     drift: DriftLimits
     settling: SettlingRules = field(default_factory=SettlingRules)
     change: StationChange = field(default_factory=StationChange)
+    placement: HandPlacement | None = None
 
 
 def measure_position(
@@ -170,6 +175,7 @@ class _Measuring:
         self._task = task
         self._probing = rules.probing
         self._planner = planner
+        self._by_hand = rules.placement is not None
         self._thermometers = rules.settling.thermometers
         self.found: list[MeasuredBall] = []
         self.again: MeasuredBall | None = None
@@ -178,8 +184,14 @@ class _Measuring:
 
     def pose_ball(self, ball: int, predicted: Array, search: Search) -> Plan[FittedBall]:
         """Measure a ball that determines the pose of the artefact, at its predicted centre in `predicted` (N, 3).
-        Raises MeasurementFault if it is lost."""
+        Raises MeasurementFault if it is lost, or PlacementLost if the artefact is placed by hand."""
         result = yield from self.ball(ball, predicted[ball], search)
+        if isinstance(result, LostBall) and self._by_hand:
+            raise PlacementLost(
+                f"ball {ball} could not be measured after the artefact had been located: {result.reason}",
+                hint="clean the ball, and check that the artefact stands firmly",
+                step=f"{self._task.key}/ball-{ball:02d}",
+            )
         if isinstance(result, LostBall):
             raise MeasurementFault(
                 f"end ball {ball} was not found where it was expected: {result.reason}",

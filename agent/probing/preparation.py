@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.errors import MeasurementFault
+from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
 from agent.probing.ball import FittedBall, LostBall, measure_ball, point
+from agent.probing.hand_placement import HandPlacement, PlacementFault, PlacementRefusal, PlacementTask, place_artefact
 from agent.probing.paths.shortest_path import create_path_planner
 from agent.probing.position import PositionRules
 from agent.probing.probe_check import ProbeCheck, Repeatability, check_repeatability
 from agent.probing.qualification import Qualification, QualificationRules, qualify_stylus
 from agent.probing.reversal import AxisReversal, Reversal, ReversalCheck, measure_reversal
-from agent.probing.run_plan import MeasuringOrder, position_key
+from agent.probing.run_plan import MeasuringOrder, placed_planner, position_key
 from agent.probing.station_change import change_station, park_mounts
 from twin.arrays import Array
 from twin.artefact.position_set import Position
@@ -45,13 +46,15 @@ class Preparation:
 @dataclass(frozen=True, eq=False)
 class PreparationResult:
     """Result of the preparation of a run by checks of the probe, the stylus and the axes. `rules` are the measuring
-    rules with the qualified stylus, and `standing_at` is the station at which the artefact stands afterwards."""
+    rules with the qualified stylus, and `standing_at` is the station at which the artefact stands afterwards. `placed`
+    is the position in which an artefact that is placed by hand stands afterwards."""
 
     rules: PositionRules
     standing_at: int | None
     repeatability: Repeatability | None = None
     qualification: Qualification | None = None
     reversal: Reversal | None = None
+    placed: Position | None = None
 
     @property
     def reversals(self) -> tuple[AxisReversal, ...]:
@@ -79,6 +82,8 @@ def prepare_probe(
     key = f"{PREFIX}/{position_key(position)}"
     yield CheckPermissions(f"{key}/permissions")
     yield CheckProbe(f"{key}/probe")
+    if rules.placement is not None:
+        return (yield from _prepare_placed(key, position, ball, layout, rules, rules.placement, preparation))
     if position.station != order.standing_at:
         here = np.array((yield ReadPosition(f"{key}/before")))
         yield from change_station(
@@ -92,6 +97,40 @@ def prepare_probe(
     yield from planner.take_over(key, position, ball, found.centre_mm)
     yield from planner.leave(key, found.centre_mm)
     return replace(prepared, standing_at=position.station)
+
+
+def _prepare_placed(
+    key: str,
+    position: Position,
+    ball: int,
+    layout: MeasuringLayout,
+    rules: PositionRules,
+    placement: HandPlacement,
+    preparation: Preparation,
+) -> Plan[PreparationResult]:
+    """Carry out the checks on an artefact that is placed by hand. If it has to be placed again meanwhile, repeat all
+    checks."""
+    lost: PlacementRefusal | None = None
+    for attempt in range(placement.attempts):
+        own = key if attempt == 0 else f"{key}/again-{attempt}"
+        try:
+            task = PlacementTask.of(own, position, layout, rules.retreat, rules.probing, placement)
+            located = yield from place_artefact(task, standing=attempt > 0, lost=lost)
+            planner = placed_planner(position, layout, rules)
+            yield from planner.to_ball(own, located[ball])
+            found = yield from _locate_ball(f"{own}/ball-{ball:02d}", located[ball], rules)
+            prepared = yield from _carry_out(f"{own}/ball-{ball:02d}", found.centre_mm, rules, preparation)
+            yield from planner.from_ball(own, found.centre_mm)
+        except PlacementLost as error:
+            yield Record(f"{own}/placement-lost", "event", {"reason": error.message})
+            lost = PlacementRefusal(PlacementFault.LOST, error.message)
+            continue
+        return replace(prepared, standing_at=position.station, placed=position)
+    raise MeasurementFault(
+        f"the artefact was moved {placement.attempts} times while the probe was being checked",
+        hint="leave it standing until the next request",
+        step=key,
+    )
 
 
 def _park_all_mounts(rules: PositionRules) -> Plan[None]:

@@ -51,7 +51,7 @@ def measure_with_repeats(
         return measured
     note = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
     yield Record(f"{REPEAT_PREFIX}/machine", "event", {"note": note})
-    again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at)
+    again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at, measured.placed)
     return join_measured(measured, (yield from measure_positions(again, layout, rules, measured.mount_poses)))
 
 
@@ -76,6 +76,7 @@ def join_measured(one: MeasuredPositions, other: MeasuredPositions) -> MeasuredP
         unreachable_balls=one.unreachable_balls + other.unreachable_balls,
         standing_at=other.standing_at,
         mount_poses=other.mount_poses,
+        placed=other.placed,
     )
 
 

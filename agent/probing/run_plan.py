@@ -8,19 +8,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import (
     CheckPermissions,
     CheckProbe,
+    MoveTo,
     Plan,
     ReadPosition,
     ReadTemperatures,
     Record,
 )
+from agent.probing.hand_placement import HandPlacement, PlacementFault, PlacementRefusal, PlacementTask, place_artefact
+from agent.probing.paths.raised_path import RaisedPathPlanner
 from agent.probing.paths.shortest_path import create_path_planner
 from agent.probing.position import MeasuredPosition, PositionRules, PositionTask, measure_position
 from agent.probing.station_change import change_station
+from agent.probing.temperature_readings import Conditions
+from agent.probing.touch import point
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position
+from twin.collision.locating_balls import top_mm
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import MIN_BALLS
 
@@ -31,12 +38,14 @@ class MeasuringOrder:
     every step begins with `prefix`.
 
     `standing_at` is the artefact's station at the start of the plan. It is None if the station is not known, or if
-    every station has an artefact of its own and all mounts are parked.
+    every station has an artefact of its own and all mounts are parked. `placed` is the position in which an artefact
+    that is placed by hand stands; it is None if it must be placed first.
     """
 
     prefix: str
     positions: tuple[Position, ...]
     standing_at: int | None
+    placed: Position | None = None
 
 
 @dataclass(frozen=True)
@@ -45,7 +54,8 @@ class MeasuredPositions:
 
     `left_out` holds the keys of the positions that were not measured because too few balls are within reach.
     `standing_at` is the station of the artefact at the end. `mount_poses` maps each station to the estimated pose of
-    its mount (the small deviation from the nominal place).
+    its mount (the small deviation from the nominal place). `placed` is the position in which an artefact that is placed
+    by hand stands at the end.
     """
 
     positions: tuple[MeasuredPosition, ...]
@@ -53,6 +63,7 @@ class MeasuredPositions:
     unreachable_balls: int
     standing_at: int | None
     mount_poses: Mapping[int, MountPoseEstimate]
+    placed: Position | None = None
 
     @property
     def touches(self) -> int:
@@ -74,6 +85,8 @@ def measure_positions(
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
     yield ReadTemperatures(f"{order.prefix}/temperatures")
+    if rules.placement is not None:
+        return (yield from _measure_placed(order, layout, rules, rules.placement))
     here = np.array((yield ReadPosition(f"{order.prefix}/here")))
     mount_poses: dict[int, MountPoseEstimate] = dict(known or {})
     standing_at = order.standing_at
@@ -124,9 +137,124 @@ def measure_positions(
     return MeasuredPositions(tuple(measured_positions), tuple(left_out), unreachable, standing_at, mount_poses)
 
 
+def _measure_placed(
+    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, placement: HandPlacement
+) -> Plan[MeasuredPositions]:
+    """Measure the positions of an artefact that is placed by hand in each of them.
+
+    If the artefact has to be placed again within a position, because it was moved while the run was interrupted, the
+    position is measured anew and gets the next number.
+    """
+    placed, number = order.placed, 0
+    measured_positions: list[MeasuredPosition] = []
+    left_out: list[str] = []
+    unreachable = 0
+    for position in order.positions:
+        name = position_key(position)
+        mask = layout.reachable(position, layout.nominal(position))
+        unreachable += int(mask.size - mask.sum())
+        if mask.sum() < MIN_BALLS:
+            left_out.append(name)
+            yield Record(f"{order.prefix}/{name}/left-out", "event", {"reachable_balls": int(mask.sum())})
+            continue
+        before = [ball.conditions for ball in measured_positions[-1].balls] if measured_positions else []
+        measuring = _PlacedMeasurement(f"{order.prefix}/{name}", number, position, layout, rules, placement)
+        measured = yield from measuring.measure(before, standing=placed == position)
+        number, placed = measuring.number + 1, position
+        measured_positions.append(measured)
+    standing_at = order.standing_at if placed is None else placed.station
+    return MeasuredPositions(tuple(measured_positions), tuple(left_out), unreachable, standing_at, {}, placed)
+
+
+@dataclass
+class _PlacedMeasurement:
+    """Measurement of one position of an artefact that is placed by hand. `number` is the number of the position."""
+
+    key: str
+    number: int
+    position: Position
+    layout: MeasuringLayout
+    rules: PositionRules
+    placement: HandPlacement
+
+    def measure(self, before: Sequence[Conditions], *, standing: bool) -> Plan[MeasuredPosition]:
+        """Have the artefact placed, locate it and measure it; leave the probe beside the station.
+
+        If `standing` is True, the artefact may stand in the position already. Raises MeasurementFault if it has to be
+        placed again too often.
+        """
+        lost: PlacementRefusal | None = None
+        for attempt in range(self.placement.attempts):
+            key = self.key if attempt == 0 else f"{self.key}/again-{attempt}"
+            try:
+                measured = yield from self._attempt(key, before, standing=standing or attempt > 0, lost=lost)
+            except PlacementLost as error:
+                yield Record(f"{key}/placement-lost", "event", {"reason": error.message, "position": self.number})
+                lost = PlacementRefusal(PlacementFault.LOST, error.message)
+                self.number += 1
+                continue
+            yield from self._leave(key)
+            return measured
+        raise MeasurementFault(
+            f"the artefact was moved {self.placement.attempts} times while it was being measured",
+            hint="leave it standing until the next request",
+            step=self.key,
+        )
+
+    def _attempt(
+        self, key: str, before: Sequence[Conditions], *, standing: bool, lost: PlacementRefusal | None
+    ) -> Plan[MeasuredPosition]:
+        position, layout, rules = self.position, self.layout, self.rules
+        task = PlacementTask.of(key, position, layout, rules.retreat, rules.probing, self.placement)
+        located = yield from place_artefact(task, standing=standing, lost=lost)
+        mask = layout.reachable(position, located)
+        planner = placed_planner(position, layout, rules)
+        measuring = PositionTask(
+            key=key,
+            index=self.number,
+            station=position.station,
+            azimuth_deg=position.azimuth_deg,
+            elevation_deg=position.elevation_deg,
+            predicted_mm=located,
+            reachable=mask,
+        )
+        here = np.array((yield ReadPosition(f"{key}/here")))
+        return (yield from measure_position(measuring, here, rules, before, planner))
+
+    def _leave(self, key: str) -> Plan[None]:
+        """Move the probe to the retreat plane. The position is complete: if the artefact is gone, nothing is lost."""
+        try:
+            here = np.array((yield ReadPosition(f"{key}/end")))
+            yield MoveTo(f"{key}/leave", point(self.rules.retreat.at_retreat_plane(here)))
+        except PlacementLost as error:
+            yield Record(f"{key}/moved-afterwards", "event", {"reason": error.message})
+
+
+def placed_planner(position: Position, layout: MeasuringLayout, rules: PositionRules) -> RaisedPathPlanner:
+    """Return the path planner for an artefact that was placed by hand in `position`."""
+    return RaisedPathPlanner(rules.retreat, rules.probing, _top_axis_mm(position, layout))
+
+
+def gap_above_mm(position: Position, layout: MeasuringLayout, rules: PositionRules) -> float:
+    """Return the distance in mm from the artefact in `position` to the tip that crosses above it in the retreat plane;
+    negative if the artefact reaches higher."""
+    up = float(-layout.frame.stylus_axis[layout.frame.axis])
+    return up * (rules.retreat.retreat_mm - _top_axis_mm(position, layout)) - rules.probing.tip_radius_mm
+
+
+def _top_axis_mm(position: Position, layout: MeasuringLayout) -> float:
+    up, axis = -layout.frame.stylus_axis, layout.frame.axis
+    return float(up[axis]) * top_mm(layout, position) - float(layout.tool_offset_mm[axis])
+
+
 def position_key(position: Position) -> str:
     """Return the key of a position, such as ``station-1/az90-el-45`` for station 1, azimuth 90° and elevation −45°."""
     return f"station-{position.station}/az{position.azimuth_deg:g}-el{position.elevation_deg:g}"
+
+
+def is_within_position(key: str) -> bool:
+    """Return True if the step with this key belongs to the measurement of one position, see `position_key`."""
+    return "/station-" in key
 
 
 def by_station(positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:

@@ -10,7 +10,7 @@ forecast makes the gates by the same functions as a run, from expected values in
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 
@@ -24,7 +24,11 @@ from agent.results.estimation import table_grid
 from agent.results.gates import (
     CERTIFICATE,
     CHANGE,
-    GATE_KEYS,
+    GATE_RULES,
+    NIGHT,
+    PROBE,
+    PROOF,
+    PROOF_FIT,
     Gate,
     change_gate,
     correction_gate,
@@ -35,42 +39,20 @@ from agent.results.gates import (
     slope_gate,
     unmeasured_gate,
 )
-from agent.results.night_gate import NIGHT
+from agent.results.observations import ReferenceArtefact
 from agent.results.predicted_accuracy import planned_estimate
-from agent.results.table_replacement import ExpectedGain
+from agent.results.predicted_reduction import PredictedReduction
+from agent.results.table_replacement import ExpectedGain, component_variance
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
+from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, MeasuredRegion, Nodes, linear_corrections
-from twin.identification import Estimate, expected_rms, regional_forms
+from twin.identification import Estimate, expected_rms, regional_forms, residual_covariance
 from twin.identification.predicted import field_forms
+from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import evaluation_grid
 from twin.units import UM_PER_MM
-
-PROBE, MARGIN, PROOF_FIT = "probe", "margin", "proof fit"
-
-_KEYS: Mapping[str, str] = {
-    **GATE_KEYS,
-    PROBE: "probe_check.limit_um",
-    MARGIN: "verification.min_gain",
-    PROOF_FIT: "verification.max_chi2",
-}
-_MORE = "measure more positions (`procedure.position_set`, `procedure.stations`; `volcal rank` says which help)"
-_REMEDIES: Mapping[str, str] = {
-    PROBE: "set it to twice `procedure.touch_sigma_um` or more, or state there how well the probe repeats",
-    "fit": "set it to more than 1, which is the expected value",
-    "redundancy": f"{_MORE}, or lower the limit",
-    "gain": f"{_MORE}, or raise the limit",
-    CERTIFICATE: "raise the limit; the largest of several right balls reaches this value",
-    CHANGE: "raise the limit; an unchanged machine reaches this value",
-    NIGHT: "lower the limit; a night that fits reaches this probability",
-    "correction": "raise the limit, or check `model.family` in the machine file",
-    "slope": "raise the limit, or check `model.family` in the machine file",
-    "extrapolation": "allow it, or narrow `axes.*.range_mm` in the machine file to the travel that the balls reach",
-    "unmeasured": f"{_MORE}, narrow `axes.*.range_mm` in the machine file, or raise the limit",
-    MARGIN: f"{_MORE}, or lower the limit; a run would keep the active compensation",
-    PROOF_FIT: "set it to more than 1, which is the expected value",
-}
 
 _COARSE = 9  # nodes per axis at which the size of the corrections is evaluated; their series are smooth
 _LARGE = 2.0  # standard deviations of the largest correction: 19 of 20 machines stay below at this node
@@ -96,8 +78,9 @@ class GateForecast:
     @classmethod
     def of(cls, gate: Gate) -> GateForecast:
         finite = gate.value if math.isfinite(gate.value) else None
-        remedy = "" if gate.passed else _REMEDIES[gate.name]
-        return cls(gate.name, _KEYS[gate.name], finite, gate.limit, gate.passed, gate.text, remedy)
+        rule = GATE_RULES[gate.name]
+        remedy = "" if gate.passed else rule.remedy
+        return cls(gate.name, rule.key, finite, gate.limit, gate.passed, gate.text, remedy)
 
     @property
     def figures(self) -> str:
@@ -167,7 +150,6 @@ class _Design:
         return (
             fit_gate(1.0, limits),
             redundancy_gate(self.estimate.degrees_of_freedom, limits),
-            gain_gate(*self.travel_errors_um, limits),
             self._certificate(limits.max_certificate_sigma),
             self._change(),
             Gate(NIGHT, limits.night_false_alarm <= 0.5, 0.5, limits.night_false_alarm, "probability of a night"),
@@ -240,8 +222,33 @@ class _Design:
         limits = self.job.settings.verification
         corrected_um, left_um = self.travel_errors_um
         gain = ExpectedGain(math.hypot(corrected_um, left_um), left_um)
-        text = f"relative decrease of the VE from {gain.kept_um:.2f} to {gain.new_um:.2f} µm by the first table"
         return (
-            Gate(MARGIN, gain.reaches(limits.min_gain), gain.fraction, limits.min_gain, text),
+            gain_gate(gain, limits.min_gain),
+            self._proof(),
             Gate(PROOF_FIT, limits.max_chi2 >= 1.0, 1.0, limits.max_chi2, "normalised χ² of held-out balls"),
+        )
+
+    def _proof(self) -> Gate:
+        """Return the gate for the reduction of the mean square of the held-out balls by the first table."""
+        reduction = self._held_out_reduction()
+        predicted_um2, smallest_um2 = (UM_PER_MM**2 * one for one in (reduction.square, reduction.smallest_shown))
+        text = "fall of the mean square of the held-out balls in µm², against the smallest that they can show"
+        return Gate(PROOF, reduction.can_be_shown, predicted_um2, smallest_um2, text)
+
+    def _held_out_reduction(self) -> PredictedReduction:
+        estimate, offset = self.estimate, self.job.tool_offset_mm
+        reference = ReferenceArtefact.of(self.job.artefact, estimate.unknowns, estimate.z, estimate.z_covariance)
+        stated = self.job.settings.verification
+        key = "positions" if stated.positions_deg is None else "positions_deg"
+        with translated(ConfigurationError, key=f"verification.{key}"):
+            seen = self.job.procedure.plan(self.job.held_out).observations
+            residuals = held_out_residuals(seen, seen.axis_positions + offset, reference.artefact)
+            fields = deviation_basis(estimate.model, seen.axis_positions, offset).reshape(-1, estimate.model.size)
+            left = residual_covariance(estimate, seen.axis_positions, offset)
+            former, later = (
+                reference.test(seen, residuals, covariance, offset).predicted_mm ** 2
+                for covariance in (left + fields @ self.known @ fields.T, left)
+            )
+        return PredictedReduction.of(
+            former, former - later, residuals.freedom, component_variance(seen), stated.max_missing_fraction
         )

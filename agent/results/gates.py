@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.errors import GateRefused
 from agent.model_files import load_machine
-from agent.results.facts import VolumetricSummary
+from agent.results.table_replacement import ExpectedGain
 from agent.results.travel_parts import TravelParts
 from agent.settings.load import naming, read_settings
 from agent.settings.schema import GateSettings
@@ -28,27 +28,62 @@ collision, and must then be calibrated again."""
 CERTIFICATE = "certificate"
 """Name of the gate for the agreement of the balls with their certificate."""
 
-GATE_KEYS: Mapping[str, str] = {
-    "fit": "gates.max_chi2",
-    "redundancy": "gates.min_degrees_of_freedom",
-    "gain": "gates.max_remaining_fraction",
-    CERTIFICATE: "gates.max_certificate_sigma",
-    CHANGE: "gates.max_change",
-    "night": "gates.night_false_alarm",
-    "correction": "gates.max_correction_um",
-    "slope": "gates.max_slope_um_per_mm",
-    "extrapolation": "gates.allow_extrapolation",
-    "unmeasured": "gates.max_unmeasured_fraction",
-}
-"""Settings key of the limit of each gate, by the name of the gate."""
+NIGHT = "night"
+"""Name of the gate for a night that is combined with earlier nights."""
 
-_OF_MEASUREMENT = ("fit", "redundancy", CERTIFICATE)
+PROBE, PROOF, PROOF_FIT = "probe", "proof", "proof fit"
+"""Names of limits that a run meets elsewhere: the check of the probe, and the proof of the new table."""
+
+
+@dataclass(frozen=True)
+class GateRule:
+    """Settings key of the limit of a gate, and what to do if a run is expected not to pass it."""
+
+    key: str
+    remedy: str
+
+
+_MORE = "measure more positions (`procedure.position_set`, `procedure.stations`; `volcal rank` says which help)"
+_FAMILY = "raise the limit, or check `model.family` in the machine file"
+_EXPECTED_CHI2 = "set it to more than 1, which is the expected value"
+
+GATE_RULES: Mapping[str, GateRule] = {
+    PROBE: GateRule(
+        "probe_check.limit_um",
+        "set it to twice `procedure.touch_sigma_um` or more, or state there how well the probe repeats",
+    ),
+    "fit": GateRule("gates.max_chi2", _EXPECTED_CHI2),
+    "redundancy": GateRule("gates.min_degrees_of_freedom", f"{_MORE}, or lower the limit"),
+    CERTIFICATE: GateRule(
+        "gates.max_certificate_sigma", "raise the limit; the largest of several right balls reaches this value"
+    ),
+    CHANGE: GateRule("gates.max_change", "raise the limit; an unchanged machine reaches this value"),
+    NIGHT: GateRule("gates.night_false_alarm", "lower the limit; a night that fits reaches this probability"),
+    "correction": GateRule("gates.max_correction_um", _FAMILY),
+    "slope": GateRule("gates.max_slope_um_per_mm", _FAMILY),
+    "extrapolation": GateRule(
+        "gates.allow_extrapolation",
+        "allow it, or narrow `axes.*.range_mm` in the machine file to the travel that the balls reach",
+    ),
+    "unmeasured": GateRule(
+        "gates.max_unmeasured_fraction",
+        f"{_MORE}, narrow `axes.*.range_mm` in the machine file, or raise the limit",
+    ),
+    "gain": GateRule("verification.min_gain", f"{_MORE}, or lower the limit; a run would keep the active compensation"),
+    PROOF: GateRule(
+        "verification.positions",
+        "hold out more positions, or touch each ball more often (`procedure.touches_per_ball`); a table "
+        "without effect could pass",
+    ),
+    PROOF_FIT: GateRule("verification.max_chi2", _EXPECTED_CHI2),
+}
+"""Rule of each gate, by its name."""
 
 MORE_POSITIONS = "more positions or another position set lower the predicted VCE; see the report"
 BETTER_CERTIFICATE = (
     "clean the named balls and have them calibrated, or list them as uncertified_balls in the artefact file"
 )
-"""Remedies for gates that were not passed: for the gate `CERTIFICATE`, and for all others."""
+"""Remedies for gates that a run did not pass: for the gate `CERTIFICATE`, and for all others."""
 
 
 @dataclass(frozen=True)
@@ -65,17 +100,12 @@ class Gate:
     text: str
 
 
-def estimate_gates(estimate: Estimate, volumetric: VolumetricSummary, limits: GateSettings) -> tuple[Gate, ...]:
-    """Return the four gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
-    the gain in accuracy, and the agreement of the balls with their certificate.
-
-    `volumetric` contains the volumetric error that the table corrects, without the errors that were not determined, and
-    the predicted volumetric error with the table active.
-    """
+def estimate_gates(estimate: Estimate, limits: GateSettings) -> tuple[Gate, ...]:
+    """Return the three gates (limits) for the estimate: the fit of the residuals, the number of redundant measurements,
+    and the agreement of the balls with their certificate."""
     return (
         fit_gate(estimate.chi2_normalised, limits),
         redundancy_gate(estimate.degrees_of_freedom, limits),
-        gain_gate(volumetric.table_ve_um, volumetric.after_aligned.value_um, limits),
         certificate_gate(estimate.certificate_check, limits),
     )
 
@@ -99,14 +129,14 @@ def redundancy_gate(degrees_of_freedom: float, limits: GateSettings) -> Gate:
     )
 
 
-def gain_gate(before_um: float, after_um: float, limits: GateSettings) -> Gate:
-    """Return the gate (limit) for the predicted VCE `after_um` as a share of the VE `before_um` that the table
-    corrects."""
-    return _gate_below(
+def gain_gate(gain: ExpectedGain, min_gain: float) -> Gate:
+    """Return the gate (limit) for the relative decrease of the VE that is expected with the new table."""
+    return Gate(
         "gain",
-        _share(after_um, before_um),
-        limits.max_remaining_fraction,
-        f"predicted VCE {after_um:.2f} µm as a share of the VE {before_um:.2f} µm that the table corrects "
+        gain.reaches(min_gain),
+        gain.fraction,
+        min_gain,
+        f"relative decrease of the expected VE from {gain.kept_um:.2f} to {gain.new_um:.2f} µm by the new table "
         "(aligned): the improvement must stand out of its uncertainty",
     )
 
@@ -232,11 +262,6 @@ def with_consent(gates: Sequence[Gate]) -> list[Gate]:
     ]
 
 
-def of_measurement(gates: Sequence[Gate]) -> tuple[Gate, ...]:
-    """Return those of `gates` that concern the measurement itself, not a table that would be written."""
-    return tuple(gate for gate in gates if gate.name in _OF_MEASUREMENT)
-
-
 def names_of_failed(gates: Sequence[Gate]) -> tuple[str, ...]:
     return tuple(gate.name for gate in gates if not gate.passed)
 
@@ -244,7 +269,7 @@ def names_of_failed(gates: Sequence[Gate]) -> tuple[str, ...]:
 def reasons(gates: Sequence[Gate]) -> str:
     """Return a text that names every one of `gates` that was not passed, with its value and its limit."""
     return "; ".join(
-        f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({GATE_KEYS[gate.name]}; {gate.text})"
+        f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({GATE_RULES[gate.name].key}; {gate.text})"
         for gate in gates
         if not gate.passed
     )

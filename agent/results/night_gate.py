@@ -5,11 +5,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.results.gates import Gate
+from agent.results.gates import NIGHT, Gate
 from agent.settings.schema import GateSettings
 from twin.monitoring.night_fit import NightFit
-
-NIGHT = "night"
 
 
 def night_gate(fit: NightFit, limits: GateSettings) -> Gate:

@@ -18,6 +18,8 @@ from twin.compensation.part_setup_file import parse_part_setup
 from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import checksum, parse_table
 
+SUBPROGRAM_SUFFIX = ".ngc"
+
 
 def load_table(path: Path) -> tuple[CompensationTable, str]:
     """Return two values: the table stored in a CSV file and in the JSON file beside it, and the CRC-32 of the CSV
@@ -46,11 +48,20 @@ def correct_file(
     if out is not None and out.resolve() == part.resolve():
         message = "the corrected program would replace the original program"
         raise InputError(message, hint="write it to another file", file=str(out))
+
+    def subprogram(wanted: str) -> list[str] | None:
+        """Return the lines of a subprogram in the folder of the part program, or None if there is no such file."""
+        file = part.parent / f"{wanted}{SUBPROGRAM_SUFFIX}"
+        if Path(wanted).name != wanted or not file.is_file():
+            return None
+        with _open_program(file) as lines:
+            return list(lines)
+
     with _open_program(part) as source, translated(InputError, file=str(part)):
         if out is None:
-            return correct_program(source, table, setup, options, lambda _: None, name=name)
+            return correct_program(source, table, setup, options, lambda _: None, name=name, files=subprogram)
         with streamed_atomically(out) as target:
-            return correct_program(source, table, setup, options, target.write, name=name)
+            return correct_program(source, table, setup, options, target.write, name=name, files=subprogram)
 
 
 def correct_to(

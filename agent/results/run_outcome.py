@@ -178,6 +178,7 @@ class Outcome:
     reversal: tuple[AxisReversal, ...] = ()
     kind: str = "calibrate"
     reason: str = ""
+    link_interruptions: int = 0
 
     def as_json(self) -> dict[str, object]:
         """Return this outcome as the JSON object that docs/reference/json.md describes. `verified` is null if no new
@@ -193,6 +194,7 @@ class Outcome:
             "machine_minutes": round(self.machine_minutes, 3),
             "predicted_minutes": None if self.predicted_minutes is None else round(self.predicted_minutes, 3),
             "wall_seconds": round(self.wall_seconds, 3),
+            "link_interruptions": self.link_interruptions,
             "rank": self.rank,
             "parameters": self.parameters,
             "estimated_ve_um": self.estimated_ve_um,

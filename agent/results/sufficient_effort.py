@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,13 +9,14 @@ from pathlib import Path
 from agent.planning.job import Job
 from agent.planning.setup_files.new_setup import LAST_EFFORT, NewSetup, checked_files
 from agent.results.gate_forecast import GateForecast, forecast_gates
+from agent.results.gates import PROOF
 
 GAIN = "gain"
-MARGIN = 0.85
-"""Expected remaining share relative to its limit: a run may do somewhat worse than expected."""
-HIGHEST_LIMIT = 0.8
-STEPS = 20
-"""A raised limit is a multiple of one over this number."""
+GOOD_GAIN = 0.6
+"""Relative decrease of the volumetric error at which more measurements are not worth their time."""
+
+HELD_OUT = (8, 16)
+"""Numbers of held-out positions, in ascending order, if the default cannot show the predicted improvement."""
 
 
 @dataclass(frozen=True)
@@ -28,43 +28,45 @@ class ChosenFiles:
     forecasts: Sequence[GateForecast]
 
     @property
-    def is_sufficient(self) -> bool:
-        """True if every gate is expected to pass, the gate `gain` with a margin."""
-        return all(forecast.passes for forecast in self.forecasts) and self.gain <= MARGIN * self.limit
+    def passes(self) -> bool:
+        """True if every gate is expected to pass."""
+        return all(forecast.passes for forecast in self.forecasts)
+
+    @property
+    def lacks_proof(self) -> bool:
+        """True if all that is missing is a proof of the new table."""
+        return [forecast.gate for forecast in self.forecasts if not forecast.passes] == [PROOF]
 
     @property
     def gain(self) -> float:
-        """Expected share of the volumetric error that remains with the table active."""
+        """Expected relative decrease of the volumetric error by the first table."""
         return next(one.expected for one in self.forecasts if one.gate == GAIN and one.expected is not None)
-
-    @property
-    def limit(self) -> float:
-        return self.job.gate_limits.max_remaining_fraction
 
 
 def choose_effort(setup: NewSetup, scratch: Path) -> ChosenFiles:
-    """Return the files with the smallest effort that is expected to pass all gates.
+    """Return the files with the smallest effort that is expected to pass all gates with a good gain.
 
-    If none is, the last effort is taken, and the limit of the gate `gain` is raised to what can be expected, but not
-    beyond `HIGHEST_LIMIT`. A position set that a person named is kept; then only the number of touches is chosen. The
-    files are checked in the empty directory `scratch`. Raises ConfigurationError if they contradict each other.
+    If none is, the largest effort is taken; the last one, which takes hours, only if the others are not expected to
+    pass all gates. A position set that a person named is kept; then only the number of touches is chosen. The files are
+    checked in the empty directory `scratch`. Raises ConfigurationError if they contradict each other.
     """
     first, *more = setup.efforts
-    setup = replace(setup, effort=first)
-    chosen = _files(setup, scratch)
+    chosen = _provable(replace(setup, effort=first), scratch)
     for effort in more:
-        if chosen.is_sufficient or (effort == LAST_EFFORT and _raised(chosen) <= HIGHEST_LIMIT):
+        if chosen.passes and (chosen.gain >= GOOD_GAIN or effort == LAST_EFFORT):
             break
-        setup = replace(setup, effort=effort)
-        chosen = _files(setup, scratch)
-    if chosen.limit < _raised(chosen) <= HIGHEST_LIMIT:
-        return _files(replace(setup, max_remaining_fraction=_raised(chosen)), scratch)
+        chosen = _provable(replace(setup, effort=effort), scratch)
     return chosen
 
 
-def _raised(chosen: ChosenFiles) -> float:
-    """Return the limit of the gate `gain` that leaves the margin to what is expected."""
-    return math.ceil(STEPS * chosen.gain / MARGIN) / STEPS
+def _provable(setup: NewSetup, scratch: Path) -> ChosenFiles:
+    """Return the files of `setup` with as many held-out positions as are needed to prove the first table."""
+    chosen = _files(setup, scratch)
+    for count in HELD_OUT:
+        if not chosen.lacks_proof:
+            break
+        chosen = _files(replace(setup, held_out_positions=count), scratch)
+    return chosen
 
 
 def _files(setup: NewSetup, scratch: Path) -> ChosenFiles:

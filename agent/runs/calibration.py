@@ -30,7 +30,7 @@ from agent.results.gates import (
     Gate,
     change_gate,
     estimate_gates,
-    of_measurement,
+    gain_gate,
     require_passed,
     table_gates,
     with_consent,
@@ -38,7 +38,14 @@ from agent.results.gates import (
 from agent.results.journal_entries import record_held_out, record_identified
 from agent.results.run_outcome import Decision, Proof
 from agent.results.table_image import image_of
-from agent.results.table_replacement import ExpectedGain, confirm, expected_gain, prove, written_parameters
+from agent.results.table_replacement import (
+    ExpectedGain,
+    confirm,
+    expected_gain,
+    predicted_reduction,
+    prove,
+    written_parameters,
+)
 from agent.results.thermal_drift import balls_for_estimate
 from agent.runs.change_since_reference import change_since
 from agent.runs.consent import Consent, ask_consent, opens_by_consent
@@ -47,6 +54,7 @@ from agent.runs.reference_state import AcceptedTable, ReferenceState, record_acc
 from agent.runs.run_context import RunContext
 from drivers.errors import NotActiveYet
 from drivers.roles import TableImage
+from twin.artefact.position_set import Position
 
 
 class CalibrationRun(GuardedRun):
@@ -77,17 +85,17 @@ class CalibrationRun(GuardedRun):
     def _work(self) -> None:
         self._begin()
         prepared = self._prepare_probe()
-        self.calibrate(prepared.standing_at)
+        self.calibrate(prepared.standing_at, prepared.placed)
 
-    def calibrate(self, standing_at: int | None) -> None:
+    def calibrate(self, standing_at: int | None, placed: Position | None = None) -> None:
         """Measure all positions of the run's position set, estimate the machine's errors, write the new compensation
         table and prove it. `standing_at` is the station at which the artefact stands; it is None if the station is not
-        known.
+        known. `placed` is the position in which an artefact that is placed by hand stands.
 
         The state of the run must be MEASURING, and the active compensation must have been read before.
         """
         job, progress = self._job, self.progress
-        order = replace(job.measuring_order, standing_at=standing_at)
+        order = replace(job.measuring_order, standing_at=standing_at, placed=placed)
         progress.measured = self._engine.run(measure_with_repeats(order, job.layout, self.rules, job.repeat_rules))
         self._tracker.enter(RunState.IDENTIFYING)
         balls = balls_for_estimate(job, progress.measured)
@@ -98,10 +106,13 @@ class CalibrationRun(GuardedRun):
         gain = expected_gain(estimation.estimate, new_um, self._correction, job.tool_offset_mm)
         gates = self._estimate_gates(estimation)
         changed = self._changed or any(gate.name == CHANGE and not gate.passed for gate in gates)
-        if not changed and not gain.reaches(job.settings.verification.min_gain):
-            self._pass_gates(of_measurement(gates))
-            self._confirm(estimation, gain, job.balls_of(progress.measured, held_out=True))
-            return
+        if not changed:
+            worth = self._gain_gate(gain)
+            if not worth.passed:
+                self._pass_gates(gates)
+                self._confirm(estimation, gain, job.balls_of(progress.measured, held_out=True))
+                return
+            gates += (worth,)
         gates += table_gates(estimation.table, estimation.travel, self._rig.store.store_limits(), job.gate_limits)
         self._pass_gates(gates)
         self._write_and_prove(estimation, progress.measured)
@@ -112,8 +123,11 @@ class CalibrationRun(GuardedRun):
         record_identified(self._journal, balls, estimation, thermometer)
         self._journal.estimate(estimate_text(estimation, provenance(self._job, self._journal.run_id)))
 
+    def _gain_gate(self, gain: ExpectedGain) -> Gate:
+        return gain_gate(gain, self._job.settings.verification.min_gain)
+
     def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:
-        gates = estimate_gates(estimation.estimate, estimation.volumetric, self._job.gate_limits)
+        gates = estimate_gates(estimation.estimate, self._job.gate_limits)
         if self._reference is None:
             return gates
         change = change_since(self._job, self._reference, self._nights, estimation.estimate)
@@ -157,7 +171,9 @@ class CalibrationRun(GuardedRun):
         progress, enter = self.progress, self._tracker.enter
         assert progress.found is not None  # noqa: S101  read before anything is measured
         image = image_of(estimation.table, self._rig.store.store_limits())
-        enter(RunState.STAGING)
+        held_out = self._job.balls_of(measured, held_out=True)
+        reduction = predicted_reduction(self._job, estimation, held_out, self._correction)
+        enter(RunState.STAGING, "" if reduction.can_be_shown else f"the proof cannot be significant: {reduction.text}")
         bank = publish.choose_bank(self._rig.store.store_limits().banks, progress.found.bank)
         self._engine.run(publish.stage_table(bank, image))
         self._journal.table("staged", bank, image)
@@ -175,7 +191,7 @@ class CalibrationRun(GuardedRun):
 
     def _verify(self, estimation: EstimationResult, measured: MeasuredPositions, image: TableImage) -> None:
         job, progress = self._job, self.progress
-        order = job.verification_order(measured.standing_at)
+        order = job.verification_order(measured.standing_at, measured.placed)
         progress.verified = self._engine.run(measure_positions(order, job.layout, self.rules, measured.mount_poses))
         before = job.balls_of(measured, held_out=True)
         after = job.balls_of(progress.verified, held_out=True)

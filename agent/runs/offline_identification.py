@@ -30,6 +30,7 @@ from agent.results.facts import ArtefactFacts, TableFacts, triple
 from agent.results.gates import (
     Gate,
     estimate_gates,
+    gain_gate,
     names_of_failed,
     reasons,
     require_passed,
@@ -37,8 +38,9 @@ from agent.results.gates import (
 )
 from agent.results.night_gate import night_document, night_gate, night_text
 from agent.results.run_outcome import limits_list
+from agent.results.table_replacement import ExpectedGain
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
-from agent.settings.schema import GateSettings, Order, TableSettings
+from agent.settings.schema import GateSettings, Order, TableSettings, VerificationSettings
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
 from twin.artefact.artefact import Artefact
@@ -61,6 +63,9 @@ TABLE_FILES = ("table.csv", "table.json")
 DEFAULT_GATES = GateSettings()
 """Limits if no settings file states any."""
 
+DEFAULT_MIN_GAIN = VerificationSettings().min_gain
+"""Smallest relative decrease of the VE by a table if no settings file states it."""
+
 DEFAULT_TABLE = TableSettings()
 """Grid and anchor of the table if no settings file states them."""
 
@@ -76,7 +81,8 @@ class IdentificationRequest:
     measured is used. `carried_over` is the file of an earlier estimate that serves as prior. `process_noise_um` is the
     possible change of the machine's error field since that estimate. It is an rms over the workspace in µm, after
     removal of the best-fitting rigid motion. `gates` contains the limits (gates) that the estimate and the table
-    must meet, or no table is written. `table` sets the grid and the anchor of the table. If `even_so` is True, the
+    must meet, and `min_gain` the smallest relative decrease of the VE that is expected with the table; or no table is
+    written. `table` sets the grid and the anchor of the table. If `even_so` is True, the
     table is written in any case; it then carries a mark. `temperature_uncertainty_k` is the standard uncertainty of the
     artefact's temperature in K, common to all rows; it is None if it is not stated. In this case
     `thermometer_uncertainty_k`, the uncertainty of the thermometer according to the settings, is used for a ball file
@@ -93,6 +99,7 @@ class IdentificationRequest:
     carried_over: Path | None = None
     process_noise_um: float = 0.0
     gates: GateSettings = DEFAULT_GATES
+    min_gain: float = DEFAULT_MIN_GAIN
     table: TableSettings = DEFAULT_TABLE
     even_so: bool = False
     temperature_uncertainty_k: float | None = None
@@ -288,8 +295,11 @@ def _gated(material: IdentificationInput, request: IdentificationRequest) -> tup
             request.order,
         )
     _check_stated_noise(estimation, material)
+    left_um = estimation.volumetric.after_aligned.value_um
+    gain = ExpectedGain(math.hypot(estimation.volumetric.table_ve_um, left_um), left_um)
     gates = (
-        *estimate_gates(estimation.estimate, estimation.volumetric, request.gates),
+        *estimate_gates(estimation.estimate, request.gates),
+        gain_gate(gain, request.min_gain),
         *table_gates(estimation.table, estimation.travel, NO_STORE, request.gates),
         *(() if material.night is None else (night_gate(material.night, request.gates),)),
     )

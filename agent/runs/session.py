@@ -79,7 +79,7 @@ def carry_out(
         rig = hooks.devices.assemble(settings, clock, base)
         journal = enter_in_journal(resources.journal, run_id, job, kind, clock, asked or {})
         tracker = RunStateTracker(journal, hooks.announce)
-        steps = StepProgress(tracker, hooks.observe)
+        steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
         engine = Engine(rig.actions(journal.run), journal, steps.observe)
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
         session = RunSession(context, steps, job, kind, resources.began_s)
@@ -205,6 +205,8 @@ class RunSession:
             enter(RunState.ABORTED, reason)
             return
         refused = isinstance(error, (PlanRefused, UserError))
+        if not refused:
+            self._context.journal.fault(error)
         enter(RunState.REFUSED if refused else RunState.FAULTED, reason)
 
     def result(self) -> RunResult:
@@ -266,6 +268,7 @@ class RunSession:
             touches=self._steps.touches,
             machine_minutes=(context.clock.now() - self._started_s) / S_PER_MIN,
             wall_seconds=wall_seconds() - self._began_s,
+            link_interruptions=sum(context.rig.link_interruptions().values()),
             predicted_minutes=None if self._planned is None else self._planned.preflight.machine_minutes,
             table_bank=progress.active_bank,
             report=None,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 from agent.execution.engine import Observer
 from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import Record, Step, TouchTowards
@@ -13,9 +15,17 @@ class StepProgress:
     """Observer of the steps of a run. It counts touches and balls, and announces the progress according to the times
     that the preflight (simulated execution) has predicted."""
 
-    def __init__(self, tracker: RunStateTracker, further: Observer) -> None:
-        """`further` is another observer; it receives every step before this one."""
+    def __init__(
+        self, tracker: RunStateTracker, further: Observer, link_interruptions: Callable[[], Mapping[str, int]]
+    ) -> None:
+        """`further` is another observer; it receives every step before this one.
+
+        `link_interruptions` returns, by device, the number of interruptions of its link after which it was restored;
+        new ones are noted.
+        """
         self._tracker = tracker
+        self._link_interruptions = link_interruptions
+        self._noted: Mapping[str, int] = {}
         self._further = further
         self.preflight: PreflightResult | None = None
         self.touches = 0
@@ -23,10 +33,19 @@ class StepProgress:
 
     def observe(self, step: Step, result: object) -> None:
         self._further(step, result)
+        self._note_interruptions()
         if isinstance(step, TouchTowards):
             self.touches += 1
         elif isinstance(step, Record):
             self._observe_record(step)
+
+    def _note_interruptions(self) -> None:
+        counts = self._link_interruptions()
+        for device, count in counts.items():
+            if count > self._noted.get(device, 0):
+                text = f"the link to {device} was interrupted while nothing moved, and restored ({count} so far)"
+                self._tracker.note(text, device=device, interruptions=count)
+        self._noted = counts
 
     def _observe_record(self, step: Record) -> None:
         if "note" in step.payload:

@@ -10,10 +10,26 @@ from agent.execution.journal_reader import JournalReader, has_journal, open_jour
 from agent.execution.states import FINAL, RunState
 
 RESUMABLE_FAULTS = frozenset(
-    {"LinkError", "LinkLost", "LinkTimeout", "ProtocolError", "PermissionMissing", "JournalFailed", "Interrupted"}
+    {
+        "LinkError",
+        "LinkLost",
+        "LinkTimeout",
+        "ProtocolError",
+        "PermissionMissing",
+        "MotionFault",
+        "DeadlineExpired",
+        "ArtefactMoved",
+        "JournalFailed",
+        "Interrupted",
+    }
 )
 """Errors that do not come from the measurement, so that results measured before them remain valid. Any other fault
-means that an assumption about machine, artefact or procedure is wrong."""
+means that an assumption about machine, artefact or procedure is wrong.
+
+A motion fault may have moved the artefact. The return to the position therefore touches known balls again, and a
+position whose balls are not where they were is measured again. `GuardTripped`, a motion fault in which the probe has
+touched something, is not among these errors.
+"""
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,11 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
     run_errors.MeasurementFault: AlarmCode(
         430, "measurement outside its limits", "clean the balls and the stylus; check clamping and temperature"
     ),
+    run_errors.ArtefactMoved: AlarmCode(
+        431,
+        "the artefact has moved during an interruption",
+        "check the clamping of artefact and mount; resume the run: the position is measured again",
+    ),
     run_errors.PlanDiverged: AlarmCode(
         440, "the recorded run does not match the settings", "restore the settings of that run or start a new run"
     ),

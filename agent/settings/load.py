@@ -100,7 +100,7 @@ def _check_devices(settings: Settings) -> None:
                     f"{claim} is already used by device {first!r}", key=f"devices.{name}.options.{option}"
                 )
     for role, named in settings.roles:
-        for name in [named] if isinstance(named, str) else named.values():
+        for name in [named] if isinstance(named, str) else (named or {}).values():
             if name not in settings.devices:
                 raise ConfigurationError(
                     f"no device {name!r}",

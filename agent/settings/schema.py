@@ -18,7 +18,7 @@ from agent.settings.opcua import OpcUaSettings
 from agent.settings.panel_gateway import GatewaySettings
 from agent.settings.service import ServiceSettings
 from agent.settings.temperature import TemperatureSettings
-from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.mount_geometry import MountGeometry, without_mount
 from twin.collision.probe_geometry import ProbeSection
 from twin.formats.toml_reading import StrictModel, forbid_unknown_keys, read_toml
 
@@ -51,14 +51,15 @@ class DeviceSettings(StrictModel):
 
 class RoleSettings(StrictModel):
     """Names of the devices that serve as machine, probe, compensation store, thermometer, operator and mount. `mount`
-    names one device for all stations, or maps each station number to a device."""
+    names one device for all stations, or maps each station number to a device. It is omitted if the artefact is placed
+    by hand."""
 
     machine: Name
     probe: Name
     store: Name
     thermometer: Name
     operator: Name
-    mount: Name | dict[PositiveInt, Name]
+    mount: Name | dict[PositiveInt, Name] | None = None
 
 
 class StationSettings(StrictModel):
@@ -71,6 +72,11 @@ class StationSettings(StrictModel):
     artefact is moved between the mounts. `parked_deg` contains the azimuth and elevation of the mounts at which no
     artefact is being measured. `park_distance_mm` is the distance of the probe from the mount while the mount turns; if
     it is None, it follows from the travel (see `park_distance_mm` in `agent.planning.stations`).
+
+    If `placed_by_hand` is True, there is no mount: the operator is asked to place the artefact in each position, and
+    `places_mm` are the points at which the origin of the artefact frame is to stand. An artefact that is found farther
+    than `placement_tolerance_mm` from its place, or turned by more than `placement_tolerance_deg`, is refused. After
+    `placement_attempts` refused placements in one position, the run ends.
     """
 
     places_mm: list[Coordinates] = Field(min_length=1)
@@ -78,6 +84,10 @@ class StationSettings(StrictModel):
     artefacts: list[Path] | None = Field(default=None, min_length=1)
     parked_deg: Angles = (0.0, 90.0)
     park_distance_mm: PositiveFloat | None = None
+    placed_by_hand: bool = False
+    placement_tolerance_mm: PositiveFloat = Field(default=5.0, le=30.0)
+    placement_tolerance_deg: PositiveFloat = Field(default=1.5, le=5.0)
+    placement_attempts: int = Field(default=10, ge=1, le=100)
 
     def resolved(self, base: Path) -> StationSettings:
         """Return these settings with relative paths resolved against the directory `base`."""
@@ -204,15 +214,17 @@ class GateSettings(StrictModel):
     former_keys: ClassVar[Mapping[str, str]] = {
         "largest_chi2": "max_chi2",
         "smallest_freedom": "min_degrees_of_freedom",
-        "largest_remaining_share": "max_remaining_fraction",
         "largest_correction_um": "max_correction_um",
         "largest_slope_um_per_mm": "max_slope_um_per_mm",
         "largest_change": "max_change",
     }
+    removed_keys: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("max_remaining_fraction", "largest_remaining_share"),
+        "Delete it: `verification.min_gain` alone states which improvement is worth a new table",
+    )
 
     max_chi2: PositiveFloat = 2.0
     min_degrees_of_freedom: PositiveInt = 30
-    max_remaining_fraction: float = Field(default=0.5, gt=0.0, le=1.0)
     max_correction_um: PositiveFloat = 300.0
     max_slope_um_per_mm: PositiveFloat = 0.5
     max_change: PositiveFloat = 3.0
@@ -231,8 +243,13 @@ class VerificationSettings(StrictModel):
     balls are expected to keep the largest error with the table active.
 
     A full calibration writes a new table only if the volumetric error expected with it is lower than that expected with
-    the active table by at least the fraction `min_gain`. The new table stays active if the held-out balls are as
-    predicted and if at most the fraction `max_missing_fraction` of the predicted reduction is missing beyond the noise.
+    the active table (or without compensation) by at least the fraction `min_gain`. Otherwise it confirms the active
+    table. The new table stays active if the held-out balls are as predicted and if at most the fraction
+    `max_missing_fraction` of the predicted reduction of their mean square is missing, as far as the noise of the
+    touches lets this be seen.
+
+    `min_gain` is larger than `nightly.min_gain`, because a full calibration knows nothing of the measurement behind the
+    active table: of two equally good tables, it expects the one that it has just measured to be better by up to 22 %.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -285,6 +302,11 @@ class NightlySettings(StrictModel):
     The machine is out of limits in three cases. The normalised χ² of the prediction exceeds `max_chi2`. Or one error
     has changed abruptly, and the evidence for this step (ln of the likelihood ratio) is at least `step_evidence`. Or
     the volumetric error (VE) exceeds `max_ve_growth` times the VE after the last accepted night.
+
+    A night writes a table if the volumetric error expected with it is lower than that expected with the active table by
+    at least the fraction `min_gain`. This is the rule of a full calibration with a smaller margin: the estimate of a
+    night contains everything that is known of the active table, so it does not overrate its own. If the held-out balls
+    cannot show a reduction as small as that of a night, they must not become worse beyond their noise.
     """
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -345,6 +367,16 @@ class Settings(StrictModel):
     history: HistorySettings = HistorySettings()
     gateway: GatewaySettings = GatewaySettings()
     opcua: OpcUaSettings = OpcUaSettings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_mount(cls, document: Any) -> Any:
+        """Remove the parts of the mount from the geometry if the artefact is placed by hand."""
+        if not isinstance(document, dict):
+            return document
+        stations, section = document.get("stations"), document.get("mount", {})
+        by_hand = isinstance(stations, dict) and stations.get("placed_by_hand") is True
+        return {**document, "mount": without_mount(section)} if by_hand and isinstance(section, dict) else document
 
     @model_validator(mode="after")
     def _stations_exist(self) -> Self:

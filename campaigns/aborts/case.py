@@ -57,7 +57,6 @@ def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
         },
         "gates": {
             "min_degrees_of_freedom": 1,
-            "max_remaining_fraction": 1.0,
             "max_unmeasured_fraction": 10.0,
             "max_chi2": 1e3,
         },

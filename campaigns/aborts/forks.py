@@ -19,7 +19,8 @@ class Forks:
     parent.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, timeout_s: float = CHILD_TIMEOUT_S) -> None:
+        self._timeout_s = timeout_s
         self._pipe: int | None = None
 
     @property
@@ -40,7 +41,7 @@ class Forks:
             return None
         os.close(writing)
         try:
-            return _read_result(reading, child)
+            return _read_result(reading, child, self._timeout_s)
         finally:
             os.close(reading)
             os.waitpid(child, 0)
@@ -54,12 +55,12 @@ class Forks:
         os._exit(0)
 
 
-def _read_result(reading: int, child: int) -> dict[str, Any]:
+def _read_result(reading: int, child: int, timeout_s: float) -> dict[str, Any]:
     parts: list[bytes] = []
     while True:
-        if not select.select([reading], [], [], CHILD_TIMEOUT_S)[0]:
+        if not select.select([reading], [], [], timeout_s)[0]:
             os.kill(child, signal.SIGKILL)
-            return {"failures": [f"did not end within {CHILD_TIMEOUT_S:g} s"]}
+            return {"failures": [f"did not end within {timeout_s:g} s"]}
         part = os.read(reading, 65536)
         if not part:
             break

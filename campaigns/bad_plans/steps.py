@@ -191,39 +191,35 @@ def _through() -> list[BadPlan]:
     ]
 
 
-def _order() -> list[BadPlan]:
-    def twice(step: s.Step) -> Iterable[s.Step]:
-        return step, replace(step, key="mutated/again")
+_TURN = s.OrientTo("mutated/turn", 1, 60.0, 25.0)
+_FIRST_ORIENT = is_kind(s.OrientTo)
 
-    def as_move(step: s.Step) -> Iterable[s.Step]:
-        assert isinstance(step, s.TouchTowards)
-        return (s.MoveTo("mutated/move", step.target_mm),)
 
-    def as_slow_move(step: s.Step) -> Iterable[s.Step]:
-        assert isinstance(step, s.TouchTowards)
-        return (s.MoveTo("mutated/move", step.target_mm, step.feed_mm_per_s),)
-
-    turn = s.OrientTo("mutated/turn", 1, 60.0, 25.0)
-    first_orient = is_kind(s.OrientTo)
+def _in_contact() -> list[BadPlan]:
     return [
         refused_plan(
-            "turned into the probe", replace_first(is_touch, before(turn)), "collision", "with", step="mutated/turn"
+            "turned into the probe", replace_first(is_touch, before(_TURN)), "collision", "with", step="mutated/turn"
         ),
-        refused_plan("touched while touching", replace_first(is_touch, twice), "deflected", step="mutated/again"),
+        refused_plan("touched while touching", replace_first(is_touch, _twice), "deflected", step="mutated/again"),
         refused_plan(
             "rapid onto the ball instead of touching",
-            replace_first(is_touch, as_move),
+            replace_first(is_touch, _as_move),
             "tip with ball 0",
             step="mutated/move",
         ),
         refused_plan(
             "moved onto the ball instead of touching",
-            replace_first(is_touch, as_slow_move),
+            replace_first(is_touch, _as_slow_move),
             "tripped",
             step="mutated/move",
         ),
-        refused_plan("never turned", replace_first(first_orient, lambda _: ()), "not found where it was expected"),
-        refused_plan("turned elsewhere", replace_first(first_orient, changed(azimuth_deg=50.0)), "measure"),
+    ]
+
+
+def _order() -> list[BadPlan]:
+    return [
+        refused_plan("never turned", replace_first(_FIRST_ORIENT, lambda _: ()), "not found where it was expected"),
+        refused_plan("turned elsewhere", replace_first(_FIRST_ORIENT, changed(azimuth_deg=50.0)), "measure"),
         refused_plan(
             "touched first",
             replace_first(lambda _: True, before(s.TouchTowards("mutated/t", (0.0, 1.0, 0.0), 5.0))),
@@ -235,18 +231,27 @@ def _order() -> list[BadPlan]:
             "permissions",
             step="mutated/move",
         ),
-        refused_plan("turned first", replace_first(lambda _: True, before(turn)), "permissions", step="mutated/turn"),
+        refused_plan("turned first", replace_first(lambda _: True, before(_TURN)), "permissions", step="mutated/turn"),
         refused_plan(
             "no look at the probe", replace_first(is_kind(s.CheckProbe), lambda _: ()), "touches before the probe"
         ),
+        refused_plan("unguarded", replace_first(is_move, changed(guarded=False)), "unguarded"),
         refused_plan(
-            "wrong station", replace_first(first_orient, changed(station=2)), "station 2", "stands at station 1"
+            "unguarded near the ball", replace_first(_near, changed(guarded=False)), "unguarded", step="measure"
+        ),
+    ]
+
+
+def _out_of_place() -> list[BadPlan]:
+    return [
+        refused_plan(
+            "wrong station", replace_first(_FIRST_ORIENT, changed(station=2)), "station 2", "stands at station 1"
         ),
         refused_plan(
-            "station that is not there", replace_first(first_orient, changed(station=9)), "station 9", "there are 4"
+            "station that is not there", replace_first(_FIRST_ORIENT, changed(station=9)), "station 9", "there are 4"
         ),
         refused_plan(
-            "home of no station", replace_first(first_orient, before(s.HomeMount("mutated/home", 0))), "station 0"
+            "home of no station", replace_first(_FIRST_ORIENT, before(s.HomeMount("mutated/home", 0))), "station 0"
         ),
         refused_plan(
             "two steps of one key", replace_first(is_touch, before(s.ReadPosition("measure/permissions"))), "same key"
@@ -261,12 +266,22 @@ def _order() -> list[BadPlan]:
             replace_first(is_touch, before(s.ActivateBank("mutated/bank", 1))),
             "must not write",
         ),
-        refused_plan("unguarded", replace_first(is_move, changed(guarded=False)), "unguarded"),
-        refused_plan(
-            "unguarded near the ball", replace_first(_near, changed(guarded=False)), "unguarded", step="measure"
-        ),
         BadPlan("steps: nothing proved", unchanged, ConfigurationError, ("could not be proved",), None, _unproved),
     ]
+
+
+def _twice(step: s.Step) -> Iterable[s.Step]:
+    return step, replace(step, key="mutated/again")
+
+
+def _as_move(step: s.Step) -> Iterable[s.Step]:
+    assert isinstance(step, s.TouchTowards)
+    return (s.MoveTo("mutated/move", step.target_mm),)
+
+
+def _as_slow_move(step: s.Step) -> Iterable[s.Step]:
+    assert isinstance(step, s.TouchTowards)
+    return (s.MoveTo("mutated/move", step.target_mm, step.feed_mm_per_s),)
 
 
 def _near(step: s.Step) -> bool:
@@ -282,4 +297,4 @@ def _unproved(job: Job) -> object:
 
 
 def step_plans() -> list[BadPlan]:
-    return [*_outside(), *_odd_numbers(), *_through(), *_order()]
+    return [*_outside(), *_odd_numbers(), *_through(), *_in_contact(), *_order(), *_out_of_place()]

@@ -83,8 +83,7 @@ SHORT = Programme(
         "[verification]\nstations = [1, 4]": (
             f"[verification]\n{HELD_OUT}\nstations = [1]\nmax_missing_fraction = 1.0\nmax_chi2 = 1e3"
         ),
-        "[timing]": "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_unmeasured_fraction = 10.0"
-        "\nmax_chi2 = 1e3\n\n[timing]",
+        "[timing]": "[gates]\nmin_degrees_of_freedom = 1\nmax_unmeasured_fraction = 10.0\nmax_chi2 = 1e3\n\n[timing]",
     },
     compared=False,
     collision_scale=6.0,

@@ -180,7 +180,7 @@ def build_cloud(job: Job, place: Array, centre: Array, rotation: Array) -> Point
         start, end = (centre + rotation @ np.array(point) for point in (part.start_mm, part.end_mm))
         parts.append((part.name, _row(start, end), part.radius_mm, -1))
     below, above = place.copy(), place.copy()
-    below[2], above[2] = mount.table_z_mm, place[2] + mount.head_mm
+    below[2], above[2] = mount.table_z_mm, place[2] + mount.up * mount.head_mm
     parts += [
         ("shaft", _row(place, centre), mount.shaft_radius_mm, -1),
         ("pedestal", _row(below, above), mount.pedestal_radius_mm, -1),

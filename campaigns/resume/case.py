@@ -229,7 +229,6 @@ def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
         },
         "gates": {
             "min_degrees_of_freedom": 1,
-            "max_remaining_fraction": 1.0,
             "max_chi2": 1e3,
             "max_unmeasured_fraction": 10.0,
         },

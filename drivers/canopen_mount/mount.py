@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import structlog
 
 from drivers.canopen_mount.description import load_description
@@ -13,6 +15,7 @@ from drivers.clock import Clock, Deadline
 from drivers.errors import DeviceError, LinkLost, VolcalError
 from drivers.links.can_adapters import CanAddress
 from drivers.links.can_bus import PROCESS_NETWORKS, CanLink, CanNetworks
+from drivers.reached_position import ROUNDING, require_reached
 from drivers.registry import DeviceContext
 from drivers.roles import DiagnosticFinding, Orientation
 
@@ -71,17 +74,31 @@ class CanopenMount:
     def stop(self) -> None:
         """Command a quick stop of both drives; repeated calls have no further effect.
 
-        The second drive is stopped even if the first one cannot be stopped. The first error is raised after both
-        attempts.
+        The second drive is stopped even if the first one cannot be stopped. If the link is lost, the bus is opened
+        again for the stop; the mount must be opened again afterwards. The first error is raised after all attempts.
         """
+        failures = self._quick_stop()
+        if any(isinstance(failure, LinkLost) for failure in failures):
+            self._disconnect()
+            try:
+                self._connect()
+                failures = self._quick_stop()
+            except DeviceError as error:
+                failures = [error]
+            finally:
+                self._disconnect()
+        if failures:
+            raise failures[0].at(device=self._context.name)
+
+    def _quick_stop(self) -> list[DeviceError]:
+        """Command a quick stop of both drives and return the errors."""
         failures: list[DeviceError] = []
         for drive in self._drives:
             try:
                 drive.quick_stop()
             except DeviceError as error:
                 failures.append(error)
-        if failures:
-            raise failures[0].at(device=self._context.name)
+        return failures
 
     def home(self) -> None:
         """Home the drives that need homing, one after the other.
@@ -215,23 +232,30 @@ class CanopenMount:
         deadline = Deadline.after(self._clock, self._settings.in_position_timeout_s)
         while True:
             angles = [drive.angle_deg() for drive in self._drives]
-            outside = [
-                (drive, angle - target)
-                for drive, angle, target in zip(self._drives, angles, targets, strict=True)
-                if abs(angle - target) > drive.settings.in_position_deg
-            ]
-            if not outside:
+            limits = [drive.settings.in_position_deg for drive in self._drives]
+            outside = [abs(a - t) - w for a, t, w in zip(angles, targets, limits, strict=True)]
+            if max(outside) <= ROUNDING:
                 return Orientation(*angles)
-            drive, error_deg = outside[0]
-            deadline.raise_if_expired(
-                f"{drive.node.axis} to come to rest within {drive.settings.in_position_deg:g} degrees"
-                f" (it is {error_deg:+.4f} degrees off)",
-                hint="check the load, the controller gains and the window in_position_deg",
-                **drive.node.where,
-            )
+            if deadline.expired:
+                self._raise_not_reached(outside.index(max(outside)), angles, targets)
             self._clock.sleep(POLL_S)
             for other in self._drives:
                 other.check_in_motion()
+
+    def _raise_not_reached(self, number: int, angles: Sequence[float], targets: Sequence[float]) -> None:
+        drive = self._drives[number]
+        require_reached(
+            (angles[number],),
+            (targets[number],),
+            drive.settings.in_position_deg,
+            "the turn",
+            {**drive.node.where, "device": self._context.name},
+            key="in_position_deg",
+            axes=(drive.node.axis,),
+            unit="degrees",
+            hint="check that the mount is free to turn and balanced, the brake, the controller gains of the drive, and "
+            "that the encoder is not slipping",
+        )
 
     def _stop_after_error(self, error: BaseException) -> None:
         """Stop both drives before `error` propagates; if a stop fails, add a note to `error`."""

@@ -17,6 +17,7 @@ from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask
 
 _CHOICES = {
     OperatorTask.MOVE_ARTEFACT: "[d]one / [n]o",
+    OperatorTask.PLACE_ARTEFACT: "[d]one / [n]o",
     OperatorTask.CONSENT: "[y]es / [n]o",
 }
 _AGREES = {"d", "done", "y", "yes"}
@@ -87,7 +88,7 @@ class ConsoleOperator:
     def _unreachable(self, request: OperatorRequest, why: str) -> PermissionMissing:
         return PermissionMissing(
             f"the operator cannot be asked to {request.task.value}: {why}"
-            if request.task is OperatorTask.MOVE_ARTEFACT
+            if request.task is not OperatorTask.CONSENT
             else f"the operator cannot be asked for {request.task.value}: {why}",
             hint="run volcal in a terminal, or configure another operator device",
             device=self._name,

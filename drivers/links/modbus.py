@@ -13,6 +13,7 @@ from statistics import median
 from drivers.clock import wall_seconds
 from drivers.errors import ConfigurationError, LinkError, LinkLost, LinkTimeout, ProtocolError
 from drivers.links.modbus_transport import EXCEPTION_BIT, READ, WRITE, WRITE_AND_READ, DamagedFrame, Transport
+from drivers.links.reconnection import LINK_FAILURES, Reconnection
 
 ILLEGAL_FUNCTION = 1
 BUSY = 6
@@ -63,7 +64,8 @@ class ModbusLink:
 
     `writable` lists the registers that may be written. A write to any other register is refused before anything is
     sent. A request that the caller declares idempotent is repeated after a timeout or a damaged answer, up to `retries`
-    times. A lost connection stays closed until `open` is called.
+    times. After that, and after a lost connection, such a request is left to `reconnection`, which opens the connection
+    again; without it, a lost connection stays closed until `open` is called.
 
     The methods raise `LinkLost`, `LinkTimeout` or `ProtocolError` (including `DamagedFrame`). Each error names the
     device, the link and the register.
@@ -77,6 +79,7 @@ class ModbusLink:
         where: Mapping[str, str],
         retries: int = 1,
         combined: bool = True,
+        reconnection: Reconnection | None = None,
     ) -> None:
         self.where = where
         self.transport = transport
@@ -86,6 +89,9 @@ class ModbusLink:
         self._writable = tuple(writable)
         self._retries = retries
         self._combined = combined
+        self.reconnection = reconnection
+        self._in_use = False
+        self._loss: LinkLost | None = None
 
     @property
     def connected(self) -> bool:
@@ -93,9 +99,15 @@ class ModbusLink:
 
     def open(self) -> None:
         self.transport.open()
+        self._in_use, self._loss = True, None
 
     def close(self) -> None:
+        self._in_use = False
         self.transport.close()
+
+    def _reopen(self) -> None:
+        self.transport.close()
+        self.transport.open()
 
     def read(self, register: int, count: int) -> bytes:
         """Read `count` registers with function 3, and return their 2 × `count` bytes."""
@@ -168,12 +180,28 @@ class ModbusLink:
             raise self._exception_error(refusal.code, register) from None
 
     def _send_with_retries(self, request: bytes, register: int, *, idempotent: bool) -> bytes:
-        for _ in range(self._retries if idempotent else 0):
+        if not idempotent:
+            return self._send_once(request, register)
+        try:
+            return self._send_repeatedly(request, register)
+        except LINK_FAILURES as failure:
+            if self.reconnection is None or not self._in_use:
+                raise
+            return self.reconnection.repeat(failure, self._reopen, lambda: self._send_repeatedly(request, register))
+
+    def _send_repeatedly(self, request: bytes, register: int) -> bytes:
+        for _ in range(self._retries):
             try:
                 return self._send_once(request, register)
             except (LinkTimeout, DamagedFrame):
                 self.repeat_count += 1
         return self._send_once(request, register)
+
+    def _not_connected(self, register: int) -> LinkLost:
+        """Return the error of a request without a connection. It names the reason for which an opened link was lost."""
+        if self._in_use and self._loss is not None:
+            return LinkLost(self._loss.message, hint=self._loss.hint, register=register, **self.where)
+        return LinkLost("the link is not open", hint="open the device first", register=register, **self.where)
 
     def _send_once(self, request: bytes, register: int) -> bytes:
         """Send `request` once and return the answer without its function code.
@@ -181,12 +209,14 @@ class ModbusLink:
         Raises `_ExceptionResponse` if the unit answers with a Modbus exception.
         """
         if not self.connected:
-            raise LinkLost("the link is not open", hint="open the device first", register=register, **self.where)
+            raise self._not_connected(register)
         started_s = wall_seconds()
         try:
             answer = self.transport.ask(request)
         except LinkError as error:
             error.where = {"register": str(register), **error.where}
+            if isinstance(error, LinkLost):
+                self._loss = error
             raise
         self.latency.add(wall_seconds() - started_s)
         function = request[0]

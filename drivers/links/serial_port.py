@@ -5,19 +5,24 @@ Waits use `select` instead of the timeout of pyserial, because changing the time
 
 from __future__ import annotations
 
+import contextlib
+import os
 import select
 import termios
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import serial
 
 from drivers.clock import wall_seconds
-from drivers.errors import LinkLost
+from drivers.errors import LinkLost, LinkTimeout
 
 LONGEST_LINE = 4096
 """Largest length of a line in bytes; a peer that sends more without an end of line is not a line-oriented device."""
 WRITE_WITHIN_S = 2.0
+URGENT_WITHIN_S = 0.1
+"""Wall time in s for which urgent data may wait for unsent data before the unsent data are discarded."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +37,40 @@ class SerialAddress:
         return f"serial {self.port} {self.baud} 8N{self.stop_bits}"
 
 
+class LineLink(Protocol):
+    """Link to a device with a line-oriented text protocol. `SerialPort` implements it.
+
+    The methods raise LinkLost if the link no longer exists, and LinkTimeout if it accepts no data.
+    """
+
+    @property
+    def where(self) -> Mapping[str, str]: ...
+
+    @property
+    def connected(self) -> bool: ...
+
+    def seconds(self) -> float:
+        """Return the time in s, since an arbitrary start, in which waits for the device are limited."""
+        ...
+
+    def open(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def write(self, data: bytes) -> None: ...
+
+    def write_urgent(self, data: bytes) -> None:
+        """Send `data` at once; if the link accepts no data, discard what has not been sent yet."""
+        ...
+
+    def read_line(self, within_s: float) -> bytes | None: ...
+
+
 class SerialPort:
     """Serial port that sends bytes and receives bytes or lines.
 
-    Every wait has a time limit in wall time. The methods raise LinkLost if the port no longer exists or is not open.
+    Every wait has a time limit in wall time. The methods raise LinkLost if the port no longer exists or is not open,
+    and LinkTimeout if it accepts no data.
     """
 
     def __init__(self, address: SerialAddress, *, device: str = "") -> None:
@@ -48,6 +83,9 @@ class SerialPort:
     @property
     def connected(self) -> bool:
         return self._port is not None
+
+    def seconds(self) -> float:
+        return wall_seconds()
 
     def open(self) -> None:
         """Open the port for exclusive use.
@@ -83,10 +121,29 @@ class SerialPort:
                 raise self._lost(error) from error
 
     def write(self, data: bytes) -> None:
+        """Send `data`. After a LinkTimeout the port stays open, and part of the data may have been sent."""
         try:
             self._require_port().write(data)
+        except serial.SerialTimeoutException as error:
+            raise self._stalled(WRITE_WITHIN_S) from error
         except (OSError, termios.error) as error:
             raise self._lost(error) from error
+
+    def write_urgent(self, data: bytes) -> None:
+        """Send `data` within two times `URGENT_WITHIN_S`.
+
+        If earlier data still fill the port's buffer, they are discarded: the end of a line may then be missing.
+        """
+        descriptor = self._require_port().fileno()
+        try:
+            for last in (False, True):
+                if select.select([], [descriptor], [], URGENT_WITHIN_S)[1] and os.write(descriptor, data) == len(data):
+                    return
+                if not last:
+                    termios.tcflush(descriptor, termios.TCOFLUSH)
+        except (OSError, termios.error) as error:
+            raise self._lost(error) from error
+        raise self._stalled(2.0 * URGENT_WITHIN_S)
 
     def read(self, within_s: float) -> bytes:
         """Return the received bytes as soon as there are any; b"" if none arrive within `within_s` of wall time."""
@@ -135,8 +192,25 @@ class SerialPort:
             raise LinkLost("the serial port is not open", hint="open the device first", **self.where)
         return self._port
 
+    def _stalled(self, within_s: float) -> LinkTimeout:
+        return LinkTimeout(
+            f"the serial port accepts no data within {within_s:g} s",
+            hint="check the cable and that the controller is on and not hanging",
+            **self.where,
+        )
+
     def _lost(self, error: Exception) -> LinkLost:
-        self._port = None
+        """Close the port and return the error to be raised.
+
+        A port that is only forgotten keeps its exclusive lock, so nobody could open it again. Unsent data are
+        discarded first, since closing would wait for them.
+        """
+        port, self._port = self._port, None
+        if port is not None:
+            with contextlib.suppress(OSError, termios.error, TypeError):
+                termios.tcflush(port.fileno(), termios.TCOFLUSH)
+            with contextlib.suppress(OSError, termios.error):
+                port.close()
         return LinkLost(
             f"the serial port is gone: {error}", hint="check the cable and that the controller is on", **self.where
         )

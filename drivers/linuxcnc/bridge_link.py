@@ -23,6 +23,7 @@ BRIDGE = Path(__file__).resolve().parent / "bridge"
 PROTOCOL = 1
 END_WITHIN_S = 2.0
 STDERR_TAIL_BYTES = 400
+STOPPED_HINT = "press the emergency stop, look where the axes stand, and restart LinuxCNC"
 START_HINT = "check that linuxcnc-uspace is installed, and that LinuxCNC runs under the same user with the same HOME"
 
 Answer = dict[str, Any]
@@ -42,11 +43,17 @@ class BridgeLink:
     """
 
     def __init__(
-        self, command: Sequence[str], *, response_timeout_s: float, watchdog_timeout_s: float, device: str
+        self,
+        command: Sequence[str],
+        *,
+        response_timeout_s: float,
+        watchdog_timeout_s: float,
+        heartbeat_timeout_s: float,
+        device: str,
     ) -> None:
         self._command = [*command, str(BRIDGE)]
         self._within_s = response_timeout_s
-        self._watchdog_timeout_s = watchdog_timeout_s
+        self._hello = {"watch_s": watchdog_timeout_s, "heartbeat_s": heartbeat_timeout_s}
         self.where = {"device": device, "link": "linuxcnc bridge"}
         self._bridge: _Bridge | None = None
         self._buffered = b""
@@ -75,7 +82,7 @@ class BridgeLink:
             self._bridge = self._start_process()
             try:
                 self._answer(0)
-                self.hello = self.ask("hello", watch_s=self._watchdog_timeout_s)
+                self.hello = self.ask("hello", **self._hello)
             except BaseException:
                 self.close()
                 raise
@@ -107,7 +114,8 @@ class BridgeLink:
     def ask(self, what: str, **fields: object) -> Answer:
         """Send a request to the bridge and return the answer.
 
-        Raises LinkLost or LinkTimeout if no answer comes, and CommandRejected if LinuxCNC refuses the request.
+        Raises LinkLost or LinkTimeout if no answer comes or if a process of LinuxCNC has stopped, and CommandRejected
+        if LinuxCNC refuses the request.
         """
         with self._lock:
             self._number += 1
@@ -124,8 +132,15 @@ class BridgeLink:
         If the bridge process has ended or does not answer, a new bridge process is started to stop the motion.
         """
         with self._lock:
-            if self._unresponsive or not self.connected:
-                self.open()
+            if not self._unresponsive and self.connected:
+                try:
+                    self.ask("abort")
+                except (LinkLost, LinkTimeout):
+                    if self.connected and not self._unresponsive:
+                        raise  # LinuxCNC itself has stopped; another bridge would say the same
+                else:
+                    return
+            self.open()
             self.ask("abort")
 
     # ------------------------------------------------------------------ pins
@@ -215,6 +230,8 @@ class BridgeLink:
 
     def _refusal(self, answer: Answer) -> DeviceError:
         text = str(answer.get("text", "no reason given"))
+        if answer.get("error") == "stopped":
+            return LinkLost(text, hint=STOPPED_HINT, **self.where)
         if answer.get("error") == "gone":
             return LinkLost(text, hint=START_HINT, **self.where)
         return CommandRejected(text, **self.where)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, LinkLost
+from drivers.errors import ConfigurationError, LinkError, LinkLost
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.compensation import LinuxCncStore, create_store
 from drivers.linuxcnc.diagnosis import diagnose
@@ -40,6 +41,7 @@ class LinuxCnc:
             settings.bridge_command,
             response_timeout_s=settings.response_timeout_s,
             watchdog_timeout_s=settings.watchdog_timeout_s,
+            heartbeat_timeout_s=settings.heartbeat_timeout_s,
             device=context.name,
         )
         self._session = LinuxCncSession(link, context.clock, settings)
@@ -66,12 +68,14 @@ class LinuxCnc:
         """Restore the modal codes if motions were made, and end the bridge process.
 
         The modal codes (G-codes that remain in effect until changed) are those in effect before the first motion; after
-        their restoration, the controller is switched to manual mode. Both steps are omitted if the machine is off.
+        their restoration, the controller is switched to manual mode. Both steps are omitted if the machine is off or
+        if LinuxCNC has stopped.
         """
         parts, self._parts = self._parts, None
         try:
             if parts is not None and self._session.link.connected:
-                parts.motion.restore_modes()
+                with suppress(LinkError):  # a LinuxCNC that has stopped has no modes left to restore
+                    parts.motion.restore_modes()
         finally:
             self._session.link.close()
 
@@ -112,7 +116,10 @@ class LinuxCnc:
         self._session.link.ask("resume")
 
     def reset(self) -> None:
-        """Switch the machine on again after a fault. Raises CommandRejected if the emergency stop is active."""
+        """Switch the machine on again after a fault, and release a hold that volcal has set.
+
+        Raises CommandRejected if the emergency stop is active.
+        """
         self._open.motion.reset()
 
     def stop(self) -> None:

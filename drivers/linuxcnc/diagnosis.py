@@ -19,6 +19,7 @@ SKEW_LEAST_S = 1e-3
 The duration of the longest round trip is added to this tolerance.
 """
 LONGEST_PERIOD_S = 1e-3
+LEAST_MARGIN_ERROR_MM = 1e-6
 LATCH_MM_PER_S = 5.0
 """Usual touch feed in mm/s (300 mm/min), at which the diagnosis states the travel during the latch delay."""
 
@@ -48,6 +49,7 @@ def _findings(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
     yield DiagnosticFinding(
         "bridge", ok=True, text=f"LinuxCNC {hello['version']}, {session.properties.machine_name}, {hello['ini']}"
     )
+    yield _heartbeats(hello["watched"])
     first = session.read_snapshot()
     yield _latency(session, first)
     yield _state(first)
@@ -57,6 +59,7 @@ def _findings(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
     )
     yield _probe(session, first)
     yield _travel(session)
+    yield from _joint_margin(session)
     yield from _overrides(first)
     yield from _ini(session)
     yield _temperatures(session)
@@ -68,6 +71,15 @@ def _tables(store: LinuxCncStore | None) -> list[DiagnosticFinding]:
             DiagnosticFinding("tables", ok=True, text="no compensation configured: another device must be the store")
         ]
     return store.diagnose()
+
+
+def _heartbeats(watched: list[str]) -> DiagnosticFinding:
+    """Report whether the loss of LinuxCNC's processes would be noticed."""
+    missing = [part for part in ("task", "motion") if part not in watched]
+    text = f"{', '.join(watched)} alive"
+    if missing:
+        text = f"{' and '.join(missing)} cannot be watched: if it stops, a motion ends only by its time limit"
+    return DiagnosticFinding("heartbeats", ok=not missing, text=text)
 
 
 def _latency(session: LinuxCncSession, first: Snapshot) -> DiagnosticFinding:
@@ -110,6 +122,31 @@ def _travel(session: LinuxCncSession) -> DiagnosticFinding:
         f"{axis} {low:g} … {high:g} mm" for axis, low, high in zip(XYZ, limits.lower_mm, limits.upper_mm, strict=True)
     )
     return DiagnosticFinding("travel", ok=True, text=f"{travel}; 1 unit is {session.properties.mm_per_unit:g} mm")
+
+
+def _joint_margin(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
+    """Report whether the joints can move by the largest correction beyond the limits of their axes.
+
+    A joint that reaches its limit ends the motion with an error. Only with three joints is it known that they are those
+    of X, Y and Z.
+    """
+    compensation, limits = session.settings.compensation, session.properties.limits
+    joints = session.link.hello["joint_limits"]
+    if compensation is None or compensation.method == "comp-files" or len(joints) != len(XYZ):
+        return
+    mm = session.properties.mm_per_unit
+    margins = [
+        min(low - least * mm, most * mm - high)
+        for low, high, (least, most) in zip(limits.lower_mm, limits.upper_mm, joints, strict=True)
+    ]
+    needed = compensation.max_correction_mm
+    text = ", ".join(f"{axis} {margin:g} mm" for axis, margin in zip(XYZ, margins, strict=True))
+    enough = min(margins) >= needed - LEAST_MARGIN_ERROR_MM
+    yield DiagnosticFinding(
+        "[JOINT_*] limits",
+        ok=enough,
+        text=f"beyond those of the axis: {text}" + ("" if enough else f"; corrections need up to {needed:g} mm"),
+    )
 
 
 def _overrides(snapshot: Snapshot) -> Iterator[DiagnosticFinding]:

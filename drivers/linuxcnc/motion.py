@@ -20,17 +20,14 @@ from drivers.errors import (
 )
 from drivers.linuxcnc.session import XYZ, LinuxCncSession
 from drivers.linuxcnc.snapshot import ON, Snapshot, Triple
+from drivers.motion_deadline import MotionDeadline
+from drivers.reached_position import require_reached
 from drivers.roles import MotionState, Permission, Vector
 from drivers.straight_move import move_duration_s
 
 DURATION_FACTOR = 1.5
 """Ratio of a motion's time limit to its predicted duration, before `motion_margin_s` is added."""
 LIMIT_TOLERANCE_MM = 1e-6
-REACHED_TOLERANCE_MM = 1e-4
-"""Largest distance in mm from the target at the end of a motion.
-
-LinuxCNC ends a motion exactly at its target; differences come from the decimals of the MDI text and from inches.
-"""
 REST_POLL_S = 0.01
 PREFIX = "G21 G90 G94 G40"
 OWN_CODES = (20.0, 21.0, 90.0, 91.0, 93.0, 94.0, 95.0)
@@ -103,11 +100,12 @@ class LinuxCncMotion:
         self._session.link.abort()
 
     def reset(self) -> None:
-        """Switch the machine on if it is off, and wait until LinuxCNC reports that it is idle.
+        """Switch the machine on if it is off or held by volcal, and wait until LinuxCNC reports that it is idle.
 
         Without the wait, LinuxCNC would refuse a motion for a few cycles after the machine is switched on.
         """
-        if self._session.read_snapshot().task_state != ON:
+        snapshot = self._session.read_snapshot()
+        if snapshot.task_state != ON or snapshot.held_by_volcal:
             self._session.link.ask("on")
             self._await_rest(anyway=True)
 
@@ -258,26 +256,32 @@ class LinuxCncMotion:
         still braking.
         """
         session, clock, settings = self._session, self._session.clock, self._session.settings
-        allowed_s = self._allowed_s(before, target, feed_mm_per_s)
-        deadline = Deadline.after(clock, allowed_s)
+        deadline = MotionDeadline(
+            clock,
+            target,
+            before.position,
+            allowed_s=self._allowed_s(before, target, feed_mm_per_s),
+            stall_s=settings.motion_margin_s,
+        )
         held: Deadline | None = None
         messages: tuple[str, ...] = ()
         ended: Snapshot | None = None
         while True:
             snapshot = session.read_snapshot()
             messages += snapshot.errors
-            if not snapshot.under_way or snapshot.task_state != ON:
+            deadline.observe(snapshot.position)
+            if not snapshot.under_way or snapshot.fault:
                 ended = replace(snapshot, outcome=(ended or snapshot).outcome)
-                if snapshot.in_position or snapshot.task_state != ON:
+                if snapshot.in_position or snapshot.fault:
                     return ended, messages + self._late_messages(ended, messages)
             self._require_still_permitted(kind, snapshot)
             if snapshot.paused:
                 held = held or Deadline.after(clock, settings.max_hold_s)
                 self._require_resumed(held)
-                deadline = Deadline.after(clock, allowed_s)
+                deadline.restart()
             else:
                 held = None
-                deadline.raise_if_expired(f"the end of a {kind.value}", hint="check LinuxCNC", **session.where)
+                deadline.raise_if_expired(kind.value, session.where)
             clock.sleep(settings.poll_interval_s)
 
     def _late_messages(self, ended: Snapshot, messages: tuple[str, ...]) -> tuple[str, ...]:
@@ -332,7 +336,7 @@ class LinuxCncMotion:
     def _require_success(self, kind: MdiMotionKind, ended: Snapshot, target: Triple, messages: tuple[str, ...]) -> None:
         where = self._session.where
         text = "; ".join(messages)
-        if ended.task_state != ON:
+        if ended.fault:
             raise MotionFault(
                 f"{kind.value} ended in a fault: {ended.fault}{': ' if text else ''}{text}",
                 hint="clear the cause and switch the machine on",
@@ -349,12 +353,8 @@ class LinuxCncMotion:
                 f"LinuxCNC refused a {kind.value}: {text or 'it gives no reason'}",
                 hint="" if text else "motion may not have answered its task in time; see [EMCMOT]COMM_TIMEOUT",
             )
-        if math.dist(ended.position, target) > REACHED_TOLERANCE_MM:
-            raise MotionFault(
-                f"{kind.value} was stopped at the machine{': ' if text else ''}{text}",
-                hint="start the run again",
-                **where,
-            )
+        what = f"{kind.value} ({text or 'probably stopped at the machine'})"
+        require_reached(ended.position, target, self._session.settings.position_tolerance_mm, what, where)
 
     def _guard_tripped(self, kind: MdiMotionKind, ended: Snapshot) -> MotionFault:
         """Return the error for a trip in a move. LinuxCNC has stopped and is ready again, so no reset is needed."""

@@ -86,7 +86,7 @@ class LinuxCncSession:
             Permission.SPINDLE_STOPPED: not snapshot.spindle,
             Permission.PROGRAM_IDLE: snapshot.mode != "auto" or snapshot.idle,
             Permission.REFERENCED: snapshot.homed,
-            Permission.NO_FAULT: on,
+            Permission.NO_FAULT: not snapshot.fault,
         }
         named = self.settings.permissions.named()
         for permission, value in zip(named, snapshot.pins, strict=False):

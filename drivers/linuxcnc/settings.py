@@ -53,11 +53,19 @@ class LinuxCncSettings(DriverOptions):
     watchdog_timeout_s: float = Field(
         default=2.0, ge=0.0, le=60.0, description="silence after which the bridge stops a motion"
     )
-
+    heartbeat_timeout_s: float = Field(
+        default=0.8, ge=0.1, le=60.0, description="without a heartbeat, LinuxCNC's task or motion counts as stopped"
+    )
     poll_interval_s: float = Field(
         default=0.02, gt=0.0, le=0.5, description="between two status queries during a motion"
     )
     motion_margin_s: Seconds = Field(default=5.0, description="on top of 1.5 times the predicted duration")
+    position_tolerance_mm: float = Field(
+        default=0.05,
+        gt=0.0,
+        le=10.0,
+        description="largest distance of each axis from its target at the end of a motion",
+    )
     max_hold_s: Seconds = Field(default=600.0, description="longest wait for the release of a hold")
     homing: Literal["refuse", "absolute-encoders"] = Field(
         default="refuse", description="absolute-encoders: home on opening if that moves nothing"

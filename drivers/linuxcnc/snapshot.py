@@ -12,6 +12,7 @@ from drivers.roles import MotionState
 Triple = tuple[float, float, float]
 
 ON = "on"
+HELD = "feed held by volcal (HAL signal volcal-hold), because LinuxCNC's task had stopped; a reset aborts the motion"
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,8 @@ class Snapshot:
 
     `position` is the machine position, and `probed` is the machine position latched at the last trip of the probe; both
     are without external offsets. `program_offset` is the machine position minus the programmed position. `errors`
-    contains the messages of LinuxCNC since the previous snapshot.
+    contains the messages of LinuxCNC since the previous snapshot. `held_by_volcal` is True while volcal holds the feed
+    because LinuxCNC's task had stopped during a motion.
     """
 
     position: Triple
@@ -45,6 +47,7 @@ class Snapshot:
     feed_override: float
     rapid_override: float
     abandoned: bool
+    held_by_volcal: bool
     errors: tuple[str, ...]
     monotonic_s: float
     pins: tuple[PinValue, ...]
@@ -55,7 +58,7 @@ class Snapshot:
 
     @property
     def state(self) -> MotionState:
-        if self.task_state != ON:
+        if self.fault:
             return MotionState.FAULT
         if self.paused:
             return MotionState.HELD
@@ -63,9 +66,9 @@ class Snapshot:
 
     @property
     def fault(self) -> str:
-        """Reason why the machine is not switched on; an empty string while it is on."""
+        """Reason why the machine is not switched on or is held by volcal; an empty string if it is ready."""
         if self.task_state == ON:
-            return ""
+            return HELD if self.held_by_volcal else ""
         text = "emergency stop" if self.task_state == "estop" else "machine is off"
         for joints, trouble in ((self.joint_faults, "drive fault"), (self.on_limit, "limit switch")):
             if joints:
@@ -112,6 +115,7 @@ _COPIED_FIELDS = (
     "feed_override",
     "rapid_override",
     "abandoned",
+    "held_by_volcal",
     "monotonic_s",
 )
 

@@ -90,23 +90,30 @@ class ModbusCnc:
         self._open.motion.tag = tag
 
     def hold(self) -> None:
-        self._session.send_urgent(CommandCode.HOLD)
+        """Send the command HOLD.
+
+        Does nothing while a lost link is being restored: no motion is being followed then, and one that the controller
+        has nevertheless begun is stopped by its own watchdog.
+        """
+        if not self._session.reconnection.in_progress:
+            self._session.send_urgent(CommandCode.HOLD)
 
     def resume(self) -> None:
-        self._session.send_urgent(CommandCode.RESUME)
+        if not self._session.reconnection.in_progress:
+            self._session.send_urgent(CommandCode.RESUME)
+
+    def interruptions(self) -> int:
+        return self._session.reconnection.count
 
     def reset(self) -> None:
         self._session.command(CommandBlock(CommandCode.RESET))
 
     def stop(self) -> None:
-        """Send the command STOP to the controller, reconnecting first if the connection was lost. Does nothing if the
-        device is closed.
+        """Send the command STOP to the controller, over a new connection if the present one is lost or does not answer.
+        Does nothing if the device is closed.
         """
-        if self._parts is None:
-            return
-        if not self._session.link.connected:
-            self._session.open()
-        self._parts.motion.stop()
+        if self._parts is not None:
+            self._parts.motion.stop()
 
     def probe_status(self) -> ProbeStatus:
         return self._open.probing.status()

@@ -31,9 +31,10 @@ def diagnose(session: ModbusSession) -> list[DiagnosticFinding]:
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:
-        if opened_here:
-            session.link.open()
-        findings.extend(_findings(session))
+        with session.reconnection.suspended():
+            if opened_here:
+                session.link.open()
+            findings.extend(_findings(session))
     except DeviceError as error:
         findings.append(DiagnosticFinding("link", ok=False, text=str(error)))
         if opened_here:

@@ -11,10 +11,12 @@ from drivers.errors import (
     CommandRejected,
     DeviceError,
     GuardTripped,
+    LinkLost,
     MotionFault,
     PermissionMissing,
     ProtocolError,
 )
+from drivers.links.reconnection import LINK_FAILURES
 from drivers.modbus_cnc.codes import (
     FAULT_GUARD_TRIPPED,
     PERMISSION_FAULTS,
@@ -24,6 +26,8 @@ from drivers.modbus_cnc.codes import (
 )
 from drivers.modbus_cnc.registers import CommandBlock, StatusImage, Triple
 from drivers.modbus_cnc.session import ModbusSession
+from drivers.motion_deadline import MotionDeadline
+from drivers.reached_position import require_reached
 from drivers.roles import AxisLimits, MotionState
 from drivers.straight_move import move_duration_s
 
@@ -34,7 +38,7 @@ END_MARGIN_S = 0.001
 DURATION_FACTOR = 1.5
 """Ratio of a motion's time limit to its predicted duration, before `motion_margin_s` is added.
 
-It allows for feed override and look-ahead.
+It allows for look-ahead; at a reduced feed override, the limit is extended as long as the axes advance.
 """
 
 
@@ -73,25 +77,51 @@ class ModbusMotion:
         target = self._validated_target(code, target_mm, feed_mm_per_s)
         try:
             self._await_rest()
-            sequence, accepted = session.start(
-                CommandBlock(code, crc=self.tag, target=target, feed=feed_mm_per_s or 0.0)
-            )
-            status = self._wait(code, target, feed_mm_per_s, accepted)
+            sequence, accepted = self._start(code, target, feed_mm_per_s)
+            with session.reconnection.suspended():
+                status = self._wait(code, target, feed_mm_per_s, accepted)
         except BaseException as error:
             self._stop_because_of(error)
             raise
         if status.motion_sequence != sequence:
             raise self._protocol_error(f"started motion {sequence}, but motion {status.motion_sequence} ended")
         self._require_success(code, status)
+        self._require_reached(code, target, status)
         return ModbusMotionResult(accepted.position, status)
+
+    def _start(self, code: CommandCode, target: Triple, feed_mm_per_s: float | None) -> tuple[int, StatusImage]:
+        """Send a motion command and return its sequence number and the status after its acknowledgement.
+
+        If the link was interrupted in between and the axes are now moving, the motion is not followed further: raises
+        LinkLost, and the caller stops it.
+        """
+        session = self._session
+        sequence, accepted = session.start(CommandBlock(code, crc=self.tag, target=target, feed=feed_mm_per_s or 0.0))
+        if session.interrupted_since_command and _is_under_way(accepted):
+            raise LinkLost(
+                f"the link was interrupted while {code.label} was sent, and the axes have begun to move",
+                hint="the motion was stopped; continue with `volcal resume`",
+                **session.where,
+            )
+        return sequence, accepted
 
     def stop(self) -> None:
         """Send the command STOP and return before the axes are at rest.
 
-        The method does not wait for standstill because it may be called from inside a sleep of the clock.
+        If the present connection is lost or does not answer, the command is sent over a new one. The method does not
+        wait for standstill because it may be called from inside a sleep of the clock.
         """
         self._braking = True
-        self._session.send_urgent(CommandCode.STOP)
+        session = self._session
+        if session.link.connected:
+            try:
+                session.send_urgent(CommandCode.STOP)
+            except LINK_FAILURES:
+                session.close()
+            else:
+                return
+        session.open()
+        session.send_urgent(CommandCode.STOP)
 
     def _await_rest(self) -> None:
         """Wait until the axes have come to rest after a STOP; the controller refuses motions while they brake."""
@@ -123,19 +153,25 @@ class ModbusMotion:
             settings.touch_poll_interval_s if code is CommandCode.TOUCH else settings.poll_interval_s
         )
         end_s = clock.now() + predicted_s + END_MARGIN_S
-        allowed_s = DURATION_FACTOR * predicted_s + settings.motion_margin_s
-        deadline = Deadline.after(clock, allowed_s)
+        deadline = MotionDeadline(
+            clock,
+            target,
+            status.position,
+            allowed_s=DURATION_FACTOR * predicted_s + settings.motion_margin_s,
+            stall_s=settings.motion_margin_s,
+        )
         held_deadline: Deadline | None = None
         fine_s = settings.fine_poll_interval_s
         while _is_under_way(status):
+            deadline.observe(status.position)
             if status.state is MotionState.HELD:
                 held_deadline = held_deadline or Deadline.after(clock, settings.max_hold_s)
                 self._require_resumed(held_deadline)
-                deadline = Deadline.after(clock, allowed_s)
+                deadline.restart()
                 pause_s = slice_s
             else:
                 held_deadline = None
-                deadline.raise_if_expired(f"the end of {code.label}", hint="check the controller", **session.where)
+                deadline.raise_if_expired(code.label, session.where)
                 pause_s = _equal_slice_s(end_s - clock.now(), slice_s)
                 if pause_s < fine_s:
                     pause_s, fine_s = fine_s, min(1.5 * fine_s, COARSEST_FINE_POLL_S, slice_s)
@@ -177,6 +213,14 @@ class ModbusMotion:
         )
         if status.outcome not in expected:
             raise self._failure(code, status)
+
+    def _require_reached(self, code: CommandCode, target: Triple, status: StatusImage) -> None:
+        """Raise MotionFault if the position reported with the outcome is not the target; a trip has no target."""
+        if status.outcome is MotionOutcome.TRIPPED:
+            return
+        require_reached(
+            status.position, target, self._session.settings.position_tolerance_mm, code.label, self._session.where
+        )
 
     def _failure(self, code: CommandCode, status: StatusImage) -> DeviceError:
         where = self._session.where

@@ -10,12 +10,13 @@ from drivers.clock import Clock, Deadline, wall_seconds
 from drivers.errors import (
     CommandRejected,
     ConfigurationError,
+    LinkLost,
     LinkTimeout,
     PermissionMissing,
     ProtocolError,
 )
 from drivers.links.modbus import ModbusLink
-from drivers.links.modbus_transport import DamagedFrame
+from drivers.links.reconnection import LINK_FAILURES, Reconnection
 from drivers.modbus_cnc.codec import NumberFormat
 from drivers.modbus_cnc.codes import (
     ACCEPTED,
@@ -44,6 +45,8 @@ class ModbusSession:
 
     def __init__(self, link: ModbusLink, clock: Clock, settings: ModbusCncSettings) -> None:
         self.link = link
+        self.reconnection = link.reconnection or Reconnection(clock, max_attempts=0, max_s=0.0, where=link.where)
+        self.reconnection.verify = self._require_same_controller
         self.clock = clock
         self.settings = settings
         self.where: Mapping[str, str] = link.where
@@ -55,6 +58,8 @@ class ModbusSession:
         self._sequence = 0
         self._results: dict[int, int] = {}
         self._unacknowledged = 0
+        self._acknowledged = 0
+        self._interruptions_at_send = 0
 
     def open(self) -> StatusImage:
         """Connect, verify protocol and version of the register map, and continue from the sequence number that the
@@ -62,9 +67,11 @@ class ModbusSession:
 
         If the controller is in a fault only because the heartbeat of an earlier session was lost, the fault is cleared.
         """
-        self.link.open()
-        status = self.read_status_unchecked()
+        with self.reconnection.suspended():
+            self.link.open()
+            status = self.read_status_unchecked()
         self._sequence, self._unacknowledged = status.acknowledge, 0
+        self._acknowledged = status.acknowledge
         self._results = {status.acknowledge: status.result}
         if status.state is MotionState.FAULT and status.fault_code == FAULT_HEARTBEAT_LOST:
             status = self.command(CommandBlock(CommandCode.RESET))
@@ -87,6 +94,11 @@ class ModbusSession:
         The two are not checked because another client may be using the controller.
         """
         return self._consistent_status(self._read_status())
+
+    @property
+    def interrupted_since_command(self) -> bool:
+        """True if the link was interrupted and restored after the last command reached the controller."""
+        return self.reconnection.count != self._interruptions_at_send
 
     @property
     def poll_wire_time_s(self) -> float:
@@ -140,17 +152,24 @@ class ModbusSession:
         HOLD and RESUME first wait until an earlier command is acknowledged. STOP does not wait, so it may overwrite an
         earlier command.
         """
-        if code is not CommandCode.STOP and self._unacknowledged:
-            self._await_without_sleeping(self._unacknowledged, code)
-        sequence = self._next_sequence()
-        status = self._send(CommandBlock(code), sequence)
-        if sequence not in self._results:
-            status = self._await_without_sleeping(sequence, code)
+        with self.reconnection.suspended():
+            if code is not CommandCode.STOP and self._unacknowledged:
+                self._await_without_sleeping(self._unacknowledged, code)
+            sequence = self._next_sequence()
+            status = self._send(CommandBlock(code), sequence)
+            if sequence not in self._results:
+                status = self._await_without_sleeping(sequence, code)
         return self._accepted(CommandBlock(code), self._results[sequence], status)
 
     def read_limits(self) -> ControllerLimits:
         data = self.link.read(self.settings.blocks.limits, self.layouts.limits.size)
         return ControllerLimits(*self.layouts.limits.unpack(data))
+
+    def _require_same_controller(self) -> None:
+        """Raise ProtocolError if the controller behind a restored link is not in the state in which it was left."""
+        status = self.read_status_unchecked()
+        if status.acknowledge not in (self._acknowledged, self._unacknowledged or self._acknowledged):
+            raise self._foreign_sequence(status.acknowledge)
 
     def _send(self, command: CommandBlock, sequence: int) -> StatusImage:
         try:
@@ -162,13 +181,18 @@ class ModbusSession:
                 **self.where,
             ) from error
         self._unacknowledged = sequence
+        self._interruptions_at_send = self.reconnection.count
         try:
             return self.write_and_read_status(self.settings.blocks.command, block, idempotent=False)
-        except (LinkTimeout, DamagedFrame):
+        except LINK_FAILURES as failure:
+            if isinstance(failure, LinkLost) and not self.reconnection.available:
+                raise
+            # The acknowledged number tells whether the command was taken; reading it restores a lost connection.
             status = self.status()
         if sequence in self._results:
             return status
         # The request was lost, so send it again. If it did arrive: no number is executed twice (map, section 6).
+        self._interruptions_at_send = self.reconnection.count
         return self.write_and_read_status(self.settings.blocks.command, block, idempotent=True)
 
     def _await_without_sleeping(self, sequence: int, code: CommandCode) -> StatusImage:
@@ -206,16 +230,19 @@ class ModbusSession:
         self._peer.observe(status.heartbeat)
         if status.acknowledge == self._unacknowledged != 0:
             self._results[status.acknowledge] = status.result
-            self._unacknowledged = 0
+            self._acknowledged, self._unacknowledged = status.acknowledge, 0
             while len(self._results) > 4:
                 del self._results[next(iter(self._results))]
         elif status.acknowledge not in self._results:
-            raise ProtocolError(
-                f"stale or foreign sequence number {status.acknowledge} acknowledged, last sent {self._sequence}",
-                hint="the controller restarted, or another client sends commands; only one master is allowed",
-                **self.where,
-            )
+            raise self._foreign_sequence(status.acknowledge)
         return status
+
+    def _foreign_sequence(self, acknowledged: int) -> ProtocolError:
+        return ProtocolError(
+            f"stale or foreign sequence number {acknowledged} acknowledged, last sent {self._sequence}",
+            hint="the controller restarted, or another client sends commands; only one master is allowed",
+            **self.where,
+        )
 
     def _consistent_status(self, status: StatusImage) -> StatusImage:
         for _ in range(HALF_WRITTEN_READS):

@@ -102,6 +102,13 @@ class ModbusCncSettings(DriverOptions):
         description="for an answer; on a serial line, on top of the transmission time",
     )
     retries: int = Field(default=1, ge=0, le=10, description="number of retries of requests that may be sent again")
+    reconnect_attempts: int = Field(
+        default=5,
+        ge=0,
+        le=100,
+        description="attempts to open a lost connection again while no axis moves; 0: a lost link ends the run",
+    )
+    reconnect_timeout_s: Seconds = Field(default=30.0, description="time limit of these attempts")
     combined_function: bool = Field(default=True, description="use function 23 (write and read in one)")
 
     blocks: BlockAddresses = BlockAddresses()
@@ -120,7 +127,17 @@ class ModbusCncSettings(DriverOptions):
     fine_poll_interval_s: float = Field(default=0.01, gt=0.0, le=0.5, description="near the end of a wait")
     acknowledge_timeout_s: Seconds = 1.0
     heartbeat_timeout_s: Seconds = 1.0
-    motion_margin_s: Seconds = Field(default=5.0, description="on top of 1.5 times the predicted duration")
+    motion_margin_s: Seconds = Field(
+        default=5.0,
+        description="on top of 1.5 times the predicted duration, and the longest standstill after that: the limit is "
+        "extended while the axes advance",
+    )
+    position_tolerance_mm: float = Field(
+        default=0.05,
+        gt=0.0,
+        le=10.0,
+        description="largest distance of each axis from its target at the end of a motion",
+    )
     max_hold_s: Seconds = Field(default=600.0, description="longest wait for the release of a feed hold at the panel")
     table_timeout_s: Seconds = Field(default=10.0, description="for one step of a table transfer")
     latch_tolerance_mm: float = Field(

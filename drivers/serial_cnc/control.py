@@ -5,8 +5,8 @@ A stop has two phases: a feed hold, and a soft reset after the axes have come to
 
 from __future__ import annotations
 
-from drivers.clock import Clock, Deadline, wall_seconds
-from drivers.errors import CommandRejected, PermissionMissing
+from drivers.clock import Clock, Deadline, without_interrupts
+from drivers.errors import CommandRejected, DeviceError, MotionFault, PermissionMissing
 from drivers.roles import MotionState
 from drivers.serial_cnc.codes import POSITION_KEPT
 from drivers.serial_cnc.conversation import CANCEL_JOG, HOLD, RESUME, Conversation
@@ -14,6 +14,9 @@ from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
 
 CLOSE_WITHIN_S = 1.0
 CLOSE_POLL_S = 0.05
+RESEND_WITHIN_S, RESEND_EVERY_S = 6.0, 0.25
+HELD = "Hold"
+HOLD_POLL_S = 0.2
 DOOR_CLOSED_AGAIN = "Door:0"
 """State word while the door is closed again and the controller waits for a resume."""
 
@@ -31,6 +34,8 @@ class MotionControl:
         self._tracker = tracker
         self._clock = clock
         self._stopping = False
+        self.hold_sent = False
+        """True if the feed hold of the latest stop could be sent."""
 
     @property
     def stopping(self) -> bool:
@@ -48,10 +53,12 @@ class MotionControl:
     def stop(self) -> None:
         """Send a feed hold, the first phase of a stop, and return before the axes are at rest.
 
-        The method does not wait for standstill because it may be called from inside a sleep of the clock.
+        The feed hold overtakes everything unsent, on a new connection if the present one is lost or stalled. The method
+        does not wait for standstill because it may be called from inside a sleep of the clock.
         """
-        self._stopping = True
-        self._conversation.realtime(CANCEL_JOG + HOLD)
+        self._stopping, self.hold_sent = True, False
+        self._conversation.urgent(CANCEL_JOG + HOLD)
+        self.hold_sent = True
         self.read_status()
 
     def read_status(self) -> TrackedStatus:
@@ -66,13 +73,26 @@ class MotionControl:
         return status
 
     def finish(self) -> None:
-        """Complete a pending stop before the serial line is closed. Waits up to `CLOSE_WITHIN_S` seconds of wall time
-        for the axes to come to rest.
+        """Complete a pending stop before the serial line is closed.
+
+        If its feed hold could not be sent because the line was lost, sending is tried for `RESEND_WITHIN_S`: the cable
+        may have been plugged in again. Waits up to `CLOSE_WITHIN_S` seconds in the time of
+        the link for the axes to come to rest.
         """
-        deadline_s = wall_seconds() + CLOSE_WITHIN_S
-        while self._stopping and wall_seconds() < deadline_s:
+        self._send_missing_hold()
+        deadline_s = self._conversation.line.seconds() + CLOSE_WITHIN_S
+        while self._stopping and self._conversation.line.seconds() < deadline_s:
             self.read_status()
             self._conversation.drain_for(CLOSE_POLL_S)
+
+    def _send_missing_hold(self) -> None:
+        clock = without_interrupts(self._clock)
+        deadline = Deadline.after(clock, RESEND_WITHIN_S)
+        while self._stopping and not self.hold_sent and not deadline.expired:
+            try:
+                self.stop()
+            except DeviceError:
+                clock.sleep(RESEND_EVERY_S)
 
     def require_ready(self, within_s: float) -> TrackedStatus:
         """Wait up to `within_s` seconds for the end of a pending stop, and return a status in which a motion can start.
@@ -88,10 +108,11 @@ class MotionControl:
             )
             self._clock.sleep(CLOSE_POLL_S)
             status = self.read_status()
+        status = self._await_release(status)
         if status.missing:
             raise PermissionMissing(
                 f"motion refused: {status.missing}" + (f"; {status.fault}" if status.fault else ""),
-                hint="make the machine ready: home it, close the door, stop the spindle, end other programs",
+                hint=status.remedy,
                 **self._conversation.where,
             )
         if status.state is not MotionState.IDLE:
@@ -100,6 +121,24 @@ class MotionControl:
                 hint="resume or reset the held motion at the controller, then start again",
                 **self._conversation.where,
             )
+        return status
+
+    def _await_release(self, status: TrackedStatus) -> TrackedStatus:
+        """Wait for the release of a feed hold that a person has pressed between two motions.
+
+        Refusing the motion would end the run with a stop, which discards the hold.
+        """
+        max_hold_s = self._conversation.settings.max_hold_s
+        deadline = Deadline.after(self._clock, max_hold_s)
+        while status.word.startswith(HELD) and not self._stopping:
+            if deadline.expired:
+                raise MotionFault(
+                    f"held at the machine for more than {max_hold_s:g} s",
+                    hint="release the feed hold and start the run again",
+                    **self._conversation.where,
+                )
+            self._clock.sleep(HOLD_POLL_S)
+            status = self.read_status()
         return status
 
     def reset(self) -> None:
@@ -117,7 +156,7 @@ class MotionControl:
         if status.alarm not in POSITION_KEPT:
             raise CommandRejected(
                 f"not unlocked: {status.fault}, the position is not certain",
-                hint="home the machine ($H), then start again",
+                hint=status.remedy,
                 **self._conversation.where,
             )
         self.unlock()

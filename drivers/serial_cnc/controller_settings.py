@@ -1,7 +1,8 @@
 """Settings of a GRBL or grblHAL controller (``$`` numbers), and checks for values that would make probing wrong or
 impossible.
 
-Sources: gnea/grbl, doc/markdown/settings.md; grblHAL/core settings.h (`reportmask_t`) for bits that GRBL does not have.
+Sources: gnea/grbl, doc/markdown/settings.md; grblHAL/core settings.h (`reportmask_t`) for bits that GRBL does not have,
+machine_limits.c (`limits_set_work_envelope`) for its soft limits.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from drivers.roles import AxisLimits, DiagnosticFinding
+from drivers.roles import AxisLimits, DiagnosticFinding, Vector
 from drivers.serial_cnc.lines import MessageLine, SettingLine
 
 REPORT_MASK, REPORT_INCHES = 10, 13
-SOFT_LIMITS, HOMING, HOMING_DIRECTION = 20, 22, 23
-IDLE_DELAY, LASER_MODE = 1, 32
+SOFT_LIMITS, HARD_LIMITS, HOMING, HOMING_DIRECTION, PULL_OFF = 20, 21, 22, 23, 27
+HOMING_CYCLES = (44, 45, 46)
+"""Settings of grblHAL with the axes that home in each cycle."""
+IDLE_DELAY, DIRECTION, LASER_MODE = 1, 3, 32
 STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
 NEEDED = (REPORT_MASK, REPORT_INCHES, SOFT_LIMITS, HOMING, *(b + a for b in (100, 110, 120, 130) for a in range(3)))
 
@@ -32,6 +35,14 @@ HAL_ORIGIN_AT_HOME = 8
 In GRBL this is a build option, reported by ``Z`` in ``[OPT:``.
 """
 AXES = "XYZ"
+HOMING_OFF = (
+    "$22=0: homing is off, so the machine zero is not reproducible; set $22=1 and home the machine ($H), or set "
+    "manual_referencing if the machine has no homing switches"
+)
+REPORT_ROUNDING_MM = 5e-4
+"""Half of the last decimal of a reported position."""
+SINGLE_PRECISION = 2.0**-24
+"""Largest relative rounding error of a number of single precision."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +98,29 @@ class ControllerSettings:
     def step_mm(self, axis: int) -> float:
         return 1.0 / self.values[STEPS + axis]
 
+    def stand_at(self, reported_mm: Vector, target_mm: Vector) -> bool:
+        """Return True if axes with the reported position may stand on the steps of `target_mm`.
+
+        Both are machine coordinates in mm, shape (3,). The report is rounded to three decimals, and the controller
+        computes in single precision.
+        """
+        for axis, (reported, target) in enumerate(zip(reported_mm.tolist(), target_mm.tolist(), strict=True)):
+            step = self.step_mm(axis)
+            rounding = REPORT_ROUNDING_MM + self.values[TRAVEL + axis] * SINGLE_PRECISION
+            if abs(step * round(target / step) - reported) > rounding:
+                return False
+        return True
+
+    def _pull_off_mm(self, axis: int) -> float:
+        """Return the distance by which the soft limits of grblHAL end before the switches.
+
+        With hard limits it keeps away from the switches of the axes that it homes.
+        """
+        homed = [int(self.values[number]) for number in HOMING_CYCLES if number in self.values]
+        homes = not homed or any(mask >> axis & 1 for mask in homed)
+        keeps_away = self.hal and homes and int(self.values.get(HARD_LIMITS, 0.0)) & 1
+        return self.values.get(PULL_OFF, 0.0) if keeps_away else 0.0
+
     def limits(self, axis_zero_mm: tuple[float, float, float]) -> AxisLimits:
         """Return the travel in displayed axis positions, and the limits of speed and acceleration.
 
@@ -96,10 +130,10 @@ class ControllerSettings:
         at_home = int(self.values[HOMING]) & HAL_ORIGIN_AT_HOME if self.hal else "Z" in self.options.split(",")[0]
         lower, upper = [], []
         for axis, zero in enumerate(axis_zero_mm):
-            travel = self.values[TRAVEL + axis]
+            travel, pull_off = self.values[TRAVEL + axis], self._pull_off_mm(axis)
             upwards = at_home and int(self.values.get(HOMING_DIRECTION, 0.0)) >> axis & 1
-            lower.append((0.0 if upwards else -travel) - zero)
-            upper.append((travel if upwards else 0.0) - zero)
+            lower.append((0.0 if upwards else pull_off - travel) - zero)
+            upper.append((travel - pull_off if upwards else 0.0 if at_home else -pull_off) - zero)
         rates = [self.values[RATE + axis] / 60.0 for axis in range(3)]
         accelerations = [self.values[ACCELERATION + axis] for axis in range(3)]
         return AxisLimits(_triple(lower), _triple(upper), _triple(rates), _triple(accelerations))
@@ -131,14 +165,16 @@ class ControllerSettings:
             return
         yield self._reports()
         homes = self.homes or manual_referencing
-        text = "homes with switches" if self.homes else "$22=0: the machine does not home"
-        yield DiagnosticFinding("homing", ok=homes, text=text + (" (referenced by hand)" if manual_referencing else ""))
+        text = "homes with switches" if self.homes else HOMING_OFF
+        by_hand = "referenced by hand" if not self.homes else f"{text} (referenced by hand)"
+        yield DiagnosticFinding("homing", ok=homes, text=by_hand if manual_referencing else text)
         soft = bool(self.values[SOFT_LIMITS])
         yield DiagnosticFinding(
             "soft limits",
             ok=soft,
             text="on" if soft else "$20=0: the controller does not guard the travel; set $20=1",
         )
+        yield self._directions()
         yield self._steps()
         yield self._idle()
         if self.values.get(LASER_MODE):
@@ -155,6 +191,15 @@ class ControllerSettings:
                 "reports", ok=False, text=f"$10={mask} leaves out {', '.join(missing_fields)}; set $10={required_mask}"
             )
         return DiagnosticFinding("reports", ok=bool(mask & 1), text=f"$10={mask}, $13={self.values[REPORT_INCHES]:g}")
+
+    def _directions(self) -> DiagnosticFinding:
+        """State where the axes home and which are inverted; only a jog shows whether this agrees with the machine."""
+        lower = int(self.values.get(HOMING_DIRECTION, 0.0))
+        ends = ", ".join(f"{name} {'lower' if lower >> axis & 1 else 'upper'}" for axis, name in enumerate(AXES))
+        shrunk = [f"{name} {self._pull_off_mm(axis):g} mm" for axis, name in enumerate(AXES) if self._pull_off_mm(axis)]
+        pull_off = f"; soft limits end before the switches ($21, $27): {', '.join(shrunk)}" if shrunk else ""
+        text = f"homing ends ($23): {ends}; inverted axes: $3={self.values.get(DIRECTION, 0.0):g}{pull_off}"
+        return DiagnosticFinding("directions", ok=True, text=f"{text}; jog each axis towards + and watch it")
 
     def _steps(self) -> DiagnosticFinding:
         sizes = [self.step_mm(axis) if self.values[STEPS + axis] > 0.0 else math.inf for axis in range(3)]

@@ -2,7 +2,8 @@
 
 There is no receiving thread. The controller answers a status query at any time, and its lines arrive in the order in
 which it sent them. After the answer to a query has been read, all earlier lines have therefore been read too. Every
-wait in this module is for an immediate answer and is bounded in wall time. Callers make longer waits on the clock.
+wait in this module is for an immediate answer and is bounded in the time of the link (wall time on a serial port).
+Callers make longer waits on the clock.
 """
 
 from __future__ import annotations
@@ -10,9 +11,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from drivers.clock import wall_seconds
-from drivers.errors import CommandRejected, LinkTimeout, ProtocolError
-from drivers.links.serial_port import SerialPort
+from drivers.errors import CommandRejected, DeviceError, LinkLost, LinkTimeout, ProtocolError
+from drivers.links.serial_port import LineLink
 from drivers.serial_cnc.codes import LOCKED_ERRORS, error_text
 from drivers.serial_cnc.lines import (
     AlarmLine,
@@ -61,14 +61,19 @@ class Conversation:
     Methods raise LinkLost, LinkTimeout or ProtocolError. Each error names the device and the link.
     """
 
-    def __init__(self, line: SerialPort, settings: SerialCncSettings) -> None:
+    def __init__(self, line: LineLink, settings: SerialCncSettings) -> None:
         self.line = line
+        self._seconds = line.seconds
         self.settings = settings
         self.where = line.where
         self._pending: deque[SentLine] = deque()
+        self._orphans = 0
+        """Number of lines sent before a restart that the controller may receive and answer only after it."""
         self._synchronised = False
         self._reports = 0
         self._last_report: StatusReport | None = None
+        self._unanswered: deque[float] = deque()
+        """Instants at which the status queries were sent whose reports may still come, oldest first."""
         self._messages: list[MessageLine | SettingLine] = []
         self.restarts = 0
         self.alarm: int | None = None
@@ -78,28 +83,32 @@ class Conversation:
 
     def open(self) -> StatusReport:
         """Connect and wait for the first status report. Call `synchronise` before sending lines. Moves nothing."""
+        self._connect()
+        return self._first_report()
+
+    def _connect(self) -> None:
         self.line.open()
         self._pending.clear()
         self._messages.clear()
+        self._unanswered.clear()
         self._synchronised = False
         self.probe_results.clear()
-        return self._first_report()
 
     def close(self) -> None:
         self.line.close()
 
     def _first_report(self) -> StatusReport:
-        deadline_s = wall_seconds() + self.settings.boot_timeout_s
+        deadline_s = self._seconds() + self.settings.boot_timeout_s
         before, garbled = self._reports, ""
         while True:
-            self.line.write(QUERY)
+            self._query()
             try:
                 self._read_for(BOOT_QUERY_EVERY_S, before)
             except ProtocolError as error:
                 garbled = error.message  # a booting board may send any text
             if self._reports > before and self._last_report is not None:
                 return self._last_report
-            if wall_seconds() >= deadline_s:
+            if self._seconds() >= deadline_s:
                 break
         if garbled:
             raise ProtocolError(
@@ -118,13 +127,14 @@ class Conversation:
         discarded.
         """
         self.line.write(SYNCHRONISE.encode() + b"\n")
-        deadline_s = wall_seconds() + self.settings.response_timeout_s
-        while wall_seconds() < deadline_s:
-            line = self._next_line_or_raw(deadline_s - wall_seconds())
+        deadline_s = self._seconds() + self.settings.response_timeout_s
+        while self._seconds() < deadline_s:
+            line = self._next_line_or_raw(deadline_s - self._seconds())
             if isinstance(line, AnswerLine) and line.error is not None:
                 while self._next_line_or_raw(LATE_WITHIN_S) is not None:
                     continue
                 self._synchronised = True
+                self._acknowledge()
                 return
         raise LinkTimeout(
             "the controller reports its status but does not answer lines",
@@ -148,20 +158,23 @@ class Conversation:
     # ------------------------------------------------------------------ requests
 
     def report(self) -> StatusReport:
-        """Query the status and return the status report.
+        """Query the status and return a report that the controller has made after this call began.
 
-        A query has no side effect, so the query is repeated if its answer is lost or garbled.
+        A query has no side effect, so the query is repeated if its answer is lost, late or garbled. Reports do not say
+        which query they answer. Those of an earlier call that may still come are therefore awaited first.
         """
+        self._await_late_reports()
         last: ProtocolError | None = None
         for _ in range(self.settings.retries + 1):
             before = self._reports
-            self.line.write(QUERY)
+            self._query()
             try:
                 self._read_for(self.settings.response_timeout_s / (self.settings.retries + 1), before)
             except ProtocolError as error:
                 if "garbled" not in error.where:
                     raise
                 last = error
+                self._discount(error)
             if self._reports > before and self._last_report is not None:
                 return self._last_report
         if last is not None:
@@ -172,16 +185,41 @@ class Conversation:
             **self.where,
         )
 
+    def _query(self) -> None:
+        self.line.write(QUERY)
+        self._unanswered.append(self._seconds())
+
+    def _await_late_reports(self) -> None:
+        """Read the reports of earlier queries, each for at most `response_timeout_s` after its query.
+
+        A report that has not come by then was lost, or the controller has answered two queries by one report.
+        """
+        while self._unanswered:
+            deadline_s = self._unanswered[-1] + self.settings.response_timeout_s
+            try:
+                if self._seconds() >= deadline_s or not self._read_one(deadline_s):
+                    self._unanswered.clear()
+            except ProtocolError as error:
+                if "garbled" not in error.where:
+                    raise
+                self._discount(error)
+
+    def _discount(self, error: ProtocolError) -> None:
+        """Count a garbled line as the answer to a query if it looks like a part of a report."""
+        if self._unanswered and any(mark in error.where["garbled"] for mark in "<|>"):
+            self._unanswered.popleft()
+
     def send(self, line: str) -> SentLine:
         """Send a line without waiting for its answer. If the controller's receive buffer is full, first wait until it
         has room.
         """
         sent = SentLine(line)
-        deadline_s = wall_seconds() + self.settings.response_timeout_s
+        deadline_s = self._seconds() + self.settings.response_timeout_s
         while self._pending and self._buffered(line) >= self.settings.receive_buffer:
             if not self._read_one(deadline_s):
                 raise LinkTimeout("the controller accepts no further line: its buffer is full", **self.where)
         self._pending.append(sent)
+        self._orphans = 0
         self.line.write(line.encode("ascii") + b"\n")
         return sent
 
@@ -197,7 +235,7 @@ class Conversation:
         return list(self._messages)
 
     def await_answer(self, sent: SentLine) -> None:
-        deadline_s = wall_seconds() + self.settings.response_timeout_s
+        deadline_s = self._seconds() + self.settings.response_timeout_s
         restarts = self.restarts
         while not sent.answered:
             if self.restarts != restarts:
@@ -212,12 +250,40 @@ class Conversation:
         if error is None:
             return
         hint = "clear the alarm: home the machine, or $X if its position is certain" if error in LOCKED_ERRORS else ""
-        raise CommandRejected(
+        rejected = CommandRejected(
             f"the controller refused {sent.line!r}: {error_text(error)}", hint=hint, error=error, **self.where
         )
+        try:
+            self._acknowledge()
+        except DeviceError as failure:
+            rejected.add_note(f"the error could not be acknowledged: {failure}")
+        raise rejected
+
+    def _acknowledge(self) -> None:
+        """Send an empty line, which acknowledges an error.
+
+        Until then grblHAL answers every further block with the same error and does not execute it. To GRBL 1.1 an empty
+        line means nothing.
+        """
+        self.await_answer(self.send(""))
 
     def realtime(self, character: bytes) -> None:
         self.line.write(character)
+
+    def urgent(self, characters: bytes) -> None:
+        """Send real-time characters ahead of all unsent data: on the present connection, else on a new one.
+
+        Raises LinkLost or LinkTimeout if neither accepts them. This takes less than a second of wall time.
+        """
+        if self.line.connected:
+            try:
+                self.line.write_urgent(characters)
+            except (LinkLost, LinkTimeout):
+                self.line.close()
+            else:
+                return
+        self._connect()
+        self.line.write_urgent(characters)
 
     def reset(self) -> None:
         """Send a soft reset and wait for the welcome line.
@@ -227,12 +293,13 @@ class Conversation:
         restarts = self.restarts
         self.alarm = None
         self.line.write(SOFT_RESET)
-        deadline_s = wall_seconds() + self.settings.response_timeout_s
+        deadline_s = self._seconds() + self.settings.response_timeout_s
         while self.restarts == restarts:
             if not self._read_one(deadline_s):
                 raise LinkTimeout(
                     "no welcome line after a soft reset", hint="reset the controller by hand", **self.where
                 )
+        self._synchronised = True  # it has forgotten all lines
 
     def clear_alarm(self) -> None:
         """Clear the alarm stored in this object. Call it after a status report that shows no alarm state."""
@@ -240,7 +307,7 @@ class Conversation:
 
     def drain_for(self, wall_s: float) -> None:
         """Wait up to `wall_s` seconds of wall time for a line. If a line arrives, process it and return."""
-        self._read_one(wall_seconds() + wall_s)
+        self._read_one(self._seconds() + wall_s)
 
     # ------------------------------------------------------------------ receiving
 
@@ -248,13 +315,13 @@ class Conversation:
         return sum(len(sent.line) + 1 for sent in self._pending) + len(line) + 1
 
     def _read_for(self, wall_s: float, reports: int) -> None:
-        deadline_s = wall_seconds() + wall_s
+        deadline_s = self._seconds() + wall_s
         while self._reports == reports and self._read_one(deadline_s):
             continue
 
     def _read_one(self, deadline_s: float) -> bool:
         """Receive and process one line; return False if none arrives before `deadline_s` (wall clock)."""
-        raw = self.line.read_line(deadline_s - wall_seconds())
+        raw = self.line.read_line(deadline_s - self._seconds())
         if raw is None:
             return False
         try:
@@ -275,13 +342,17 @@ class Conversation:
         match line:
             case StatusReport():
                 self._reports, self._last_report = self._reports + 1, line
+                if self._unanswered:
+                    self._unanswered.popleft()
             case AlarmLine(code):
                 self.alarm = code
             case ProbeResult():
                 self.probe_results.append(line)
             case WelcomeLine():
                 self.restarts += 1
+                self._orphans = len(self._pending)
                 self._pending.clear()
+                self._unanswered.clear()
             case MessageLine() | SettingLine():
                 self._messages.append(line)
             case _:
@@ -292,6 +363,9 @@ class Conversation:
         if not self._pending:
             if not self._synchronised:
                 return  # answer to a line of a previous user
+            if self._orphans:
+                self._orphans -= 1
+                return
             text = "ok" if answer.error is None else f"error:{answer.error}"
             raise ProtocolError(
                 f"{text!r} from the controller, but no line waits for an answer",

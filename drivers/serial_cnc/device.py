@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.clock import Clock
 from drivers.errors import CommandRejected, ConfigurationError, DeviceError, LinkLost
-from drivers.links.serial_port import SerialAddress, SerialPort
+from drivers.links.serial_port import LineLink, SerialAddress, SerialPort
 from drivers.registry import DeviceContext
 from drivers.roles import (
     AxisLimits,
@@ -42,14 +42,15 @@ from drivers.serial_cnc.store import BankStore
 class SerialCnc:
     """Device for a GRBL controller.
 
-    The parts of the device that need the controller's settings exist only while the device is open.
+    The parts of the device that need the controller's settings exist only while the device is open. If `line` is given,
+    it takes the place of the serial port of the settings.
     """
 
-    def __init__(self, settings: SerialCncSettings, context: DeviceContext) -> None:
-        address = SerialAddress(settings.port, settings.baud)
+    def __init__(self, settings: SerialCncSettings, context: DeviceContext, line: LineLink | None = None) -> None:
+        line = line or SerialPort(SerialAddress(settings.port, settings.baud), device=context.name)
         self._settings = settings
         self._clock = context.clock
-        self._conversation = Conversation(SerialPort(address, device=context.name), settings)
+        self._conversation = Conversation(line, settings)
         self._where = self._conversation.where
         directory = context.base_path / settings.banks.directory
         self._store = BankStore(settings.banks, BankFiles(directory, self._where), self._where, self._require_rest)
@@ -76,7 +77,7 @@ class SerialCnc:
     def close(self) -> None:
         parts, self._parts = self._parts, None
         try:
-            if parts is not None and self._conversation.line.connected:
+            if parts is not None and (self._conversation.line.connected or parts.control.stopping):
                 parts.control.finish()
         finally:
             self._conversation.close()
@@ -113,12 +114,11 @@ class SerialCnc:
         self._open.control.reset()
 
     def stop(self) -> None:
-        """Stop the motion, reopening the port first if it was lost. Does nothing if the device is closed."""
-        if self._parts is None:
-            return
-        if not self._conversation.line.connected:
-            self._conversation.open()
-        self._parts.control.stop()
+        """Stop the motion, on a new connection if the present one is lost or stalled. Does nothing if the device is
+        closed.
+        """
+        if self._parts is not None:
+            self._parts.control.stop()
 
     def probe_status(self) -> ProbeStatus:
         """Return the probe status. The controller reports only deflection; the probe is assumed to be loaded and
@@ -186,4 +186,4 @@ class _Parts:
         self.control = MotionControl(conversation, tracker, clock)
         self.frames = CoordinateFrames(controller_settings.limits(zero), zero, store, conversation.where)
         self.motion = SerialMotion(conversation, tracker, self.control, self.frames, clock)
-        self.probing = SerialProbing(conversation, tracker, self.motion, self.frames)
+        self.probing = SerialProbing(conversation, tracker, self.motion, self.frames, controller_settings)

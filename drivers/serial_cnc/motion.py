@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from drivers.clock import Clock, Deadline
 from drivers.errors import (
     CommandRejected,
@@ -20,6 +18,7 @@ from drivers.errors import (
     PermissionMissing,
     ProtocolError,
 )
+from drivers.reached_position import require_reached
 from drivers.roles import MotionState, Permission, Vector
 from drivers.serial_cnc.codes import ALARM_PROBE_STATE
 from drivers.serial_cnc.control import MotionControl
@@ -35,8 +34,6 @@ They are part of every line, since another user may have left other modes active
 """
 BARRIER = "G4P0"
 PROBE_PROTECTED_ALARM = 13
-ANSWER_LOST_AFTER = 4
-"""Number of status reports with axes at rest after which a missing answer counts as lost."""
 
 
 @dataclass(frozen=True)
@@ -114,13 +111,10 @@ class SerialMotion:
         return status
 
     def require_at(self, goal_mm: Vector, status: TrackedStatus, what: str) -> None:
-        off_mm = float(np.linalg.norm(status.position_mm - goal_mm))
-        if off_mm > self._settings.position_tolerance_mm:
-            raise MotionFault(
-                f"{what} ended {off_mm:.3f} mm from its target",
-                hint="check whether the machine was reset, held or jogged, and compare the work offset",
-                **self.where,
-            )
+        """Raise MotionFault if the axes are not at `goal_mm`; both positions are in machine coordinates."""
+        require_reached(
+            status.position_mm.tolist(), goal_mm.tolist(), self._settings.position_tolerance_mm, what, self.where
+        )
 
     def _await_planned(self, sent: SentLine) -> None:
         """Wait for the ``ok`` that means that the motion is planned.
@@ -143,11 +137,12 @@ class SerialMotion:
         predicted_s = DurationPrediction(self._frames.limits).of(
             start_mm, order.goal_mm, order.feed_mm_per_s, status.slowest_share
         )
-        schedule = PollSchedule(self._clock, self._settings, predicted_s, order.slice_s)
+        schedule = PollSchedule(self._clock, self._settings, predicted_s, order.slice_s, start_mm, order.goal_mm)
         held: Deadline | None = None
-        idle = 0
+        answer_due: Deadline | None = None
         while True:
             self._require_no_restart(unexpected_restarts, order.what)
+            schedule.deadline.observe(status.position_mm.tolist())
             self._require_sound(status, order.what)
             if self._control.stopping:
                 raise MotionFault(f"the {order.what} was stopped", hint="start the run again", **self.where)
@@ -159,11 +154,12 @@ class SerialMotion:
                 schedule.restart()
             else:
                 held = None
-                schedule.deadline.raise_if_expired(
-                    f"the end of a {order.what}", hint="check the controller", **self.where
-                )
-                idle = idle + 1 if status.state is MotionState.IDLE and schedule.past_predicted_end else 0
-                self._require_answer(idle, sent)
+                schedule.deadline.raise_if_expired(order.what, self.where)
+                if status.state is MotionState.IDLE and schedule.past_predicted_end:
+                    answer_due = answer_due or Deadline.after(self._clock, self._settings.response_timeout_s)
+                    self._require_answer(answer_due, sent)
+                else:
+                    answer_due = None
             self._clock.sleep(schedule.pause_s())
             status = self._tracker.read_status()
 
@@ -187,7 +183,7 @@ class SerialMotion:
         if status.alarm == PROBE_PROTECTED_ALARM:
             self._control.unlock()
             raise GuardTripped(f"the probe tripped in a {what}", hint="check what the probe touched", **self.where)
-        raise MotionFault(f"{what} ended in an alarm: {status.fault}", hint="check the controller", **self.where)
+        raise MotionFault(f"{what} ended in an alarm: {status.fault}", hint=status.remedy, **self.where)
 
     def _require_resumed(self, held: Deadline, status: TrackedStatus) -> None:
         if not status.permissions[Permission.DOORS_CLOSED]:
@@ -199,20 +195,22 @@ class SerialMotion:
                 **self.where,
             )
 
-    def _require_answer(self, idle: int, sent: SentLine) -> None:
-        if idle >= ANSWER_LOST_AFTER:
+    def _require_answer(self, answer_due: Deadline, sent: SentLine) -> None:
+        if answer_due.expired:
             raise ProtocolError(
-                f"the axes are at rest, but no answer to {sent.line!r} has come",
+                f"the axes have been at rest for {self._settings.response_timeout_s:g} s, but no answer to "
+                f"{sent.line!r} has come",
                 hint="it was lost on the line: check cable, shield and baud",
                 **self.where,
             )
 
     def _stop_because_of(self, error: BaseException) -> None:
         try:
-            if self._conversation.line.connected:
-                self._control.stop()
+            self._control.stop()
         except DeviceError as failure:
-            error.add_note(f"a feed hold was sent, but its effect is unknown: {failure}")
+            sent = self._control.hold_sent
+            what = "a feed hold was sent, but its effect is unknown" if sent else "the feed hold could not be sent"
+            error.add_note(f"{what}: {failure}")
 
 
 def axis_words(position_mm: Vector) -> str:

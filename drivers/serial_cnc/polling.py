@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from drivers.clock import Clock, Deadline
+from drivers.clock import Clock
+from drivers.motion_deadline import MotionDeadline
 from drivers.roles import AxisLimits, Vector
 from drivers.serial_cnc.settings import SerialCncSettings
 from drivers.straight_move import move_duration_s
@@ -45,13 +46,27 @@ class PollSchedule:
     grow.
     """
 
-    def __init__(self, clock: Clock, settings: SerialCncSettings, predicted_s: float, slice_s: float) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        settings: SerialCncSettings,
+        predicted_s: float,
+        slice_s: float,
+        start_mm: Vector,
+        goal_mm: Vector,
+    ) -> None:
+        """`start_mm` and `goal_mm` are the ends of the motion in the coordinates of the reported positions."""
         self._clock = clock
         self._slice_s = slice_s
-        self._allowed_s = DURATION_FACTOR * predicted_s + settings.motion_margin_s
         self._end_s = clock.now() + predicted_s + END_MARGIN_S
         self._fine_s = settings.fine_poll_interval_s
-        self.deadline = Deadline.after(clock, self._allowed_s)
+        self.deadline = MotionDeadline(
+            clock,
+            goal_mm.tolist(),
+            start_mm.tolist(),
+            allowed_s=DURATION_FACTOR * predicted_s + settings.motion_margin_s,
+            stall_s=settings.motion_margin_s,
+        )
 
     @property
     def past_predicted_end(self) -> bool:
@@ -60,7 +75,7 @@ class PollSchedule:
 
     def restart(self) -> None:
         """Restart the time limit of a motion that is on hold, because time on hold does not count."""
-        self.deadline = Deadline.after(self._clock, self._allowed_s)
+        self.deadline.restart()
 
     def pause_s(self) -> float:
         left_s = self._end_s - self._clock.now()

@@ -13,6 +13,7 @@ import numpy as np
 
 from drivers.errors import CommandRejected, GuardTripped, MotionFault, ProtocolError
 from drivers.roles import Miss, Touch, Vector
+from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.frames import CoordinateFrames
 from drivers.serial_cnc.lines import ProbeResult
@@ -21,8 +22,8 @@ from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
 from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 
 UNTIL_CONTACT, UNTIL_FREE = "G38.3", "G38.5"
-SHORTEST_MM = 5e-4
-"""Length in mm below which no probe cycle is sent; the controller rejects one of zero length (error 33)."""
+SAME_POSITION = "33"
+"""Error of a probe cycle whose target is where the controller already stands."""
 
 
 @dataclass(frozen=True)
@@ -36,18 +37,27 @@ class ProbeCycleResult:
 class SerialProbing:
     """Touches and guarded moves by means of probe cycles.
 
+    No cycle is sent if the axes stand at its target as far as a report can tell: it would not move them, and the
+    controller refuses one whose target is the position that it has computed itself (error 33).
+
     A latched position is accepted only if the cycle reported no other position and the latched one lies on the cycle's
     path.
     """
 
     def __init__(
-        self, conversation: Conversation, tracker: StatusTracker, motion: SerialMotion, frames: CoordinateFrames
+        self,
+        conversation: Conversation,
+        tracker: StatusTracker,
+        motion: SerialMotion,
+        frames: CoordinateFrames,
+        controller_settings: ControllerSettings,
     ) -> None:
         self._conversation = conversation
         self._tracker = tracker
         self._motion = motion
         self._frames = frames
         self._settings = conversation.settings
+        self._controller = controller_settings
         self._press_direction: Vector | None = None
 
     def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
@@ -57,7 +67,7 @@ class SerialProbing:
                 "the probe is deflected before the touch", hint="withdraw it first", **self._motion.where
             )
         goal = self._frames.to_machine(target_mm)
-        if _distance(status.position_mm, goal) < SHORTEST_MM:
+        if self._controller.stand_at(status.position_mm, goal):
             return Miss(_triple(self._frames.to_displayed(status.position_mm)))
         ended = self._cycle(UNTIL_CONTACT, "touch", status.position_mm, goal, feed_mm_per_s)
         position = _triple(self._frames.to_displayed(np.array(ended.result.position)))
@@ -74,7 +84,7 @@ class SerialProbing:
         if status.deflected:
             status = self._back_off(status, goal, feed_mm_per_s)
         start = status.position_mm
-        if _distance(start, goal) < SHORTEST_MM or status.deflected:
+        if self._controller.stand_at(start, goal) or status.deflected:
             return
         ended = self._cycle(UNTIL_CONTACT, "guarded move", start, goal, self._feed(start, goal, feed_mm_per_s))
         if ended.result.tripped:
@@ -93,7 +103,7 @@ class SerialProbing:
         """
         start, path = status.position_mm, goal - status.position_mm
         length = float(np.linalg.norm(path))
-        if length < SHORTEST_MM:
+        if self._controller.stand_at(start, goal):
             return status
         if self._press_direction is not None and float(path @ self._press_direction) > 0.0:
             raise CommandRejected(
@@ -118,7 +128,10 @@ class SerialProbing:
         work = goal - self._tracker.work_offset()
         line = f"{PREAMBLE}{code}{axis_words(work)}{feed_word(feed_mm_per_s)}"
         order = MotionOrder(line, what, goal, feed_mm_per_s, self._settings.touch_poll_interval_s, barrier=False)
-        status = self._motion.execute(order, start)
+        try:
+            status = self._motion.execute(order, start)
+        except CommandRejected as rejected:
+            return self._already_there(rejected, goal)
         results = self._conversation.probe_results
         if len(results) != 1:
             raise self._error(f"{what} ended with {len(results)} probe results, not one")
@@ -132,6 +145,14 @@ class SerialProbing:
             if _distance(np.array(result.position), status.position_mm) > self._settings.position_tolerance_mm:
                 raise self._error(f"{what} ended without a trip, but its result is not the position of the axes")
         return ProbeCycleResult(result, status)
+
+    def _already_there(self, rejected: CommandRejected, goal: Vector) -> ProbeCycleResult:
+        """Return the result of a cycle that was refused because the axes stand at its target; else raise `rejected`."""
+        status = self._tracker.read_status()
+        near = float(np.linalg.norm(status.position_mm - goal)) <= self._settings.position_tolerance_mm
+        if rejected.where.get("error") != SAME_POSITION or not near:
+            raise rejected
+        return ProbeCycleResult(ProbeResult(_triple(status.position_mm), tripped=False), status)
 
     def _require_on_path(self, result: ProbeResult, start: Vector, goal: Vector) -> None:
         off_mm = distance_to_segment_mm(np.array(result.position), start, goal)

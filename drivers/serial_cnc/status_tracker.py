@@ -13,7 +13,7 @@ import numpy as np
 from drivers.errors import LinkTimeout, ProtocolError
 from drivers.roles import MotionState, Permission, Vector
 from drivers.serial_cnc.codes import NEEDS_RESET, POSITION_KEPT, alarm_text
-from drivers.serial_cnc.controller_settings import ControllerSettings
+from drivers.serial_cnc.controller_settings import HOMING_OFF, ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.lines import GarbledLineError, MessageLine, StatusReport, Triple
 
@@ -42,6 +42,8 @@ class TrackedStatus:
     alarm: int | None
     overrides: tuple[int, int]
     """Feed override and rapid override, percent."""
+    homes: bool
+    """True if the controller homes the machine, or a person sets the axes to their marks."""
 
     @property
     def fault(self) -> str:
@@ -51,6 +53,15 @@ class TrackedStatus:
     def slowest_share(self) -> float:
         """Smaller of the feed override and the rapid override, expressed as a speed factor between 0.01 and 1."""
         return max(min(100, *self.overrides), 1) / 100.0
+
+    @property
+    def remedy(self) -> str:
+        """Instruction for giving the permissions that the machine does not give."""
+        if not self.homes:
+            return HOMING_OFF
+        if not self.permissions[Permission.REFERENCED] or self.alarm not in POSITION_KEPT | {None}:
+            return "home the machine ($H), then start again"
+        return "make the machine ready: home it, close the door, stop the spindle, end other programs"
 
     @property
     def missing(self) -> str:
@@ -153,6 +164,7 @@ class StatusTracker:
             permissions=self._permissions(report, pins),
             alarm=self._alarm,
             overrides=self._overrides,
+            homes=self._homing_known,
         )
 
     def _note_restart(self, *, expected: bool) -> None:

@@ -25,11 +25,20 @@ class LinuxCncProcess:
     exit.
     """
 
-    def __init__(self, *, scenario: Path, configuration: Path, components: Path, work: Path, speed: float) -> None:
+    def __init__(
+        self,
+        *,
+        scenario: Path,
+        configuration: Path,
+        components: Path,
+        work: Path,
+        speed: float,
+        ini: str = "machine.ini",
+    ) -> None:
         self.work = work
         self._arguments = [
             *("--scenario", str(scenario), "--configuration", str(configuration), "--components", str(components)),
-            *("--work", str(work), "--speed", f"{speed:g}"),
+            *("--work", str(work), "--speed", f"{speed:g}", "--ini", ini),
         ]
         self._process: subprocess.Popen[str] | None = None
         self.ready: dict[str, Any] = {}

@@ -16,15 +16,23 @@ import structlog
 
 from drivers.errors import InputError, VolcalError
 from drivers.roles import MotionState, Permission, TableImage, Vector
+from simulators.scenario import Misplacement
 from simulators.wire.shared_world import SharedWorld, TimeDriven
 from simulators.wire.tcp_server import TcpServer, serve_lines
+from twin.machine.kinematic_chain import AXES
 
 Answer = dict[str, Any]
 FailDrive = Callable[[int, str], None]
 """Function that injects a fault, given the node id and the fault. Raises InputError if either is unknown."""
 
-REQUEST_KEYS = {"place_artefact": ("station",), "drive": ("node", "fault")}
-"""Keys that each request must have in addition to `do`."""
+REQUEST_KEYS = {
+    "place_artefact": ("station",),
+    "place_by_hand": ("station", "azimuth_deg", "elevation_deg", "off_mm", "off_deg"),
+    "drive": ("node", "fault"),
+    "jog": ("axis", "distance_mm"),
+    "deflect": ("deflected",),
+}
+"""Keys that each request may have in addition to `do`."""
 
 log = structlog.get_logger()
 
@@ -71,6 +79,10 @@ class ControllerView(Protocol):
 
     def temperatures(self) -> Mapping[str, float]: ...
 
+    def begin_jog(self, axis: int, distance_mm: float) -> None: ...
+
+    deflected_by_hand: bool
+
 
 class ControllableWorld(TimeDriven, Protocol):
     """Interface that the control channel needs from a simulated world."""
@@ -86,6 +98,12 @@ class ControllableWorld(TimeDriven, Protocol):
 
     def place_artefact(self, station: int) -> None: ...
 
+    def place_by_hand(
+        self, station: int, azimuth_deg: float, elevation_deg: float, misplaced: Misplacement | None = None
+    ) -> None: ...
+
+    def remove_artefact(self) -> None: ...
+
 
 class ControlServer:
     """Server of the control channel on `address`, for any number of clients."""
@@ -97,10 +115,14 @@ class ControlServer:
         self._fail_drive = fail_drive
         self._actions: dict[str, Callable[[Answer], Answer]] = {
             "place_artefact": self._place_artefact,
+            "place_by_hand": self._place_by_hand,
+            "remove_artefact": self._remove_artefact,
             "truth": self._truth,
             "collisions": self._collisions,
             "status": self._status,
             "drive": self._drive,
+            "jog": self._jog,
+            "deflect": self._deflect,
         }
         self._server = TcpServer("control", address, self._serve)
         self.address = self._server.address
@@ -130,12 +152,30 @@ class ControlServer:
         return self._actions[name]
 
     def _place_artefact(self, request: Answer) -> Answer:
-        station = request.get("station")
-        if not isinstance(station, int) or isinstance(station, bool):
-            raise InputError(f"station must be an integer, got {station!r}", key="station")
+        station = _station(request)
         self._shared.world.place_artefact(station)
         log.info("artefact placed", station=station, machine_time_s=self._shared.now)
         return {"done": "place_artefact", "station": station}
+
+    def _place_by_hand(self, request: Answer) -> Answer:
+        """Place the artefact by hand. `off_mm` and `off_deg` displace it grossly; without them, it has only the errors
+        of the hand that the scenario states."""
+        station, angles_deg = _station(request), (_number(request, "azimuth_deg"), _number(request, "elevation_deg"))
+        off_mm, off_deg = request.get("off_mm", [0.0, 0.0, 0.0]), _number(request, "off_deg")
+        if not (isinstance(off_mm, list) and len(off_mm) == 3):
+            raise InputError(f"off_mm must be three numbers, got {off_mm!r}", key="off_mm")
+        x, y, z = (_number({"off_mm": value}, "off_mm") for value in off_mm)
+        stated = {"off_mm", "off_deg"} & set(request)
+        gross = Misplacement(placement=1, off_mm=(x, y, z), off_deg=off_deg) if stated else None
+        self._shared.world.place_by_hand(station, *angles_deg, gross)
+        log.info("artefact placed by hand", station=station, angles_deg=angles_deg, machine_time_s=self._shared.now)
+        return {"done": "place_by_hand", "station": station}
+
+    def _remove_artefact(self, _: Answer) -> Answer:
+        """Take an artefact that is placed by hand off the machine."""
+        self._shared.world.remove_artefact()
+        log.info("artefact removed", machine_time_s=self._shared.now)
+        return {"done": "remove_artefact"}
 
     def _drive(self, request: Answer) -> Answer:
         """Inject a fault into a drive of a mount, or clear it."""
@@ -147,6 +187,26 @@ class ControlServer:
         self._fail_drive(node, fault)
         log.info("drive fault", node=node, fault=fault, machine_time_s=self._shared.now)
         return {"done": "drive", "node": node, "fault": fault}
+
+    def _jog(self, request: Answer) -> Answer:
+        """Move one axis, as a person does at the controller's own panel."""
+        axis, distance = request.get("axis"), request.get("distance_mm")
+        if axis not in AXES:
+            raise InputError(f"axis must be X, Y or Z, got {axis!r}", key="axis")
+        if not isinstance(distance, int | float) or isinstance(distance, bool) or not math.isfinite(distance):
+            raise InputError(f"distance_mm must be a number, got {distance!r}", key="distance_mm")
+        self._shared.world.controller.begin_jog(AXES.index(axis), float(distance))
+        log.info("jog", axis=axis, distance_mm=distance, machine_time_s=self._shared.now)
+        return {"done": "jog", "axis": axis, "distance_mm": distance}
+
+    def _deflect(self, request: Answer) -> Answer:
+        """Deflect the stylus by hand, or let go of it."""
+        deflected = request.get("deflected")
+        if not isinstance(deflected, bool):
+            raise InputError(f"deflected must be true or false, got {deflected!r}", key="deflected")
+        self._shared.world.controller.deflected_by_hand = deflected
+        log.info("stylus", deflected_by_hand=deflected, machine_time_s=self._shared.now)
+        return {"done": "deflect", "deflected": deflected}
 
     def _truth(self, _: Answer) -> Answer:
         """Return the true volumetric errors in µm without table, with the active bank, and with every bank that holds a
@@ -185,6 +245,20 @@ class ControlServer:
             "temperatures_c": dict(controller.temperatures()),
             "collisions": len(world.collisions),
         }
+
+
+def _station(request: Answer) -> int:
+    station = request.get("station")
+    if not isinstance(station, int) or isinstance(station, bool):
+        raise InputError(f"station must be an integer, got {station!r}", key="station")
+    return station
+
+
+def _number(request: Answer, key: str) -> float:
+    value = request.get(key, 0.0)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(f"{key} must be a number, got {value!r}", key=key)
+    return float(value)
 
 
 def _parse(line: bytes) -> Answer:

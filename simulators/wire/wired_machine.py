@@ -13,6 +13,7 @@ from drivers.errors import ConfigurationError, InputError
 from simulators.scenario import Scenario
 from simulators.wire.can.mounts import CanMounts, drive_configs
 from simulators.wire.control_channel import ControlServer
+from simulators.wire.grbl.dialect import GRBL_11, GrblDialect
 from simulators.wire.grbl.port import GrblPort
 from simulators.wire.modbus.controller import ModbusController
 from simulators.wire.modbus.numbers import Float64Numbers, RegisterNumberFormat
@@ -43,6 +44,8 @@ class Links:
     modbus_rtu: LineSettings | None = None
     serial: str | None = None
     """Path of a link to be made to the pseudo-terminal of an additional GRBL, or ``any`` for no link."""
+    dialect: GrblDialect = GRBL_11
+    """Firmware of the additional GRBL."""
 
 
 class WiredMachine:
@@ -67,10 +70,16 @@ class WiredMachine:
             self.control = ControlServer(self._shared, links.control, self._fail_drive)
             self._servers.append(self.control)
             if links.can is not None:
+                if not self.world.mounts:
+                    raise ConfigurationError(
+                        "the artefact of this scenario is placed by hand: there is no mount on a CAN bus",
+                        key="placed_by_hand",
+                        hint="start the simulator without --can",
+                    )
                 self._can = CanMounts(links.can, tuple(self.world.mounts.values()), self._shared.lock)
                 self._servers.append(self._can)
                 self._shared.subscribe(self._can.advance)
-            self.serial = GrblPort(self._shared, links.serial) if links.serial is not None else None
+            self.serial = _grbl(self._shared, links)
             if self.serial is not None:
                 self._servers.append(self.serial)
             self.time = TimeServer(self._shared, links.time) if links.speed is None else None
@@ -120,6 +129,10 @@ class WiredMachine:
             "stations": [list(place) for place in settings.stations_mm],
             "standing_at": settings.standing_at,
         }
+
+
+def _grbl(shared: SharedWorld[World], links: Links) -> GrblPort | None:
+    return GrblPort(shared, links.serial, dialect=links.dialect) if links.serial is not None else None
 
 
 def _clock(speed: float | None) -> RealClock | ScaledClock:

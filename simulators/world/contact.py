@@ -128,7 +128,7 @@ class ContactSolver:
         """
         cached = self._near
         if cached is None or cached[0] is not snapshot or cached[1] is not self._shift.table:
-            nominal = np.array(snapshot.balls) - self._tool
+            nominal = np.array(snapshot.balls, dtype=np.float64).reshape(-1, 3) - self._tool
             apparent = nominal - self._shift.field_at_many(nominal)
             points = [(x, y, z) for x, y, z in apparent.tolist()]
             self._near = cached = (snapshot, self._shift.table, points)

@@ -34,6 +34,7 @@ from twin.collision.motion_law import MotionLaw, straight_path, trapezoid
 from twin.machine.machine_description import MachineDescription
 
 LIMIT_TOLERANCE_MM = 1e-6
+JOG_MM_PER_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,8 @@ class Controller:
         self._shift = TipShift(machine_field)
         reach = table.ball_radius_mm + settings.probe.tip_radius_mm
         self.contacts = ContactSolver(self._tool, reach, self._shift)
-        self._lookahead = PathLookahead(self._tool, self.contacts, self._trigger)
+        by_hand = settings.placed_by_hand is not None
+        self._lookahead = PathLookahead(self._tool, self.contacts, self._trigger, trips_on_bodies=by_hand)
         self._tables = TableBanks(settings.store)
         self._on_motion, self._on_collision = on_motion, on_collision
         self._position: Point = scenario.start_mm
@@ -100,6 +102,8 @@ class Controller:
         self.touch_missed = False
         self.probe_loaded = True
         self.probe_healthy = True
+        self.deflected_by_hand = False
+        """True while a person deflects the stylus with a finger."""
         self.granted = dict.fromkeys(Permission, True)
 
     # ------------------------------------------------------------------ state
@@ -148,6 +152,8 @@ class Controller:
 
     @property
     def probe_deflected(self) -> bool:
+        if self.deflected_by_hand:
+            return True
         if self._motion is None:
             return self._deflected and self._contacted_ball(self._table.snapshot(self.now_s)) is not None
         forecast = self._motion.forecast
@@ -174,6 +180,12 @@ class Controller:
         If `guarded` is True and the probe trips, the axes stop and the controller enters the fault state.
         """
         self._begin(MoveKind.GUARDED if guarded else MoveKind.POSITIONING, target, feed_mm_per_s)
+
+    def begin_jog(self, axis: int, distance_mm: float) -> None:
+        """Start a move of one axis by `distance_mm`, as a person commands it at the controller's own panel."""
+        target = list(self._position)
+        target[axis] += distance_mm
+        self._begin(MoveKind.POSITIONING, target, JOG_MM_PER_S)
 
     def begin_touch(self, target: ArrayLike, feed_mm_per_s: float) -> None:
         """Start a straight move to `target` in mm that stops when the probe trips.
@@ -291,6 +303,8 @@ class Controller:
             raise CommandRejected(f"no {kind.value} is permitted; missing: {', '.join(missing)}")
         if kind is not MoveKind.POSITIONING and not (self.probe_loaded and self.probe_healthy):
             raise CommandRejected(f"no {kind.value} without a healthy probe in the spindle")
+        if kind is not MoveKind.POSITIONING and self.deflected_by_hand:
+            raise CommandRejected(f"no {kind.value} while a person deflects the stylus")
 
     def _require_inside(self, goal: Point) -> None:
         limits = zip("XYZ", goal, self._limits.lower_mm, self._limits.upper_mm, strict=True)

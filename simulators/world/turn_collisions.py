@@ -6,6 +6,7 @@ The bodies are checked at successive instants, because the volume that a turning
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from drivers.roles import MotionState
 from simulators.world.controller import Controller
 from simulators.world.turn_clearance import is_turn_clear
 from simulators.world.workpiece import Workpiece
-from twin.collision.bodies import TABLE
+from twin.collision.bodies import TABLE, Body
 from twin.collision.collision import Scene
 from twin.collision.geometry import Point, point, separation, sphere, swept_contact, translate_point
 
@@ -84,19 +85,27 @@ def first_table_collision(workpiece: Workpiece, start_s: float, end_s: float) ->
     `end_s`, or None.
 
     The artefact is checked at successive instants; between two checks its fastest parts move at most by the present gap
-    above the table, or by the constant `STEP_MM` if the gap is smaller.
+    from the table, or by the constant `STEP_MM` if the gap is smaller. A hanging mount has the table above it.
     """
     speed = math.radians(workpiece.mount.max_speed_deg_per_s) * workpiece.sweep_radius_mm
     instant = start_s
     while True:
         bodies = workpiece.snapshot(instant).bodies
-        top = next(body.shape.upper[2] for body in bodies if body.name == TABLE)
-        height, lowest = min((body.shape.lower[2], body.name) for body in bodies if not body.name.startswith(_STANDING))
-        if height <= top:
-            return TurnCrash(instant, lowest, TABLE)
+        gap_mm, nearest = _gap_to_table(bodies, hanging=workpiece.hanging)
+        if gap_mm <= 0.0:
+            return TurnCrash(instant, nearest, TABLE)
         if instant >= end_s:
             return None
-        instant = min(end_s, instant + max(height - top, STEP_MM) / speed)
+        instant = min(end_s, instant + max(gap_mm, STEP_MM) / speed)
+
+
+def _gap_to_table(bodies: Sequence[Body], *, hanging: bool) -> tuple[float, str]:
+    """Return the vertical distance in mm of the turning body that is nearest to the table, and its name."""
+    table = next(body.shape for body in bodies if body.name == TABLE)
+    turning = [body for body in bodies if not body.name.startswith(_STANDING)]
+    if hanging:
+        return min((table.lower[2] - body.shape.upper[2], body.name) for body in turning)
+    return min((body.shape.lower[2] - table.upper[2], body.name) for body in turning)
 
 
 def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from simulators.scenario import ArtefactTruthSettings, MountBehaviour, Scenario
+from simulators.scenario import ArtefactTruthSettings, Scenario
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
 from simulators.world.thermal_effects import artefact_bow_mm, bend_balls
@@ -63,7 +63,6 @@ class Workpiece:
         self._name_suffix = name_suffix
         self._geometry = settings.mount
         self._places = np.array(settings.stations_mm, dtype=np.float64)
-        self._behaviour = settings.mount_behaviour
         self._temperatures = settings.temperatures
         self._thermal_state = ThermalState(settings.temperatures)
         self._cached: tuple[object, WorkpieceSnapshot] | None = None
@@ -71,13 +70,13 @@ class Workpiece:
         self._location_mm: Array = self._places[station - 1]
         self._yaw_rad = 0.0
 
-    def place(self, station: int, rng: np.random.Generator) -> None:
-        """Place the mount at `station` as an operator does, slightly displaced and rotated from its nominal
-        location.
+    def place(self, station: int, rng: np.random.Generator, error_mm: float, error_deg: float) -> None:
+        """Place the mount at `station` as an operator does, displaced by up to `error_mm` and rotated about the
+        vertical by up to `error_deg` from its nominal location.
         """
         self.station = station
-        self._location_mm = np.add(self._places[station - 1], _placement_error(self._behaviour, rng))
-        self._yaw_rad = math.radians(self._behaviour.place_error_deg) * float(rng.uniform(-1.0, 1.0))
+        self._location_mm = np.add(self._places[station - 1], _placement_error(error_mm, rng))
+        self._yaw_rad = math.radians(error_deg) * float(rng.uniform(-1.0, 1.0))
         self._cached = None
 
     def shift(self, by_mm: Point, turn_deg: float) -> None:
@@ -92,6 +91,11 @@ class Workpiece:
         """Replace the artefact on this mount. If `artefact` is None, the mount is left without an artefact."""
         self._artefact = artefact
         self._cached = self._cover = None
+
+    @property
+    def hanging(self) -> bool:
+        """True if the mount hangs from the table, which is then above it."""
+        return self._geometry.hanging
 
     @property
     def artefact(self) -> Artefact:
@@ -185,9 +189,9 @@ def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: st
     )
 
 
-def _placement_error(behaviour: MountBehaviour, rng: np.random.Generator) -> Array:
+def _placement_error(error_mm: float, rng: np.random.Generator) -> Array:
     """Return the placement error (3,) in mm.
 
     The error in height is ten times smaller, because the mount is on the table.
     """
-    return np.asarray(behaviour.place_error_mm * rng.uniform(-1.0, 1.0, 3) * (1.0, 1.0, 0.1))
+    return np.asarray(error_mm * rng.uniform(-1.0, 1.0, 3) * (1.0, 1.0, 0.1))

@@ -1,12 +1,13 @@
 """All workpieces (mounts and their artefacts) on the machine table.
 
-There is either one mount that is moved with its artefact, or one mount at every station.
+There is one mount that is moved with its artefact, or one mount at every station, or no mount at all: the artefact is
+then placed by hand.
 """
 
 from __future__ import annotations
 
 from drivers.errors import CommandRejected
-from simulators.scenario import Scenario
+from simulators.scenario import Misplacement, MountBehaviour, Scenario
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
 from simulators.world.workpiece import Workpiece, WorkpieceSnapshot, true_artefact
@@ -26,7 +27,11 @@ class Worktable:
         self._placements = 0
         self._cached: tuple[tuple[WorkpieceSnapshot, ...], WorkpieceSnapshot] | None = None
         self._at = scenario.settings.standing_at
-        if scenario.settings.own_mounts:
+        self._behaviour, self._hand = scenario.settings.mount_behaviour, scenario.settings.placed_by_hand
+        if self._hand is not None:
+            self._by_hand = true_artefact(scenario.artefact, scenario.settings.artefact_truth)
+            self._pieces = [Workpiece(scenario, _support((0.0, 0.0)), None, self._at)]
+        elif scenario.settings.own_mounts:
             self._pieces = [self._own(scenario, mount, number) for number, mount in enumerate(mounts, start=1)]
         else:
             artefact = true_artefact(scenario.artefact, scenario.settings.artefact_truth)
@@ -35,7 +40,8 @@ class Worktable:
 
     def _own(self, scenario: Scenario, mount: MountPhysics, station: int) -> Workpiece:
         piece = Workpiece(scenario, mount, self._first_artefact(station), station, f" at station {station}")
-        piece.place(station, generator(scenario.settings.seed, f"place of mount {station}"))
+        rng, behaviour = generator(scenario.settings.seed, f"place of mount {station}"), self._behaviour
+        piece.place(station, rng, behaviour.place_error_mm, behaviour.place_error_deg)
         return piece
 
     def _first_artefact(self, station: int) -> Artefact | None:
@@ -60,7 +66,7 @@ class Worktable:
 
     @property
     def ball_radius_mm(self) -> float:
-        return self.workpiece.artefact.ball_radius_mm
+        return self._scenario.artefact.ball_radius_mm
 
     def place_artefact(self, station: int) -> None:
         """Move the artefact to the station number `station`, as the operator does.
@@ -71,6 +77,8 @@ class Worktable:
             raise CommandRejected(f"there is no station {station}", hint=f"stations are 1 to {self._stations}")
         if self._scenario.artefacts:
             raise CommandRejected("every station has its own artefact: none can be moved")
+        if self._hand is not None:
+            raise CommandRejected("the artefact has no mount", hint="it is placed by hand, in a position")
         piece = self.workpiece
         self._at = station
         if len(self._pieces) > 1:
@@ -79,6 +87,32 @@ class Worktable:
             piece = self.workpiece
             piece.carry(artefact)
         self._place(piece, station)
+
+    def place_by_hand(self, station: int, angles_deg: tuple[float, float], misplaced: Misplacement | None) -> None:
+        """Place the artefact at `station` with the azimuth and the elevation `angles_deg`, as a person does.
+
+        `misplaced` is a gross error of this placement; if it is None, that of the scenario applies. Raises
+        CommandRejected if the station does not exist or if the artefact is held by a mount.
+        """
+        if self._hand is None:
+            raise CommandRejected("the artefact is held by a mount", hint="ask for its station only")
+        if not 1 <= station <= self._stations:
+            raise CommandRejected(f"there is no station {station}", hint=f"stations are 1 to {self._stations}")
+        self._at, piece = station, self._pieces[0]
+        piece.mount = _support(angles_deg)
+        piece.carry(self._by_hand)
+        rng = generator(self._scenario.settings.seed, f"placement {self._placements}")
+        self._placements += 1
+        piece.place(station, rng, self._hand.error_mm, self._hand.error_deg)
+        gross = misplaced or next((one for one in self._hand.misplaced if one.placement == self._placements), None)
+        if gross is not None:
+            piece.shift(gross.off_mm, gross.off_deg)
+
+    def remove_artefact(self) -> None:
+        """Take the artefact off the machine. Raises CommandRejected if it is held by a mount."""
+        if self._hand is None:
+            raise CommandRejected("the artefact is held by a mount: it cannot be taken away")
+        self._pieces[0].carry(None)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
         """Return all balls and bodies on the machine table at the instant `now_s`.
@@ -104,5 +138,13 @@ class Worktable:
         )
 
     def _place(self, piece: Workpiece, station: int) -> None:
-        piece.place(station, generator(self._scenario.settings.seed, f"placement {self._placements}"))
+        rng = generator(self._scenario.settings.seed, f"placement {self._placements}")
+        behaviour = self._behaviour
+        piece.place(station, rng, behaviour.place_error_mm, behaviour.place_error_deg)
         self._placements += 1
+
+
+def _support(angles_deg: tuple[float, float]) -> MountPhysics:
+    """Return an exact mount that never turns: the support on which a person puts the artefact."""
+    exact = MountBehaviour(index_error_deg=0.0, wobble_um=0.0)
+    return MountPhysics(exact, 0, lambda: None, start_deg=angles_deg)

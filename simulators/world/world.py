@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drivers.errors import CommandRejected
-from simulators.scenario import Scenario
+from simulators.scenario import Misplacement, Scenario
 from simulators.world.ageing import apply_ageing
 from simulators.world.controller import Controller
 from simulators.world.mount import MountPhysics
@@ -105,6 +105,8 @@ class World:
         """Return the mount that turns the workpiece at `station`. Raises CommandRejected if the station
         does not exist.
         """
+        if self.scenario.mount_count == 0:
+            raise CommandRejected("there is no mount", hint="the artefact is placed by hand")
         if self.scenario.mount_count == 1:
             return self.mounts[MOUNT]
         if mount_name(station) not in self.mounts:
@@ -119,11 +121,28 @@ class World:
         self.table.place_artefact(station)
         self._expect_change()
 
+    def place_by_hand(
+        self, station: int, azimuth_deg: float, elevation_deg: float, misplaced: Misplacement | None = None
+    ) -> None:
+        """Place the artefact by hand at `station`, with the errors of the scenario and the gross error `misplaced`.
+
+        Raises CommandRejected if the station does not exist or if the artefact is held by a mount.
+        """
+        self.table.place_by_hand(station, (azimuth_deg, elevation_deg), misplaced)
+        self._expect_change()
+
+    def remove_artefact(self) -> None:
+        """Take the artefact that is placed by hand off the machine."""
+        self.table.remove_artefact()
+        self._expect_change()
+
     def _mounts(self, scenario: Scenario) -> dict[str, MountPhysics]:
         settings = scenario.settings
         angles = settings.mounts_deg or [(0.0, 0.0)] * scenario.mount_count
         names = (
-            [mount_name(station) for station in range(1, scenario.mount_count + 1)] if settings.own_mounts else [MOUNT]
+            [mount_name(station) for station in range(1, scenario.mount_count + 1)]
+            if settings.own_mounts
+            else [MOUNT] * scenario.mount_count
         )
         return {
             name: MountPhysics(settings.mount_behaviour, settings.seed, self._expect_change, name=name, start_deg=start)

@@ -2,7 +2,8 @@
 
 A table of 3 × 3 × 3 nodes 100 mm apart. With node numbers x = 0, 1, 2 and z = 0, 1, 2, in µm: dx = x, but 4 x at z = 2;
 dy = 4 z; dz = 0. Averaged over the other axes X needs 0, 2, 4 along X and 0, 0, 3 along Z; the remainder is a product,
-(-2, 0, 2) along X times (-½, -½, 1) along Z, at the reference point 1 - 1 = 0 with (-1, -1, 2) along Z. For error
+(-2, 0, 2) along X times (-½, -½, 1) along Z, at the reference point 1 - 1 = 0 with (-1, -1, 2) along Z. SINUMERIK gets
+half of the product twice: a = √0.001 (-1, 0, 1), b = √0.001 (-½, -½, 1) in mm, and -a times -b. For error
 motions: a machine with EXX = -2, 0, 2 µm along X and a cross-effect EYZ = 6 µm at the far end of Y and Z.
 """
 
@@ -82,6 +83,13 @@ def test_the_example_of_a_parameter_manual() -> None:
     files = FORMATS["fanuc-pitch"].export(ExportSource(table), ExportOptions()).files
     reference, first = (int(files["parameters.txt"].splitlines()[row].split("A1P")[1].split("A")[0]) for row in (1, 2))
     assert reference - first == 40 - 33
-    data = dict(line[1:].split("P") for line in files["pitch-error.txt"].splitlines()[1:-1])
+    data = dict(line[1:].split("Q0P") for line in files["pitch-error.txt"].splitlines()[1:-1])
     found = [int(data[str(10000 + first + place)]) for place in range(len(values))]
     assert found == values
+
+
+def test_data_files_of_fanuc_controls_before_the_30i_have_no_identifier() -> None:
+    files = FORMATS["fanuc-pitch"].export(by_hand(), ExportOptions({"control": "16i"})).files
+    for name, text in files.items():
+        later = (HERE / "fanuc-pitch" / name).read_text(encoding="utf-8")
+        assert text == later.replace("Q0", "").replace("Q1", "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from campaigns.linuxcnc import ANSWER_WITHIN_S
-from drivers.clock import InterruptibleClock, ScaledClock
+from drivers.clock import Deadline, InterruptibleClock, RealClock, ScaledClock
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.device import LinuxCnc
 from drivers.registry import DeviceContext, create_device
@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
 SPEED = 5.0
 TOOL = np.array([0.0, 250.0, 0.0])
-PATIENCE = {"response_timeout_s": ANSWER_WITHIN_S, "motion_margin_s": 60.0}
+PATIENCE = {"response_timeout_s": ANSWER_WITHIN_S, "motion_margin_s": 60.0, "heartbeat_timeout_s": 60.0}
 """Generous time limits, since the computer may be busy with other tests."""
 REACH_MM = 15.5
 """Sum of the radii of the ball and the tip."""
@@ -61,6 +61,7 @@ class Live:
             self.process.bridge_command,
             response_timeout_s=ANSWER_WITHIN_S,
             watchdog_timeout_s=watchdog_timeout_s,
+            heartbeat_timeout_s=60.0,
             device="bystander",
         )
         link.open()
@@ -77,17 +78,34 @@ class Live:
 
 
 @contextmanager
-def running(work: Path) -> Iterator[Live]:
+def running(
+    work: Path,
+    *,
+    scenario: str = "case-study.toml",
+    tool_mm: np.ndarray = TOOL,
+    configuration: Path = CONFIG / "linuxcnc",
+    ini: str = "machine.ini",
+) -> Iterator[Live]:
+    """Run LinuxCNC with a configuration and an error-free simulated machine around it."""
     work.mkdir(parents=True, exist_ok=True)
-    text = (CONFIG / "simulators" / "case-study.toml").read_text(encoding="utf-8").replace('"../', f'"{CONFIG}/')
-    scenario = work / "scenario.toml"
-    scenario.write_text(f"ideal = true\n{text}", encoding="utf-8")
+    text = (CONFIG / "simulators" / scenario).read_text(encoding="utf-8").replace('"../', f'"{CONFIG}/')
+    file = work / "scenario.toml"
+    file.write_text(f"ideal = true\n{text}", encoding="utf-8")
     with LinuxCncProcess(
-        scenario=scenario,
-        configuration=CONFIG / "linuxcnc",
+        scenario=file,
+        configuration=configuration,
         components=ROOT / "drivers" / "linuxcnc" / "components",
         work=work,
         speed=SPEED,
+        ini=ini,
     ) as process:
-        standing = World(read_scenario(scenario)).table.snapshot(0.0)
-        yield Live(process, np.array(standing.balls) - TOOL)
+        standing = World(read_scenario(file)).table.snapshot(0.0)
+        yield Live(process, np.array(standing.balls) - tool_mm)
+
+
+def until(reached: Callable[[], bool]) -> None:
+    """Wait until `reached` returns True."""
+    deadline = Deadline.after(RealClock(), 60.0)
+    while not reached():
+        deadline.raise_if_expired("what the test waits for")
+        deadline.clock.sleep(0.01)

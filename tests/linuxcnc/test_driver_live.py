@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from live import REACH_MM, SPEED, Live
+from live import REACH_MM, SPEED, Live, until
 from requirements import requires_linuxcnc
 
-from drivers.clock import Deadline, RealClock
+from drivers.clock import RealClock
 from drivers.errors import (
     CommandRejected,
     ConfigurationError,
@@ -312,13 +312,6 @@ def mdi(link: BridgeLink, *lines: str) -> None:
     for line in lines:
         link.ask("mdi", line=line)
         until(lambda: link.ask("status")["state"] == "done")
-
-
-def until(reached) -> None:
-    deadline = Deadline.after(RealClock(), 20.0)
-    while not reached():
-        deadline.raise_if_expired("what the test waits for")
-        deadline.clock.sleep(0.01)
 
 
 def pause() -> None:

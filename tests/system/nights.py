@@ -73,7 +73,6 @@ def short_document(state: Path, **sections: Any) -> dict[str, Any]:
         },
         "gates": {
             "min_degrees_of_freedom": 1,
-            "max_remaining_fraction": 1.0,
             "max_unmeasured_fraction": 10.0,
             "max_chi2": 1e3,
         },

@@ -23,8 +23,7 @@ SHORT = {
     "[verification]\nstations = [1, 4]": (
         "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nmax_missing_fraction = 1.0\nmax_chi2 = 1e3"
     ),
-    "[timing]": "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_unmeasured_fraction = 10.0\n"
-    "max_chi2 = 1e3\n\n[timing]",
+    "[timing]": "[gates]\nmin_degrees_of_freedom = 1\nmax_unmeasured_fraction = 10.0\nmax_chi2 = 1e3\n\n[timing]",
 }
 AT_ONCE = "\n[service]\nport = 0\nwarm_up_minutes = 0\n"
 

@@ -12,9 +12,9 @@ from aloud import NOT_HERE
 from namespaces import KERNEL_CAN, MULTICAST, inside, kernel_can_missing, missing
 from test_demo_command import bad_machine, short_settings
 
-from agent.cli.demo import connect
 from agent.cli.doctor import examine
-from agent.cli.simulator_process import SimulatorProcess
+from agent.cli.run_commands.simulated_calibration import connect
+from agent.cli.run_commands.simulator_process import SimulatorProcess
 from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from agent.cli.simulator_process import SimulatorProcess
+from agent.cli.run_commands.simulator_process import SimulatorProcess
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.settings import CanopenMountSettings
 from drivers.clock import InterruptibleClock, LockstepClock
@@ -124,17 +124,24 @@ def test_silent_drive(kind: str, tmp_path: Path) -> None:
         over.turn()
 
 
-@pytest.mark.parametrize(
-    ("kind", "error", "words"),
-    [
-        ("socketcand", LinkLost, "gone off the bus"),
-        ("slcan", LinkTimeout, "the adapter reports error warning, error passive, bus error"),
-    ],
-)
-def test_bus_off(kind: str, error: type[Exception], words: str, tmp_path: Path) -> None:
-    with bench(kind, tmp_path) as over:
+def test_drives_are_stopped_over_a_new_connection_after_bus_off(tmp_path: Path) -> None:
+    with bench("socketcand", tmp_path) as over:
         over.in_a_second("bus_off")
-        with pytest.raises(error, match=words) as caught:
+        with pytest.raises(LinkLost, match="gone off the bus") as caught:
+            over.turn()
+        assert not hasattr(caught.value, "__notes__")  # a note says that the quick stop failed
+        over.mount.open()
+        over.clock.sleep(3.0)
+        stopped = over.mount.orientation()
+        assert stopped.azimuth_deg < 85.0
+        over.clock.sleep(3.0)
+        assert over.mount.orientation() == stopped
+
+
+def test_bus_off_behind_an_adapter_that_stays_connected(tmp_path: Path) -> None:
+    with bench("slcan", tmp_path) as over:
+        over.in_a_second("bus_off")
+        with pytest.raises(LinkTimeout, match="the adapter reports error warning, error passive, bus error") as caught:
             over.turn()
         assert any("quick stop failed too" in note for note in caught.value.__notes__)
 

@@ -179,7 +179,7 @@ class TestRefusals:
         ("text", "words"),
         [
             ("G90 G0 X0 Y0 Z0\nG41 D1 X10\n", ["line 2", "G41", "cutter compensation"]),
-            ("G90 G0 X0 Y0 Z0\nG1 X[#1+2] F100\n", ["line 2", "expressions"]),
+            ("G90 G0 X0 Y0 Z0\nG1 X[#1+2] F100\n", ["line 2", "--parameter 1=VALUE"]),
             ("G90 G55 G0 X0 Y0 Z0\n", ["line 1", "G55", "--work-offset"]),
             ("G90 G0 X0 Y0 Z0\nG1 X9000 F100\n", ["line 2", "10500", "--outside clamp"]),
             ("G1 X0 F100\n", ["line 1", "--start"]),

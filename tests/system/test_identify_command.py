@@ -28,7 +28,11 @@ from scipy.interpolate import RegularGridInterpolator
 from twin.artefact.position_set import parse_position_set
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
-RUN = [sys.executable, "-c", "from agent.cli.identify import identify; identify(prog_name='volcal identify')"]
+RUN = [
+    sys.executable,
+    "-c",
+    "from agent.cli.offline_commands.identify import identify; identify(prog_name='volcal identify')",
+]
 ARTEFACT = ["artefact-covariance.csv", "artefact.toml"]
 RESULTS = [*ARTEFACT, "estimate.json", "report.html", "table.csv", "table.json"]
 

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, as_csv, hidden_machine, measured_rows
 
-from agent.cli.identify import identify
+from agent.cli.offline_commands.identify import identify
 from twin.artefact.position_set import parse_position_set
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 

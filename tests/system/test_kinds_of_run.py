@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from nights import Night, memory_directory, short_document
 from stored_run import stored_run
 
-import agent.cli.night_options
+import agent.cli.run_commands.night_options
 from agent.cli.main import main
 from agent.errors import GateRefused, PlanRefused
 from agent.execution.run_record import run_ids
@@ -198,9 +198,11 @@ class Commands:
     def __init__(self, machine: Calibrated, monkeypatch: pytest.MonkeyPatch) -> None:
         self._machine = machine
         monkeypatch.setattr(
-            agent.cli.night_options, "load_settings", lambda _: Settings.model_validate(machine.settings)
+            agent.cli.run_commands.night_options, "load_settings", lambda _: Settings.model_validate(machine.settings)
         )
-        monkeypatch.setattr("agent.cli.calibrate.RunHooks", partial(RunHooks, devices=machine.night.hooks.devices))
+        monkeypatch.setattr(
+            "agent.cli.run_commands.local_run.RunHooks", partial(RunHooks, devices=machine.night.hooks.devices)
+        )
 
     def run(self, *arguments: str) -> Result:
         return CliRunner().invoke(main, [*arguments, "--nights", "1", "--config", "volcal.toml"])

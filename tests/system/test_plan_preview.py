@@ -30,7 +30,7 @@ def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
     def run_preflight(_: object) -> None:
         raise PlanRefused("preflight: collision: ram with post 4", hint="the plan must change", step=REFUSED_STEP)
 
-    monkeypatch.setattr("agent.cli.plan.run_preflight", run_preflight)
+    monkeypatch.setattr("agent.cli.run_commands.plan.run_preflight", run_preflight)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     folder = tmp_path_factory.mktemp("plan") / "new" / "folder"
     done = plan("--preview", folder, "--json")
     assert done.exit_code == 7, done.stderr
-    assert "gates.max_remaining_fraction" in done.stderr  # S1 at one station tells too little
+    assert "verification.min_gain" in done.stderr  # S1 at one station tells too little
     return folder, json.loads(done.stdout)
 
 
@@ -54,7 +54,7 @@ def test_picture_and_page_are_written_and_named(written: tuple[Path, dict]) -> N
 
 
 def test_without_a_preview_its_drawing_is_not_even_imported() -> None:
-    code = "import sys, agent.cli.plan; print([m for m in sys.modules if 'preview' in m])"
+    code = "import sys, agent.cli.run_commands.plan; print([m for m in sys.modules if 'preview' in m])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=270.0, check=True)
     assert done.stdout.strip() == "[]"
 
@@ -86,7 +86,7 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_preflight(
 ) -> None:
     (tmp_path / "taken").write_text("")
     folder = {"a file": tmp_path / "taken", "below a file": tmp_path / "taken" / "x", "not writable": Path("/proc/x")}
-    monkeypatch.setattr("agent.cli.plan.run_preflight", lambda _: pytest.fail("preflight run in vain"))
+    monkeypatch.setattr("agent.cli.run_commands.plan.run_preflight", lambda _: pytest.fail("preflight run in vain"))
     done = plan("--preview", folder[where])
     assert done.exit_code == 2
     assert done.stdout == ""

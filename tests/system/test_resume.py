@@ -17,9 +17,9 @@ import pytest
 from journal_surgery import change_start_of_measuring, rename_steps
 from nights import Night, memory_directory, short_document
 from stored_run import stored_run
-from test_whole_run_interrupted import FORMER, Cut, with_device
+from test_whole_run_interrupted import FORMER, Cut, Tripwire, with_device
 
-from agent.errors import MeasurementFault, PlanDiverged, PlanRefused
+from agent.errors import PlanDiverged, PlanRefused
 from agent.execution.device_assembly import assemble
 from agent.execution.rig import Rig
 from agent.execution.run_record import run_ids
@@ -34,7 +34,7 @@ from agent.runs.session import RunResult
 from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
-from drivers.errors import InputError, LinkLost, NotActiveYet
+from drivers.errors import CommandRejected, InputError, LinkLost, MotionFault, NotActiveYet, PermissionMissing
 from drivers.roles import Activation, Permission, StoreLimits
 
 IN_A_BALL = ("touch_towards", 150)
@@ -171,15 +171,55 @@ def test_a_plan_that_diverges_names_both_keys_and_moves_nothing(measuring: Broke
     assert measuring.night.active == 1
 
 
-def test_an_artefact_that_was_moved_is_noticed_before_anything_is_mixed(measuring: Broken) -> None:
+def test_the_position_of_an_artefact_that_was_moved_is_measured_again_and_only_it(measuring: Broken) -> None:
     world = measuring.night.world
     assert world is not None
+    before = {ball.key: ball.record_text for ball in stored_run(STATE).balls}
     world.place_artefact(1)
     ended = measuring.resume()
-    assert isinstance(ended.error, MeasurementFault)
-    assert "since the interruption" in str(ended.error)
-    assert measuring.night.active == 1
+    assert ended.error is None, ended.error
+    assert ended.outcome.state is RunState.COMPLETE
+    run = stored_run(STATE)
+    after = {ball.key: ball.record_text for ball in run.balls}
+    discarded = {event.record["ball"] for event in run.events if event.kind == "discarded"}
+    assert discarded
+    assert len({key.split("/ball")[0] for key in discarded}) == 1
+    assert {key for key in before if after[key] != before[key]} == discarded
+    assert [event.record["type"] for event in run.events if event.kind == "fault"] == ["LinkLost", "ArtefactMoved"]
     assert unfinished_run(STATE) is None
+
+
+@pytest.mark.parametrize("fault", ["emergency stop", "drive fault of axis Y"])
+def test_a_run_after_an_emergency_stop_or_a_drive_fault_goes_on(
+    fault: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    nights: list[Night] = []
+
+    def fail() -> None:
+        world = nights[0].world
+        assert world is not None
+        world.controller.fail(fault)
+
+    def tamper(rig: Rig) -> Rig:
+        return with_device(rig, Tripwire(rig.devices["twin"], *IN_A_BALL, fail))
+
+    nights.append(Night(tamper=tamper))
+    ended = nights[0].run(document(), files=False)
+    assert isinstance(ended.error, (MotionFault, PermissionMissing, CommandRejected)), ended
+    unfinished = unfinished_run(STATE)
+    assert unfinished is not None
+    assert unfinished.resumable
+    before = stored_run(STATE).balls
+    after = Night()
+    after.world = nights[0].world
+    resumed = Broken(after).resume()
+    assert resumed.error is None, resumed.error
+    run = stored_run(STATE)
+    assert run.balls[: len(before)] == before
+    assert run.measured_twice == []
+    touched = [event.record for event in run.events if event.kind == "event" and "moved_um" in event.record_text]
+    assert len(touched) == 2  # the ball found last and the one farthest from it
 
 
 def test_an_aborted_run_cannot_be_resumed(measuring: Broken) -> None:

@@ -40,8 +40,7 @@ def shortened(config: Path, positions: str) -> Path:
         ),
         (
             "[timing]",
-            "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_unmeasured_fraction = 10.0\n"
-            "max_chi2 = 1e3\n\n[timing]",
+            "[gates]\nmin_degrees_of_freedom = 1\nmax_unmeasured_fraction = 10.0\nmax_chi2 = 1e3\n\n[timing]",
         ),
     ):
         assert former in text, former

@@ -14,8 +14,8 @@ import pytest
 from click.testing import CliRunner, Result
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, HiddenMachine, ball_file
 
-from agent.cli import table_export
 from agent.cli.main import main
+from agent.cli.table_commands import table_export
 from agent.results.table_image import image_of
 from drivers.roles import Activation, StoreLimits
 from twin.compensation.controllers.registry import FORMATS

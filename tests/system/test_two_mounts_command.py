@@ -12,9 +12,9 @@ import pytest
 from nights import memory_directory
 from stored_run import stored_run
 
-from agent.cli.demo import connect
 from agent.cli.doctor import examine
-from agent.cli.simulator_process import SimulatorProcess
+from agent.cli.run_commands.simulated_calibration import connect
+from agent.cli.run_commands.simulator_process import SimulatorProcess
 from agent.planning.job_preparation import prepare_job
 from agent.settings.load import load_settings
 

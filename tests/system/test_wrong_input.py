@@ -57,8 +57,12 @@ SETTINGS = {
     "no such tool": (changed('tool = "probe"', 'tool = "drill"'), ["'drill'", "key tool"]),
     "no number": (changed("[700.0,", "[nan,"), ["stations.places_mm[0][0]", "nan"]),
     "outside its bounds": (
-        changed("[timing]", "[gates]\nmax_remaining_fraction = 2.0\n[timing]"),
-        ["gates.max_remaining_fraction"],
+        changed("[timing]", "[gates]\nmax_unmeasured_fraction = 20.0\n[timing]"),
+        ["gates.max_unmeasured_fraction"],
+    ),
+    "key that no longer exists": (
+        changed("[timing]", "[gates]\nmax_remaining_fraction = 0.5\n[timing]"),
+        ["gates.max_remaining_fraction", "no longer exists", "verification.min_gain"],
     ),
     "no TOML": (lambda text: text + "x = [", ["not valid TOML"]),
     "no machine file": (changed("machines/case-study.toml", "machines/none.toml"), ["none.toml"]),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from click.testing import CliRunner, Result
 
-from agent.cli.identify import identify
+from agent.cli.offline_commands.identify import identify
 from campaigns.foreign.artefact import CERTIFICATE_MM, CTE_PER_K, CTE_UNCERTAINTY_PER_K, ForeignBar
 from campaigns.foreign.machine import CHAIN, RANGES, TOOL
 from campaigns.foreign.score import AMPLITUDES

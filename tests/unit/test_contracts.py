@@ -33,6 +33,7 @@ OFFENCES = (
     Offence("library", "volcal/__init__.py", "drivers.errors"),
     Offence("agent-rooms", "agent/settings/load.py", "agent.runs.session"),
     Offence("agent-rooms", "agent/unlisted_room.py", "json"),
+    Offence("cli-rooms", "agent/cli/run_commands/demo.py", "agent.cli.table_commands.table"),
     Offence("twin-rooms", "twin/arrays.py", "twin.machine"),
     Offence("identification-checks", "twin/identification/checks/outliers.py", "twin.identification.estimate"),
     Offence("service-rooms", "agent/service/state/archive.py", "agent.service.owner"),

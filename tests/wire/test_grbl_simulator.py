@@ -1,4 +1,6 @@
-"""Simulated GRBL against the documents of GRBL 1.1 (gnea/grbl, doc/markdown): transcripts byte by byte."""
+"""Simulated GRBL and grblHAL against the documents and sources of both (gnea/grbl; grblHAL/core): transcripts byte by
+byte.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +15,7 @@ from drivers.errors import ConfigurationError
 from drivers.roles import Permission
 from simulators.scenario import read_scenario
 from simulators.wire.grbl.controller import GrblController
+from simulators.wire.grbl.dialect import GRBL_11, GRBL_HAL, GrblDialect
 from simulators.wire.grbl.settings import GrblSettings
 from simulators.wire.pty_port import PseudoTerminal
 from simulators.wire.shared_world import SharedWorld
@@ -26,11 +29,11 @@ LOCKED = "[MSG:'$H'|'$X' to unlock]"
 class Terminal:
     """Terminal that types bytes, collects lines and advances time."""
 
-    def __init__(self, *, homed: bool = True, **settings: float) -> None:
+    def __init__(self, *, homed: bool = True, dialect: GrblDialect = GRBL_11, **settings: float) -> None:
         self.world = World(read_scenario(SCENARIO).without_errors())
         self._shared = SharedWorld(self.world)
         self._said = b""
-        told = GrblSettings(self.world.controller.limits())
+        told = GrblSettings(self.world.controller.limits(), dialect=dialect)
         told.change({int(name[1:]): value for name, value in settings.items()})
         self.grbl = GrblController(
             self.world.controller, lambda: self._shared.now, self._hear, settings=told, homed=homed
@@ -243,6 +246,124 @@ def test_some_commands_only_while_idle(grbl: Terminal) -> None:
     grbl.type(b"G53G1X-3990F600\n")
     assert grbl.type(b"$$\n$#\n$I\n$H\n") == ["error:8"] * 4
     assert grbl.type(b"$G\n")[-1] == "ok"
+
+
+class TestTargetWhereTheAxesStand:
+    """GRBL compares the target of a probe cycle with the position of its parser, bit by bit in single precision."""
+
+    def test_the_target_of_a_missed_cycle_is_refused_although_the_axes_stand_on_a_step_beside_it(
+        self, grbl: Terminal
+    ) -> None:
+        grbl.type(b"G38.3X-3990.0004Y-1299.9997F6000\n")
+        assert grbl.wait(5.0) == ["[PRB:-3990.000,-1300.000,-1500.000:0]", "ok"]
+        assert grbl.type(b"G38.3X-3990.0004Y-1299.9997F6000\n") == ["error:33"]
+
+    def test_the_target_of_a_move_is_refused(self, grbl: Terminal) -> None:
+        grbl.type(b"G53G0X-3990.0004\n")
+        grbl.wait(5.0)
+        assert grbl.type(b"G38.3X-3990.0004F600\n") == ["error:33"]
+
+    def test_another_target_within_the_step_is_a_cycle_of_no_length(self, grbl: Terminal) -> None:
+        grbl.type(b"G53G0X-3990.0004\n")
+        grbl.wait(5.0)
+        assert grbl.type(b"G38.3X-3990.0000F600\n") == ["[PRB:-3990.000,-1300.000,-1500.000:0]", "ok"]
+
+    def test_numbers_that_are_equal_in_single_precision_are_equal(self, grbl: Terminal) -> None:
+        grbl.type(b"G53G0X-3990.0004\n")
+        grbl.wait(5.0)
+        assert grbl.type(b"G38.3X-3990.00041F600\n") == ["error:33"]
+
+    def test_after_a_trip_the_position_is_that_of_the_steps(self) -> None:
+        grbl = Terminal(_100=400.0)  # 2.5 um a step
+        grbl.type(b"G53G0X-3990.001\n")
+        grbl.wait(5.0)
+        assert "MPos:-3990.000" in grbl.type(b"?")[0]
+        grbl.type(b"\x18")
+        assert grbl.type(b"G38.3X-3990F600\n") == ["error:33"]
+
+
+class TestJogging:
+    def test_jog_ends_at_a_cancel_and_keeps_the_position(self, grbl: Terminal) -> None:
+        assert grbl.type(b"$J=G53X-3000F6000\n") == ["ok"]
+        grbl.wait(2.0)
+        assert grbl.type(b"?")[0].startswith("<Jog|")
+        assert grbl.type(b"G0X-1\n") == ["error:9"]
+        grbl.type(b"\x85")
+        grbl.wait(2.0)
+        assert grbl.type(b"?")[0].startswith("<Idle|MPos:-38")
+        assert grbl.type(b"G53G0X-3900\n") == ["ok"]
+
+    def test_hold_cancels_a_jog(self, grbl: Terminal) -> None:
+        grbl.type(b"$J=G53X-3000F6000\n")
+        grbl.wait(2.0)
+        grbl.type(b"!")
+        grbl.wait(2.0)
+        assert grbl.type(b"?")[0].startswith("<Idle|")
+
+    @pytest.mark.parametrize(
+        ("line", "code"),
+        [(b"$J=G53X1F600", 15), (b"$J=X-1", 22), (b"$J=G1X-1F100", 16), (b"$J=F100", 26), (b"$JX-1F100", 3)],
+    )
+    def test_refused_jog(self, grbl: Terminal, line: bytes, code: int) -> None:
+        assert grbl.type(line + b"\n") == [f"error:{code}"]
+        assert grbl.type(b"?")[0].startswith("<Idle|")
+
+
+class TestGrblHal:
+    @pytest.fixture
+    def hal(self) -> Terminal:
+        return Terminal(dialect=GRBL_HAL)
+
+    @pytest.mark.parametrize("acknowledged", [b"\n", b"$G\n", b"\x85"])
+    def test_an_error_is_repeated_until_it_is_acknowledged(self, hal: Terminal, acknowledged: bytes) -> None:
+        assert hal.type(b"G99\n") == ["error:20"]
+        assert hal.type(b"G90\n") == ["error:20"]
+        hal.type(acknowledged)
+        assert hal.type(b"G90\n") == ["ok"]
+
+    def test_a_reset_acknowledges_too(self, hal: Terminal) -> None:
+        hal.type(b"=\n")
+        assert hal.type(b"\x18") == ["", "GrblHAL 1.1f ['$' or '$HELP' for help]"]
+        assert hal.type(b"G90\n") == ["ok"]
+
+    def test_identity_and_settings(self, hal: Terminal) -> None:
+        lines = hal.type(b"$I\n")
+        assert {"[FIRMWARE:grblHAL]", "[AXS:3:XYZ]"} <= set(lines)
+        assert {"$10=511", "$44=4", "$45=3"} <= set(hal.type(b"$$\n"))
+
+    def test_reports_also_after_a_critical_alarm(self, hal: Terminal) -> None:
+        assert hal.type(b"G53G0X1\n") == ["ALARM:2", "[MSG:Reset to continue]"]
+        assert hal.type(b"?")[0].startswith("<Alarm|")
+        assert hal.type(b"$X\n") == []
+
+    def test_hard_limits_shrink_the_travel_by_the_pull_off(self) -> None:
+        hal = Terminal(dialect=GRBL_HAL, _21=1.0, _27=2.5)
+        assert hal.type(b"G53G0X-2.5Y-2.5Z-2.5\n") == ["ok"]
+        hal.wait(200.0)
+        assert hal.type(b"G53G0X-2.4\n")[0] == "ALARM:2"
+        assert Terminal(dialect=GRBL_HAL, _27=2.5).type(b"G53G0X-2.4\n") == ["ok"]
+        assert Terminal(_21=1.0, _27=2.5).type(b"G53G0X-2.4\n") == ["ok"]
+
+    def test_jog_cancel_discards_waiting_lines_without_an_answer(self, hal: Terminal) -> None:
+        hal.type(b"G4P1\nG90\n")
+        hal.type(b"\x85")
+        assert hal.wait(2.0) == ["ok"]
+
+    def test_not_homed_is_alarm_11_at_power_on(self, hal: Terminal) -> None:
+        hal.grbl.reboot()
+        assert hal.heard()[-1] == "ALARM:11"
+        assert "|H:0" in hal.type(b"?")[0]
+        hal.type(b"$H\n")
+        assert hal.wait(1000.0) == ["ok"]
+        assert "|H:1" in hal.type(b"?")[0]
+
+
+@pytest.mark.parametrize("dialect", [GRBL_11, GRBL_HAL])
+def test_failed_homing_is_an_alarm_and_a_restart(dialect: GrblDialect) -> None:
+    grbl = Terminal(dialect=dialect)
+    grbl.grbl.homing_fails = 9
+    assert grbl.type(b"$H\n") == ["ALARM:9", "ok", "", dialect.welcome, LOCKED]
+    assert grbl.type(b"G0X-1\n") == ["error:9"]
 
 
 class TestPseudoTerminal:

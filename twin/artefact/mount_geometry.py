@@ -1,5 +1,8 @@
 """Geometry of the mount, which is the rotary device that holds the artefact. The geometry has a separate module,
 because the settings import it and must not load numpy.
+
+An artefact that is placed by hand has no mount. Its geometry is that of a mount without any part (see
+`without_mount`), whose location is the origin of the artefact frame.
 """
 
 from __future__ import annotations
@@ -7,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from twin.errors import DataError
 
@@ -23,7 +26,9 @@ class MountGeometry:
     azimuth axis if the elevation is 0.
 
     The pedestal stands on the machine table under the azimuth axis. It extends from the height `table_z_mm` (surface of
-    the table, in the workpiece frame) to `head_mm` above the mount location.
+    the table, in the workpiece frame) to `head_mm` above the mount location. If `hanging` is True, the mount hangs from
+    a surface above it at the height `table_z_mm`, and the pedestal ends `head_mm` below the mount location. A stylus
+    that points upwards then reaches the artefact from below. A part whose radius is 0 does not exist.
     """
 
     moved_keys: ClassVar[Mapping[str, str]] = {
@@ -39,13 +44,19 @@ class MountGeometry:
     pedestal_radius_mm: float = 50.0
     head_mm: float = 30.0
     table_z_mm: float = -150.0
+    hanging: bool = False
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name not in ("table_z_mm", "shaft_direction") and not value >= 0.0:
+            if name not in ("table_z_mm", "shaft_direction", "hanging") and not value >= 0.0:
                 raise DataError(f"{name} must be at least 0, got {value}", key=f"mount.{name}")
         if not 0.0 < math.hypot(*self.shaft_direction) < math.inf:
             raise DataError("shaft_direction must not be zero", key="mount.shaft_direction")
+
+    @property
+    def up(self) -> float:
+        """1 if the pedestal extends upwards from the table to the mount location, -1 if it hangs down."""
+        return -1.0 if self.hanging else 1.0
 
     @property
     def shaft_vector_mm(self) -> tuple[float, float, float]:
@@ -53,3 +64,21 @@ class MountGeometry:
         x, y, z = self.shaft_direction
         scale = self.shaft_mm / math.hypot(x, y, z)
         return scale * x, scale * y, scale * z
+
+
+PARTS = ("shaft_mm", "shaft_radius_mm", "pedestal_radius_mm", "head_mm")
+"""Keys of the section `mount` that describe parts of the mount."""
+
+
+def without_mount(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section `mount` of settings for an artefact that is placed by hand: all parts of the mount have the
+    size 0, and only the height of the table remains.
+
+    Raises ValueError, which names the key, if `section` describes a part of a mount.
+    """
+    described = [name for name in PARTS if section.get(name, 0.0) != 0.0]
+    if described:
+        raise ValueError(f"mount.{described[0]}: an artefact that is placed by hand has no mount; remove the key")
+    if section.get("hanging"):
+        raise ValueError("mount.hanging: an artefact that is placed by hand stands on the table; remove the key")
+    return {**section, **dict.fromkeys(PARTS, 0.0)}

@@ -41,11 +41,19 @@ def choose_alignment_balls(centres: Array, balls: Sequence[int]) -> AlignmentBal
     points = centres[list(balls)]
     distances = np.triu(np.linalg.norm(points[:, None] - points[None], axis=2))
     first, last = (int(index) for index in np.argwhere(distances > distances.max() - _EQUAL_MM)[0])
-    line = (points[last] - points[first]) / distances[first, last]
-    beside = np.linalg.norm(np.cross(points - points[first], line), axis=1)
+    ends = balls[first], balls[last]
+    return AlignmentBalls(ends, choose_third_ball(centres, balls, ends))
+
+
+def choose_third_ball(centres: Array, balls: Sequence[int], ends: tuple[int, int]) -> int | None:
+    """Return the ball among `balls` that is farthest from the line through the two balls `ends`. Return None if all of
+    them are close to this line. `centres` (N, 3) has the predicted centres in mm of all N balls.
+    """
+    points, (first, last) = centres[list(balls)], centres[list(ends)]
+    length = float(np.linalg.norm(last - first))
+    beside = np.linalg.norm(np.cross(points - first, (last - first) / length), axis=1)
     third = int(np.argmax(beside > beside.max() - _EQUAL_MM))
-    needed = beside[third] > _FLAT_SHARE * distances[first, last]
-    return AlignmentBalls((balls[first], balls[last]), balls[third] if needed else None)
+    return balls[third] if beside[third] > _FLAT_SHARE * length else None
 
 
 def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Array, found_last: Array) -> Array:

@@ -62,28 +62,33 @@ def artefact_bodies(artefact: Artefact, pose: Pose) -> tuple[Body, ...]:
 
 
 def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tuple[Body, ...]:
-    """Return the collision bodies of a mount at `location_mm` (3,), which are its shaft and its pedestal."""
+    """Return the collision bodies of a mount at `location_mm` (3,), which are its shaft and its pedestal. A part whose
+    radius is 0 does not exist."""
     location = point(location_mm)
     x, y, z = location
-    return (
-        Body("shaft", Capsule(location, point(pose.centre), geometry.shaft_radius_mm)),
-        Body(
+    parts = (
+        ("shaft", Capsule(location, point(pose.centre), geometry.shaft_radius_mm)),
+        (
             "pedestal",
-            Capsule((x, y, geometry.table_z_mm), (x, y, z + geometry.head_mm), geometry.pedestal_radius_mm),
+            Capsule(
+                (x, y, geometry.table_z_mm), (x, y, z + geometry.up * geometry.head_mm), geometry.pedestal_radius_mm
+            ),
         ),
     )
+    return tuple(Body(name, shape) for name, shape in parts if shape.radius > 0.0)
 
 
 def table_body(geometry: MountGeometry, location_mm: Array, frame: ProbeFrame) -> Body:
     """Return the body of the machine table under a mount at `location_mm` (3,). `frame` gives the direction of the
     stylus.
 
-    The table is a horizontal slab without limits. Exception: under a horizontal stylus that points from the origin of
-    the workpiece frame towards the mount, the table begins at the origin, because the ram of such a machine moves in
-    front of the table and may be lower than its surface.
+    The table is a horizontal slab without limits; a hanging mount hangs from its lower side. Exception: under a
+    horizontal stylus that points from the origin of the workpiece frame towards the mount, the table begins at the
+    origin, because the ram of such a machine moves in front of the table and may be lower than its surface.
     """
-    top = geometry.table_z_mm
-    lower = [-TABLE_SPAN_MM, -TABLE_SPAN_MM, top - TABLE_THICKNESS_MM]
+    surface = geometry.table_z_mm
+    bottom, top = sorted((surface, surface - geometry.up * TABLE_THICKNESS_MM))
+    lower = [-TABLE_SPAN_MM, -TABLE_SPAN_MM, bottom]
     upper = [TABLE_SPAN_MM, TABLE_SPAN_MM, top]
     if not frame.is_vertical and frame.sign * float(location_mm[frame.axis]) > 0.0:
         (lower if frame.sign > 0 else upper)[frame.axis] = 0.0

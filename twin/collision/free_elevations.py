@@ -40,24 +40,25 @@ class FreeElevations:
 
 
 def free_elevations(artefact: Artefact, mount: MountGeometry, height_mm: float) -> FreeElevations:
-    """Return the range of elevations in which the artefact is free. `height_mm` is the height of the mount location
-    above the machine table.
+    """Return the range of elevations in which the artefact is free. `height_mm` is the distance of the mount location
+    from the machine table: its height above the table or, if the mount hangs, its depth below it.
 
     An artefact that is within the clearance of the pedestal at the elevation 0 is taken as fastened to the pedestal,
-    which is then left out.
+    which is then left out. So is a pedestal
+    whose radius is 0.
     """
     points, radii = _points(artefact, mount)
     angles = np.radians(np.arange(-90.0, 90.0 + 0.5 * _STEP_DEG, _STEP_DEG))
     # Elevation turns the artefact about the Y axis of its frame, through the mount location.
     sines, cosines = np.sin(angles)[:, None], np.cos(angles)[:, None]
     x, y, z = points.T
-    across, up = x * cosines - z * sines, x * sines + z * cosines
+    across, up = x * cosines - z * sines, mount.up * (x * sines + z * cosines)
     above_table = (up - radii).min(axis=1) + height_mm
     beyond_head = np.maximum(up - mount.head_mm, 0.0)
     from_pedestal = np.sqrt(across**2 + y**2 + beyond_head**2) - radii - mount.pedestal_radius_mm
     apart = {"table": above_table, "pedestal": from_pedestal.min(axis=1)}
     middle = len(angles) // 2
-    if apart["pedestal"][middle] < CLEARANCE_MM:
+    if mount.pedestal_radius_mm == 0.0 or apart["pedestal"][middle] < CLEARANCE_MM:
         del apart["pedestal"]
     hits = {name: distance < CLEARANCE_MM for name, distance in apart.items()}
     hit = np.any(list(hits.values()), axis=0)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.mount_geometry import MountGeometry
+from twin.artefact.placement_tolerance import PlacementTolerance
 from twin.artefact.position_set import Position, is_reachable, mount_pose
 from twin.artefact.touch_pattern import approach_directions
 from twin.collision.accessibility import accessible_balls, measuring_scene
@@ -53,6 +54,8 @@ class MeasuringLayout:
     - `artefact` defines the ball numbers in observations.
     - `own_artefacts` maps a station number to an artefact if each station has its own artefact. `artefact` is then
       their combination in the order of the stations.
+    - `placement` states how far an artefact that is placed by hand may stand from its nominal position; it is None if a
+      mount holds the artefact.
     - `neighbours` maps a station number to the bodies of all other mounts and of the artefacts on them. These bodies
       are in the workspace while the station is measured.
     """
@@ -70,9 +73,14 @@ class MeasuringLayout:
     overtravel_mm: float = 0.0
     own_artefacts: Mapping[int, Artefact] = field(default_factory=dict)
     neighbours: Mapping[int, tuple[Body, ...]] = field(default_factory=dict)
+    placement: PlacementTolerance | None = None
     # Accessibility does not depend on the location along the station axis, unless there is more than one mount. It is
     # expensive to compute and needed repeatedly for every position, hence the cache.
     _accessible: dict[_AccessKey, Mask] = field(default_factory=dict, init=False, repr=False)
+    locating: dict[tuple[float, float, tuple[int, ...]], tuple[int, ...]] = field(
+        default_factory=dict, init=False, repr=False
+    )
+    """Cache of `twin.collision.locating_balls`."""
     _elevations: dict[tuple[int, float], FreeElevations] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -119,13 +127,22 @@ class MeasuringLayout:
         """Return a boolean array with one element per ball of the artefact in `position`. An element is True if no body
         obstructs the probe at its ball. The bodies are the artefact, the mount, and the bodies at the neighbouring
         stations. No ball is accessible at an elevation at which the artefact itself would hit the table or its mount.
+
+        A ball of an artefact that is placed by hand must be accessible at both ends of the angular tolerance too. Its
+        displacement changes nothing, because the probe follows it.
         """
+        spread_deg = 0.0 if self.placement is None else self.placement.angle_deg
+        azimuths_deg = {position.azimuth_deg + turn * spread_deg for turn in (-1.0, 0.0, 1.0)}
+        masks = [self._accessible_at(position, azimuth_deg) for azimuth_deg in sorted(azimuths_deg)]
+        return np.asarray(np.logical_and.reduce(masks))
+
+    def _accessible_at(self, position: Position, azimuth_deg: float) -> Mask:
         if not self.elevations(position.station).contains(position.elevation_deg):
             return np.zeros(self.artefact_at(position.station).count, dtype=np.bool_)
         location = self.location(position.station)
         other_bodies = self.neighbours.get(position.station, ())
         among = position.station if other_bodies else 0
-        key = (position.azimuth_deg, position.elevation_deg, self.across_stations(location), among)
+        key = (azimuth_deg, position.elevation_deg, self.across_stations(location), among)
         if key not in self._accessible:
             centres, scene = measuring_scene(
                 self.artefact_at(position.station),
@@ -133,7 +150,7 @@ class MeasuringLayout:
                 self.mount,
                 frame=self.frame,
                 location_mm=location,
-                azimuth_rad=math.radians(position.azimuth_deg),
+                azimuth_rad=math.radians(azimuth_deg),
                 elevation_rad=math.radians(position.elevation_deg),
                 other_bodies=other_bodies,
             )
@@ -152,8 +169,13 @@ class MeasuringLayout:
         return approach_directions(5, self.frame.stylus_axis) if self.directions is None else self.directions
 
     def elevations(self, station: int) -> FreeElevations:
-        """Return the range of elevations in which the artefact at `station` hits neither its mount nor the table."""
-        height_mm = float(self.location(station)[2]) - self.mount.table_z_mm
+        """Return the range of elevations in which the artefact at `station` hits neither its mount nor the table.
+
+        An artefact that is placed by hand stands on the table; its range is not limited.
+        """
+        if self.placement is not None:
+            return FreeElevations(-90.0, 90.0, "")
+        height_mm = self.mount.up * (float(self.location(station)[2]) - self.mount.table_z_mm)
         key = (station if station in self.own_artefacts else 0, height_mm)
         if key not in self._elevations:
             self._elevations[key] = free_elevations(self.artefact_at(station), self.mount, height_mm)

@@ -34,6 +34,7 @@ class PartSetupFile(StrictModel):
     plane: Literal["G17", "G18", "G19"] = "G17"
     feed: Literal["G93", "G94", "G95"] = "G94"
     tool_change: Literal["moves", "stays"] = "moves"
+    parameters: dict[str, float] = Field(default_factory=dict)
 
 
 def parse_part_setup(text: str, source: str) -> PartSetup:
@@ -55,6 +56,7 @@ def parse_part_setup(text: str, source: str) -> PartSetup:
         plane=read.plane,
         feed=read.feed,
         tool_change_moves=read.tool_change == "moves",
+        parameters=read.parameters,
     )
 
 

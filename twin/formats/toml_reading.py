@@ -22,6 +22,8 @@ class StrictModel(BaseModel):
     former_keys: ClassVar[Mapping[str, str]] = {}
     """New name of each renamed key, by its old name. A file with an old key is refused with a message that gives the
     new name."""
+    removed_keys: ClassVar[Mapping[str, str]] = {}
+    """What to do about a key that no longer exists, by its name. A file with such a key is refused."""
 
 
 _UNION_LABEL = re.compile(r"(float|int|bool|str|constrained-\w+)$|.*\[")
@@ -69,14 +71,14 @@ def validate_document(document: dict[str, Any], source: str, kind: type[Section]
 
 
 def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
-    """Return a copy of `document` in which former names of keys are replaced by the current names. The keys are those
-    of the model class `kind` and of its sections.
+    """Return a copy of `document` in which former names of keys are replaced by the current names, without keys that no
+    longer exist. The keys are those of the model class `kind` and of its sections.
 
     The function is used for documents that an earlier version of this program stored. In a file written by a user, a
     former key is an error instead.
     """
-    former = kind.former_keys if issubclass(kind, StrictModel) else {}
-    current = {former.get(key, key): value for key, value in document.items()}
+    former, removed = (kind.former_keys, kind.removed_keys) if issubclass(kind, StrictModel) else ({}, {})
+    current = {former.get(key, key): value for key, value in document.items() if key not in removed}
     for key, value in current.items():
         field = kind.model_fields.get(key)
         section = _model_inside(field.annotation) if field else None
@@ -114,14 +116,7 @@ def _describe(
     known = _known_keys(kind, location[:-1])
     name = str(location[-1]) if location else ""
     if problem == "extra_forbidden":
-        section = _section_at(kind, location[:-1])
-        if section is not None and issubclass(section, StrictModel) and name in section.former_keys:
-            return (
-                f"key '{name}' has been renamed",
-                f"Write '{section.former_keys[name]}' instead; the reference page of this file states its meaning",
-            )
-        close = difflib.get_close_matches(name, known, n=1)
-        return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _known_keys_hint(known)
+        return _describe_unknown(name, _section_at(kind, location[:-1]), known)
     if problem == "missing":
         if location and isinstance(location[-1], int):
             return f"the list is too short: value number {location[-1] + 1} is missing", ""
@@ -129,6 +124,19 @@ def _describe(
     if problem == "value_error":
         return text.removeprefix("Value error, "), ""
     return f"{text[:1].lower()}{text[1:]}, found {value!r:.80}", ""
+
+
+def _describe_unknown(name: str, section: type[BaseModel] | None, known: list[str]) -> tuple[str, str]:
+    if section is not None and issubclass(section, StrictModel):
+        if name in section.former_keys:
+            return (
+                f"key '{name}' has been renamed",
+                f"Write '{section.former_keys[name]}' instead; the reference page of this file states its meaning",
+            )
+        if name in section.removed_keys:
+            return f"key '{name}' no longer exists", section.removed_keys[name]
+    close = difflib.get_close_matches(name, known, n=1)
+    return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _known_keys_hint(known)
 
 
 def _known_keys_hint(known: list[str]) -> str:

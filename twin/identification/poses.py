@@ -13,6 +13,7 @@ from twin.arrays import Array
 from twin.identification.straight_lines import StraightLines
 
 _COLLINEAR = 1e-9  # second over first singular value of the moments: off-axis below 3e-5 of the length
+_ROUNDING = 1e-12  # lever of a roll, relative to the arm of the position, that is rounding alone
 _WELL_CONDITIONED = 1e-5  # ratio of eigenvalues of the 6x6 normal equations above which Cholesky loses at most 5 digits
 _UNDETERMINED = 1e-10  # relative eigenvalue of the 6x6 normal equations below which an increment is undetermined
 
@@ -151,7 +152,9 @@ class PoseArms:
         # unit size for the roll: its lever is the distance from the line, which is a few micrometres
         roll = turned[..., 0]
         size = np.sqrt(np.einsum("kij,kij->k", roll, roll))
-        turned[..., 0] /= np.where(self.lines.straight & (size > 0.0), size, 1.0)[:, None, None]
+        # nominal centres may stand on an exact line: their lever is rounding, which must not become a column
+        scale = np.where(size > _ROUNDING, size, np.inf)
+        turned[..., 0] /= np.where(self.lines.straight, scale, 1.0)[:, None, None]
         return turned
 
     def turns(self, increments: Array, poses: Poses) -> Array:

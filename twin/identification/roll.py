@@ -32,6 +32,7 @@ from twin.identification.straight_pattern import known_centres, measured_pattern
 from twin.machine.machine_population import Family
 
 _CONVERGED_RAD = 1e-7  # the result must not depend on the start
+_NO_PATTERN_MM = 1e-9  # balls that stand on an exact line, but for rounding
 _MAX_ITERATIONS = 15  # a pattern larger than the errors of the certificate needs five or six
 
 
@@ -138,5 +139,6 @@ def _patterns(problem: IdentificationProblem, lines: StraightLines, local: Array
     # n × turns the first lateral direction into the second one, and that into minus the first one
     other = np.einsum("kwj,kij->kwi", np.stack((-inside[:, :, 2], inside[:, :, 1]), axis=2), lateral)
     size = np.sqrt(np.einsum("kwi,kwi->k", one, one))
-    pattern = np.stack((one, other), axis=3) / np.where(size > 0.0, size, 1.0)[:, None, None, None]
+    size[size < _NO_PATTERN_MM] = 0.0
+    pattern = np.stack((one, other), axis=3) / np.where(size > 0.0, size, np.inf)[:, None, None, None]
     return pattern, np.where(lines.straight, size, 0.0)

@@ -18,6 +18,7 @@ from agent.planning.job import Job
 from agent.planning.preflight import whole_procedure
 from agent.planning.time_model import time_model
 from drivers.errors import VolcalError
+from drivers.roles import OperatorRequest, PlacementRequest
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point, point, translate_point
 
@@ -76,6 +77,15 @@ def _up_to(plan: Generator[Step, Any, Any], last: str | None) -> Generator[Step,
         plan.close()
 
 
+def standing_after(request: OperatorRequest, before: Position) -> Position:
+    """Return the position of the artefact after the operator has fulfilled `request`; `before` is the one before."""
+    if request.station is None:
+        return before
+    if isinstance(request, PlacementRequest):
+        return Position(request.station, request.azimuth_deg, request.elevation_deg)
+    return Position(request.station, before.azimuth_deg, before.elevation_deg)
+
+
 class _Walker:
     """Recorder of the state of the ideal machine after each step."""
 
@@ -92,9 +102,8 @@ class _Walker:
             return
         if isinstance(step, OrientTo):
             self._standing = Position(step.station, step.azimuth_deg, step.elevation_deg)
-        elif isinstance(step, AskOperator) and step.request.station is not None:
-            was = self._standing
-            self._standing = Position(step.request.station, was.azimuth_deg, was.elevation_deg)
+        elif isinstance(step, AskOperator):
+            self._standing = standing_after(step.request, self._standing)
         tip = translate_point(self.actions[ReadPosition](None), self._offset)
         self.waypoints.append(Waypoint(step, tip, self._elapsed_s, self._standing))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agent.planning.job import Job
@@ -12,7 +12,7 @@ from agent.planning.setup_files.artefact_text import artefact_text
 from agent.planning.setup_files.machine_text import machine_text
 from agent.planning.setup_files.scenario_text import scenario_text
 from agent.planning.setup_files.settings_text import settings_text
-from agent.planning.setup_proposal.artefact_setup import BarSetup
+from agent.planning.setup_proposal.artefact_setup import ArtefactSetup
 from agent.planning.setup_proposal.controller_setup import ControllerSetup
 from agent.planning.setup_proposal.machine_setup import MachineSetup
 from agent.planning.setup_proposal.station_setup import FULL_ELEVATION_DEG, StationSetup, positions_of
@@ -39,42 +39,45 @@ class Effort:
 EFFORTS = (Effort("S1+S3", 5), Effort("S1+S2+S3", 5), Effort("S1+S2+S3", 9))
 """Proposed efforts, in ascending order. The first that is expected to pass all gates with a margin suffices."""
 LAST_EFFORT = Effort("S1+S2+S3", 25)
-"""Effort if none of the others can be made sufficient by a higher limit: hours, for little more."""
+"""Effort if the others are not expected to pass all gates: hours, for little more."""
 
 
 @dataclass(frozen=True)
 class NewSetup:
     """Everything that is stated, read or proposed about a new machine.
 
-    `artefact_files` maps the names of existing files to their texts if they replace the file of a nominal bar; `bar`
-    then contains the dimensions of this artefact. `position_set` is a set or file named by a person, None for the
+    `artefact_files` maps the names of existing files to their texts if they replace the file of a nominal artefact;
+    `artefact` then contains the dimensions of that one. `position_set` is a set or file named by a person, None for the
     proposed one, which follows from `effort`. `touches_per_ball` is the number stated
-    by a person, None for that of `effort`. `max_remaining_fraction` is the limit of the gate `gain`, None for the
-    default.
+    by a person, None for that of `effort`. `held_out_positions` is their number, None for the default.
     """
 
     machine: MachineSetup
     controller: ControllerSetup
-    bar: BarSetup
+    artefact: ArtefactSetup
     stations: StationSetup
     artefact_files: Mapping[str, str] | None = None
     position_set: str | None = None
     touches_per_ball: int | None = None
     effort: Effort = EFFORTS[0]
-    max_remaining_fraction: float | None = None
+    held_out_positions: int | None = None
 
     @property
     def named_set(self) -> str | None:
         """Position set that needs no file: the one that a person named, else the proposed one if it exists by name."""
         if self.position_set is not None:
             return self.position_set
-        return self.effort.named_set if self.stations.elevation_deg == FULL_ELEVATION_DEG else None
+        suits = self.artefact.is_bar and self.stations.elevation_deg == FULL_ELEVATION_DEG
+        return self.effort.named_set if suits else None
 
     @property
     def efforts(self) -> tuple[Effort, ...]:
         """Efforts among which to choose, without those that differ only in what a person stated."""
         by_meaning = {
-            (self.position_set or effort.named_set, self.touches_per_ball or effort.touches_per_ball): effort
+            (
+                replace(self, effort=effort).named_set,
+                self.touches_per_ball or effort.touches_per_ball,
+            ): effort
             for effort in reversed((*EFFORTS, LAST_EFFORT))
         }
         return tuple(reversed(by_meaning.values()))
@@ -84,17 +87,14 @@ class NewSetup:
         names = {"machine_file": MACHINE_FILE, "artefact_file": ARTEFACT_FILE}
         return {
             MACHINE_FILE: machine_text(self.machine),
-            **(
-                self.artefact_files
-                or {ARTEFACT_FILE: artefact_text(self.bar, holders_up=self.machine.spindle.is_vertical)}
-            ),
+            **(self.artefact_files or {ARTEFACT_FILE: artefact_text(self.artefact, self.machine.spindle)}),
             SETTINGS_FILE: settings_text(
                 self.machine,
                 self.controller,
                 self.stations,
                 position_set=position_set,
                 touches_per_ball=self.touches_per_ball or self.effort.touches_per_ball,
-                max_remaining_fraction=self.max_remaining_fraction,
+                held_out_positions=self.held_out_positions,
                 **names,
             ),
             SCENARIO_FILE: scenario_text(self.machine, self.stations, **names),
@@ -109,13 +109,13 @@ def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], 
     ConfigurationError if the files contradict each other, for example because no ball is within reach.
     """
     named = setup.named_set
-    texts = setup.texts(named or "S3")
+    texts = setup.texts(named or LAST_EFFORT.named_set)
     job = _written(texts, directory)
     if named is not None:
         return texts, job
     measurable = [
         position
-        for position in positions_of(setup.stations, setup.machine.spindle)
+        for position in positions_of(setup.stations, setup.machine.spindle, is_bar=setup.artefact.is_bar)
         if reached_balls(job, position) >= MIN_BALLS
     ]
     texts = {**setup.texts(POSITIONS_FILE), POSITIONS_FILE: format_positions(measurable)}

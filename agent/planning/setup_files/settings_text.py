@@ -35,7 +35,7 @@ def settings_text(
     *,
     position_set: str,
     touches_per_ball: int,
-    max_remaining_fraction: float | None,
+    held_out_positions: int | None,
     machine_file: str,
     artefact_file: str,
 ) -> str:
@@ -57,8 +57,8 @@ def settings_text(
     _add_roles(text)
     add_mount(text, machine, stations)
     add_probe(text, machine)
-    _add_procedure(text, machine, stations, position_set, touches_per_ball)
-    _add_limits(text, machine, controller, max_remaining_fraction)
+    _add_procedure(text, machine, stations, position_set, touches_per_ball, held_out_positions)
+    _add_limits(text, machine, controller)
     return str(text)
 
 
@@ -142,13 +142,19 @@ def _add_roles(text: TomlText) -> None:
 
 
 def _add_procedure(
-    text: TomlText, machine: MachineSetup, stations: StationSetup, position_set: str, touches_per_ball: int
+    text: TomlText,
+    machine: MachineSetup,
+    stations: StationSetup,
+    position_set: str,
+    touches_per_ball: int,
+    held_out_positions: int | None,
 ) -> None:
     text.section("stations")
     text.comment(
         f"Places of the mount along {station_axis(machine)}: the point of its azimuth axis at the height of the middle "
-        "of the bar (vertical spindle: at which the elevation axis meets it), in the workpiece frame (axis position + "
-        f"tool offset, so of a stylus centre that would stand there). {stations.origins['places_mm'].capitalize()}."
+        "of the artefact (vertical spindle: at which the elevation axis meets it), in the workpiece frame (axis "
+        "position + tool offset, so of a stylus centre that would stand there). "
+        f"{stations.origins['places_mm'].capitalize()}."
     )
     text.key("places_mm", [list(place) for place in stations.places_mm])
     text.section("procedure", "How is measured; `volcal plan` shows balls, minutes and the expected result.")
@@ -157,11 +163,11 @@ def _add_procedure(
     text.section("verification", "Fresh positions that prove a new table are measured at these stations.")
     count = len(stations.places_mm)
     text.key("stations", sorted({1, count}), "the first and the last")
+    if held_out_positions is not None:
+        text.key("positions", held_out_positions, "as many as are needed to show the predicted improvement")
 
 
-def _add_limits(
-    text: TomlText, machine: MachineSetup, controller: ControllerSetup, max_remaining_fraction: float | None
-) -> None:
+def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSetup) -> None:
     text.section("temperature")
     text.key(
         "standard_uncertainty_k",
@@ -176,17 +182,7 @@ def _add_limits(
     else:
         text.section("timing", "For predicted minutes. `volcal timing runs/RUN` suggests values after the first run.")
         text.key("relocation_minutes", 3.0, "a person moves mount and bar to the next station")
-    wide = machine.kind.tolerance_share > 1.0
-    if not wide and max_remaining_fraction is None:
-        return
-    text.section("gates", "A table that does not pass these limits is never written.")
-    if max_remaining_fraction is not None:
-        text.key(
-            "max_remaining_fraction",
-            max_remaining_fraction,
-            "expected share of the error that remains; above the default, because the machine is small against the "
-            "noise of the probe or its travel is flat",
-        )
-    if wide:
+    if machine.kind.tolerance_share > 1.0:
+        text.section("gates", "A table that does not pass these limits is never written.")
         text.key("max_correction_um", 1000.0, f"a {machine.kind.name} may have large errors")
         text.key("max_slope_um_per_mm", 5.0, "the same")

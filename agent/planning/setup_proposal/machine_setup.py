@@ -20,6 +20,8 @@ STEM_SHARE = 0.5
 LONGEST_STEM_MM = 100.0
 BODY_SHARE = 0.13
 THICKEST_BODY_RADIUS_MM = 25.0
+PROBE_FIELDS = {"tip_radius_mm": "tip_diameter", "stem_length_mm": "stem", "body_radius_mm": "probe_diameter"}
+"""Name of the field in which each dimension of the probe is stated."""
 WIDE_TIP_FROM_MM = 200.0
 """Stylus length from which a tip of 6 mm instead of 4 mm diameter is proposed."""
 
@@ -30,7 +32,7 @@ class MachineSetup:
 
     `limits_mm` are the lowest and highest axis position of X, Y and Z. `stylus_mm` is the distance from the ram
     reference to the stylus centre along `spindle`. `origins` maps the name of a field to the origin of its value, for
-    the comments of the machine file.
+    the comments of the machine file. `stated_probe` are the dimensions of the probe that a person stated.
     """
 
     name: str
@@ -43,6 +45,7 @@ class MachineSetup:
     feed_mm_per_min: Triple
     acceleration_mm_per_s2: Triple
     origins: Mapping[str, str] = field(default_factory=dict)
+    stated_probe: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         parse_chain(self.chain)
@@ -50,6 +53,17 @@ class MachineSetup:
             check_travel(letter, low, high)
         if not self.stylus_mm > 0.0:
             raise DataError(f"the stylus length must be positive, got {self.stylus_mm:g}", key="stylus")
+        for key, field_name in PROBE_FIELDS.items():
+            if not self.probe[key] > 0.0:
+                raise DataError(f"{key} must be positive, got {self.probe[key]:g}", key=field_name)
+        length = self.probe["stem_length_mm"] + 2.0 * self.probe["body_radius_mm"]
+        if length > self.stylus_mm:
+            raise DataError(
+                f"the stem and the body of the probe need {length:g} mm, the stylus centre is {self.stylus_mm:g} mm "
+                "from the ram reference",
+                hint="state a longer distance from the ram reference, or a smaller probe",
+                key=next((PROBE_FIELDS[key] for key in self.stated_probe if key in PROBE_FIELDS), "stylus"),
+            )
 
     @property
     def travel_mm(self) -> Triple:
@@ -70,7 +84,8 @@ class MachineSetup:
 
     @property
     def probe(self) -> dict[str, float]:
-        """Proposed dimensions in mm of the section `[probe]`: a thin stem, the probe body, and the ram behind it."""
+        """Dimensions in mm of the section `[probe]`: a thin stem, the probe body, and the ram behind it, proposed where
+        not stated."""
         return {
             "tip_radius_mm": 2.0 if self.stylus_mm < WIDE_TIP_FROM_MM else 3.0,
             "stem_length_mm": _rounded(min(LONGEST_STEM_MM, STEM_SHARE * self.stylus_mm)),
@@ -78,6 +93,7 @@ class MachineSetup:
             "reach_mm": self.stylus_mm,
             "ram_half_width_mm": self.kind.ram_half_width_mm,
             "ram_length_mm": _rounded(self.travel_mm[self.spindle.axis] + 100.0),
+            **self.stated_probe,
         }
 
 

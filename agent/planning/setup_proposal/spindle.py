@@ -1,14 +1,16 @@
-"""Spindle directions as a person writes them."""
+"""Spindle directions as a person writes them, and the direction of holders and shaft that suits them."""
 
 from __future__ import annotations
 
-from twin.collision.probe_frame import ProbeFrame
+from twin.collision.probe_frame import VERTICAL, ProbeFrame
 from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES
 
+Vector = tuple[float, float, float]
+
 SIGNS = {"+": 1, "-": -1}
-UPWARDS = "+Z"
-"""Direction of a stylus that probes from below."""
+BESIDE: Vector = (0.0, -1.0, 0.0)
+"""Direction of a shaft along the elevation axis, in the artefact frame: the artefact stands beside the azimuth axis."""
 
 
 def parse_spindle(text: str) -> ProbeFrame:
@@ -16,11 +18,6 @@ def parse_spindle(text: str) -> ProbeFrame:
     ram reference to the stylus centre. Raises DataError for any other text.
     """
     sign, letter = SIGNS.get(text[:1]), text[1:].upper()
-    if f"{text[:1]}{letter}" == UPWARDS:
-        raise DataError(
-            "no mount can be proposed for a stylus that points upwards",
-            hint="write the files from docs/reference/files.md",
-        )
     if sign is None or letter not in AXES:
         raise DataError(
             f"'{text}' is not a spindle direction",
@@ -34,5 +31,17 @@ def spindle_name(spindle: ProbeFrame) -> str:
     return f"{'+' if spindle.sign > 0 else '-'}{AXES[spindle.axis]}"
 
 
-SPINDLES = tuple(f"{sign}{axis}" for axis in AXES for sign in SIGNS if f"{sign}{axis}" != UPWARDS)
-"""All spindle directions for which a set-up can be proposed, as text."""
+SPINDLES = tuple(f"{sign}{axis}" for axis in AXES for sign in SIGNS)
+"""All spindle directions as text."""
+
+
+def points_up(spindle: ProbeFrame) -> bool:
+    """Return True if the stylus points upwards and probes from below."""
+    return spindle.axis == VERTICAL and spindle.sign > 0
+
+
+def holder_direction(spindle: ProbeFrame) -> Vector:
+    """Return the direction of holders and shaft in the artefact frame, which is against the stylus: along Z if the
+    stylus is vertical, so the artefact stands above the azimuth axis or hangs below it; else -Y, which the azimuth of
+    the mount turns towards the stylus."""
+    return (0.0, 0.0, -float(spindle.sign)) if spindle.is_vertical else BESIDE

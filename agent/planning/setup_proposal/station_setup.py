@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.planning.setup_proposal.artefact_setup import TOUCHED_MM, BarSetup
+from agent.planning.setup_proposal.artefact_setup import TOUCHED_MM, ArtefactSetup
 from agent.planning.setup_proposal.machine_setup import MachineSetup
+from agent.planning.setup_proposal.spindle import points_up
 from twin.artefact.position_set import Position
 from twin.collision.probe_frame import VERTICAL, ProbeFrame
 from twin.machine.kinematic_chain import AXES
@@ -20,32 +21,33 @@ STATED = "as stated"
 PROPOSED = "proposed"
 MOST_STATIONS = 6
 OVERLAP = 1.5
-"""Number of bar lengths per travel along which the stations stand: neighbouring stations overlap by a half."""
+"""Number of artefacts per travel along which the stations stand: neighbouring stations overlap by a half."""
 END_SHARE = 0.93
-"""Distance of the outer stations from the ends of the travel, relative to half the bar."""
+"""Distance of the outer stations from the ends of the travel, relative to half the artefact."""
 SHAFT_TOWARDS_SPINDLE = 0.85
 """Component of the shaft along the spindle, relative to its length, as a mean over the orientations."""
 TABLE_BELOW_MM = 20.0
-"""Distance of the table below the lowest point that the stylus or, with a horizontal spindle, the ram reaches."""
+"""Distance of the table from the last point that the stylus or, with a horizontal spindle, the ram reaches."""
 FULL_ELEVATION_DEG = 45.0
 
 
 @dataclass(frozen=True)
 class MountSize:
-    """Dimensions of a rotary mount in mm: shaft, and radius and head of the pedestal. The shaft is so long that the bar
-    passes the pedestal at an elevation of 45°."""
+    """Dimensions of a rotary mount in mm: shaft, radius and head of the pedestal, and the least height of the elevation
+    axis above the table. The shaft is so long that the artefact passes the pedestal at an elevation of 45°."""
 
     shaft_mm: float
     pedestal_radius_mm: float
     head_mm: float
+    height_mm: float
 
 
 MOUNT_SIZES = (
-    (800.0, MountSize(120.0, 50.0, 30.0)),
-    (300.0, MountSize(80.0, 40.0, 25.0)),
-    (0.0, MountSize(50.0, 25.0, 15.0)),
+    (800.0, MountSize(120.0, 50.0, 30.0, 120.0)),
+    (300.0, MountSize(80.0, 40.0, 25.0, 80.0)),
+    (0.0, MountSize(50.0, 25.0, 15.0, 50.0)),
 )
-"""Proposed mount by the least length of its bar in mm."""
+"""Proposed mount by the least size of its artefact in mm."""
 
 
 @dataclass(frozen=True)
@@ -69,34 +71,34 @@ class StationSetup:
 
 def propose_stations(
     machine: MachineSetup,
-    bar: BarSetup,
+    artefact: ArtefactSetup,
     *,
     count: int | None = None,
     first_mm: Triple | None = None,
     shaft_mm: float | None = None,
     table_z_mm: float | None = None,
 ) -> StationSetup:
-    """Return the stations along the longest horizontal axis, each with the bar in the middle of the other travels.
+    """Return the stations along the longest horizontal axis, each with the artefact in the middle of the other travels.
 
     `count`, `first_mm` (place of the mount, of which the coordinates across the stations are used), `shaft_mm` and
     `table_z_mm` replace proposals.
     """
-    mount = propose_mount(bar)
-    shaft = shaft_mm or mount.shaft_mm
+    mount = propose_mount(artefact)
+    shaft = float(round(shaft_mm or mount.shaft_mm))
     along = _station_axis(machine)
-    middle = first_mm or _middle(machine, bar, shaft)
+    middle = first_mm or _middle(machine, artefact, shaft, mount, table_z_mm)
     low, high = machine.stylus_range(along)
-    inset = min(0.5 * END_SHARE * bar.length_mm, 0.5 * (high - low))
-    number = count or min(MOST_STATIONS, max(2, math.ceil(OVERLAP * (high - low) / bar.length_mm)))
+    inset = min(0.5 * END_SHARE * artefact.size_mm, 0.5 * (high - low))
+    number = count or min(MOST_STATIONS, max(2, math.ceil(OVERLAP * (high - low) / artefact.size_mm)))
     steps = [0.5 * (low + high)] if number == 1 else np.linspace(low + inset, high - inset, number).tolist()
     places = tuple(_replaced(middle, along, round(value)) for value in steps)
     return StationSetup(
         places_mm=places,
-        shaft_mm=float(round(shaft)),
-        table_z_mm=_table_height(machine) if table_z_mm is None else table_z_mm,
+        shaft_mm=shaft,
+        table_z_mm=_table_height(machine, middle[VERTICAL], mount) if table_z_mm is None else table_z_mm,
         pedestal_radius_mm=mount.pedestal_radius_mm,
         head_mm=mount.head_mm,
-        elevation_deg=_elevation(machine, bar),
+        elevation_deg=_elevation(machine, artefact),
         origins={
             "places_mm": PROPOSED if first_mm is None else STATED,
             "table_z_mm": PROPOSED if table_z_mm is None else STATED,
@@ -104,29 +106,36 @@ def propose_stations(
     )
 
 
-def propose_mount(bar: BarSetup) -> MountSize:
-    """Return the dimensions of a mount that carries the bar."""
-    return next(size for length, size in MOUNT_SIZES if bar.length_mm >= length)
+def propose_mount(artefact: ArtefactSetup) -> MountSize:
+    """Return the dimensions of a mount that carries the artefact."""
+    return next(size for length, size in MOUNT_SIZES if artefact.size_mm >= length)
 
 
-def orientations(spindle: ProbeFrame, elevation_deg: float) -> tuple[tuple[float, float], ...]:
-    """Return azimuth and elevation in degrees of the proposed orientations: the bar along the diagonals of the three
-    planes, as in set S3 but with the given elevation, and along X, Y and Z as far as they can be reached.
+def orientations(spindle: ProbeFrame, elevation_deg: float, *, is_bar: bool = True) -> tuple[tuple[float, float], ...]:
+    """Return azimuth and elevation in degrees of the proposed orientations.
 
-    On a machine with a horizontal spindle, azimuths are counted from the one at which the holders point against the
-    spindle.
+    A bar lies along the diagonals of the three planes, as in set S3 but with the given elevation, and along X, Y and Z
+    as far as they can be reached. The face of a plate or tetrahedron that carries the balls is turned to both sides by
+    as much as the stylus still reaches them. In front of a horizontal spindle, the azimuth turns it, and the elevation
+    turns it in its own plane; azimuths are counted from the one at which the holders point against the spindle.
     """
     e = elevation_deg
-    pairs = ((45.0, 0.0), (-45.0, 0.0), (0.0, e), (0.0, -e), (90.0, e), (90.0, -e), (0.0, 0.0), (90.0, 0.0))
+    pairs: tuple[tuple[float, float], ...]
+    if is_bar:
+        pairs = ((45.0, 0.0), (-45.0, 0.0), (0.0, e), (0.0, -e), (90.0, e), (90.0, -e), (0.0, 0.0), (90.0, 0.0))
+    elif spindle.is_vertical:
+        pairs = ((0.0, 0.0), (45.0, 0.0), (0.0, e), (0.0, -e), (90.0, e), (90.0, -e), (45.0, e), (-45.0, e))
+    else:
+        pairs = ((0.0, 0.0), (0.0, e), (45.0, 0.0), (-45.0, 0.0), (45.0, e), (-45.0, -e), (30.0, -e), (-30.0, e))
     return tuple((_wrapped(spindle.facing_deg + azimuth), elevation) for azimuth, elevation in pairs)
 
 
-def positions_of(stations: StationSetup, spindle: ProbeFrame) -> tuple[Position, ...]:
+def positions_of(stations: StationSetup, spindle: ProbeFrame, *, is_bar: bool = True) -> tuple[Position, ...]:
     """Return all orientations at all stations."""
     return tuple(
         Position(station, azimuth, elevation)
         for station in range(1, len(stations.places_mm) + 1)
-        for azimuth, elevation in orientations(spindle, stations.elevation_deg)
+        for azimuth, elevation in orientations(spindle, stations.elevation_deg, is_bar=is_bar)
     )
 
 
@@ -139,29 +148,39 @@ def _station_axis(machine: MachineSetup) -> int:
     return max(machine.spindle.horizontal_across, key=lambda axis: machine.travel_mm[axis])
 
 
-def _middle(machine: MachineSetup, bar: BarSetup, shaft_mm: float) -> Triple:
-    """Return the place of the mount at which the bar is in the middle of the volume that the stylus reaches.
+def _middle(
+    machine: MachineSetup, artefact: ArtefactSetup, shaft_mm: float, mount: MountSize, table_z_mm: float | None
+) -> Triple:
+    """Return the place of the mount at which the artefact is in the middle of the volume that the stylus reaches.
 
-    Along the spindle it is farther away by most of the shaft, which holds the bar before or above the mount, and by
-    part of the holders. On a flat machine with a vertical spindle, which inclines the bar little, it is nearly all of
-    both.
+    Along the spindle it is farther away by most of the shaft, which holds the artefact before or above the mount, and
+    by part of the holders. On a flat machine with a vertical spindle, which inclines the artefact little, it is nearly
+    all of both. The place is not so low that the mount does not fit between it and a stated table.
     """
     place = [0.5 * sum(machine.stylus_range(axis)) for axis in range(3)]
     spindle = machine.spindle
-    steepness = _elevation(machine, bar) / FULL_ELEVATION_DEG if spindle.is_vertical else 1.0
+    steepness = _elevation(machine, artefact) / FULL_ELEVATION_DEG if spindle.is_vertical else 1.0
     along = 1.0 - (1.0 - SHAFT_TOWARDS_SPINDLE) * steepness
-    place[spindle.axis] += spindle.sign * along * (shaft_mm + (1.0 - 0.5 * steepness) * bar.holder_mm)
+    place[spindle.axis] += spindle.sign * along * (shaft_mm + (1.0 - 0.5 * steepness) * artefact.depth_mm)
+    if table_z_mm is not None:
+        up = -1.0 if points_up(spindle) else 1.0
+        place[VERTICAL] = up * max(up * place[VERTICAL], up * table_z_mm + mount.height_mm)
     return float(round(place[0])), float(round(place[1])), float(round(place[2]))
 
 
-def _table_height(machine: MachineSetup) -> float:
+def _table_height(machine: MachineSetup, place_mm: float, mount: MountSize) -> float:
+    """Return the height of a table beyond everything that the stylus or, with a horizontal spindle, the ram reaches,
+    and so far from the place of the mount that this has room. The mount hangs from it if the stylus points upwards."""
+    low, high = machine.stylus_range(VERTICAL)
+    if points_up(machine.spindle):
+        return float(math.ceil(max(high + TABLE_BELOW_MM, place_mm + mount.height_mm)))
     beside = 0.0 if machine.spindle.is_vertical else machine.kind.ram_half_width_mm
-    return machine.stylus_range(VERTICAL)[0] - beside - TABLE_BELOW_MM
+    return float(math.floor(min(low - beside - TABLE_BELOW_MM, place_mm - mount.height_mm)))
 
 
-def _elevation(machine: MachineSetup, bar: BarSetup) -> float:
-    """Return the largest elevation up to 45° at which the bar fits into the vertical travel, in whole degrees."""
-    share = max(machine.travel_mm[VERTICAL] - TOUCHED_MM, 0.0) / bar.length_mm
+def _elevation(machine: MachineSetup, artefact: ArtefactSetup) -> float:
+    """Return the largest elevation up to 45° at which the artefact fits into the vertical travel, in whole degrees."""
+    share = max(machine.travel_mm[VERTICAL] - TOUCHED_MM, 0.0) / artefact.size_mm
     return float(min(FULL_ELEVATION_DEG, max(10.0, math.floor(math.degrees(math.asin(min(1.0, share)))))))
 
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agent.probing.paths.approach_points import TipLocation
-from agent.probing.paths.free_paths import ArtefactPose, FreePathFinder
+from agent.probing.paths.artefact_bodies import ArtefactPose
+from agent.probing.paths.free_paths import FreePathFinder
 from agent.probing.probing_parameters import ProbingParameters
 from twin.collision.geometry import point
 from twin.collision.travelling_salesman import shortest_tour

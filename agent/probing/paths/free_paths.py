@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -25,25 +26,23 @@ from agent.probing.paths.approach_points import (
     lifts_off,
     rectangular_exit,
 )
+from agent.probing.paths.artefact_bodies import ArtefactBodies, ArtefactPose, PosedBodies
 from twin.arrays import Array
-from twin.artefact.artefact import Artefact
-from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
+from twin.collision.accessibility import AT_CONTACT_MM
 from twin.collision.bodies import TIP, ball_name, post_name
 from twin.collision.free_paths import (
     AxisDynamics,
     Clearances,
     FreePath,
     PathCandidates,
-    PrefilteredScene,
     direct_path,
     fastest_path,
     retract_candidates,
 )
-from twin.collision.geometry import Point, Shape, point
+from twin.collision.geometry import Point, point
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.motion_law import travel_times
-from twin.collision.probe_geometry import ProbeGeometry
-from twin.collision.swept_volume import CELL_MM, SphereCover, TurnSweep, cover_turning_bodies, turn_sweep
+from twin.collision.swept_volume import CELL_MM
 
 UNCERTAINTY_STEPS_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Values in mm to which the uncertainty of a pose is rounded up, so that cached paths can be reused."""
@@ -53,22 +52,6 @@ WORTHWHILE_RATIO = 0.95
 
 _MAX_WAITING_POINTS = 24
 _GRID_MM = 80.0
-
-
-@dataclass(frozen=True)
-class ArtefactPose:
-    """Nominal pose of the artefact. It consists of the two angles of the mount that holds it (azimuth and elevation)
-    and of the mount's location `across_mm` (3,) in the workpiece frame, without its coordinate along the station axis
-    (the axis along which the stations stand), which is 0.
-
-    `station` is the station's number if other mounts or artefacts stand in the workspace. It is 0 if the paths are the
-    same at all stations.
-    """
-
-    azimuth_deg: float
-    elevation_deg: float
-    across_mm: Point
-    station: int = 0
 
 
 @dataclass(frozen=True)
@@ -84,16 +67,6 @@ class TurningPath:
     waiting_point: Point
     entry_path: tuple[Point, ...]
     seconds: float
-
-
-@dataclass(eq=False)
-class _PosedBodies:
-    """Bodies and ball centres in one pose, relative to the location of the mount. The centres are stored as an array
-    (N, 3) and as tuples."""
-
-    centres: Array
-    centre_points: Sequence[Point]
-    prefiltered: PrefilteredScene
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,11 +104,12 @@ class FreePathFinder:
     rules: FreePathRules
     turning_estimates: dict[object, float] = field(default_factory=dict, init=False, repr=False)
     sequences: dict[object, list[int]] = field(default_factory=dict, init=False, repr=False)
-    _covers: dict[int, SphereCover] = field(default_factory=dict, init=False, repr=False)
-    _posed_cache: dict[ArtefactPose, _PosedBodies] = field(default_factory=dict, init=False, repr=False)
-    _sweeps: dict[object, TurnSweep] = field(default_factory=dict, init=False, repr=False)
     _paths: dict[object, FreePath | None] = field(default_factory=dict, init=False, repr=False)
     _turning_paths: dict[object, TurningPath | None] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def bodies(self) -> ArtefactBodies:
+        return ArtefactBodies(self.layout, self.rules.clearance_mm + self.rules.unaligned_uncertainty_mm)
 
     def pose_at(self, station: int, azimuth_deg: float, elevation_deg: float) -> ArtefactPose:
         across = self.layout.across_stations(self.layout.location(station))
@@ -149,11 +123,14 @@ class FreePathFinder:
 
     def ball_axes(self, pose: ArtefactPose, station: int) -> Array:
         """Return the nominal axis positions (N, 3) that bring the tip centre to the centre of each of the N balls."""
-        return np.asarray(self._posed(pose).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
+        return np.asarray(self.bodies.posed(pose).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
 
     def tip_at(self, pose: ArtefactPose, location: TipLocation) -> Point:
         """Return the coordinates of the tip centre at `location`, relative to the location of the artefact's mount."""
-        (x, y, z), (along_x, along_y, along_z) = self._posed(pose).centre_points[location.ball], location.direction
+        (x, y, z), (along_x, along_y, along_z) = (
+            self.bodies.posed(pose).centre_points[location.ball],
+            location.direction,
+        )
         return x - along_x * location.out_mm, y - along_y * location.out_mm, z - along_z * location.out_mm
 
     def path_between(
@@ -251,7 +228,7 @@ class FreePathFinder:
         uncertainty_mm: float,
         along_range: tuple[float, float],
     ) -> FreePath | None:
-        posed = self._posed(pose)
+        posed = self.bodies.posed(pose)
         first, last = self.tip_at(pose, start), self.tip_at(pose, end)
         groups = self._corners(pose, start, last, end.out_mm - start.out_mm)
         if start.ball == end.ball:
@@ -268,7 +245,7 @@ class FreePathFinder:
         return None
 
     def _direct_path(
-        self, posed: _PosedBodies, first: Point, last: Point, start: TipLocation, clearances: Clearances
+        self, posed: PosedBodies, first: Point, last: Point, start: TipLocation, clearances: Clearances
     ) -> FreePath | None:
         """Return the straight path; None if it is not free, or does not leave the surface at once."""
         if not lifts_off(first, last, start):
@@ -374,7 +351,7 @@ class FreePathFinder:
         x, z = np.broadcast_arrays(x[:, None, :], z[:, :, None])
         deepest = np.maximum(first[:, 1], last[:, 1])[:, None, None]
         # Depth of the front of the swept volume at (x, z), but never deeper than the deeper end.
-        y = np.minimum(self._sweep(before, after).at(x, z), deepest)
+        y = np.minimum(self.bodies.sweep(before, after).at(x, z), deepest)
         points = np.stack([x, y, z], axis=-1).reshape(len(first), -1, 3)
         return frame.to_workpiece(points), points[..., 1] >= low[1]
 
@@ -402,7 +379,7 @@ class FreePathFinder:
         near_mm = min(clearance_mm, max(location.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
         names = ball_name(location.ball), post_name(location.ball)
         clearances = Clearances(clearance_mm, {(body, name): near_mm for body in (TIP, "stem") for name in names})
-        posed, first = self._posed(pose), self.tip_at(pose, location)
+        posed, first = self.bodies.posed(pose), self.tip_at(pose, location)
         path = self._direct_path(posed, first, waiting_point, location, clearances)
         if path is not None:
             return path
@@ -412,31 +389,6 @@ class FreePathFinder:
         ]
         candidates = lifting_off(first, PathCandidates.of(groups), location)
         return fastest_path(posed.prefiltered, self.rules.dynamics, first, waiting_point, candidates, clearances)
-
-    def _sweep(self, before: ArtefactPose, after: ArtefactPose) -> TurnSweep:
-        low, high = (
-            tuple(choose(a, b) for a, b in zip(_mount_angles(before), _mount_angles(after), strict=True))
-            for choose in (min, max)
-        )
-        key = (low, high, after.across_mm, after.station)
-        if key not in self._sweeps:
-            self._sweeps[key] = turn_sweep(
-                self._cover(after),
-                self.layout.probe,
-                self.layout.frame,
-                self._stationary_shapes(after),
-                (low[0], low[1]),
-                (high[0], high[1]),
-                clearance_mm=self.rules.clearance_mm + self.rules.unaligned_uncertainty_mm,
-            )
-        return self._sweeps[key]
-
-    def _stationary_shapes(self, pose: ArtefactPose) -> list[Shape]:
-        """Return the shapes that do not turn with the mount: its pedestal, the table and all other bodies."""
-        scene = self._posed(pose).prefiltered.scene
-        artefact = self._artefact(pose)
-        turning_names = {"shaft", *map(ball_name, range(artefact.count)), *(rod.name for rod in artefact.rods)}
-        return [body.shape for body in scene.obstacles if body.name not in turning_names]
 
     def _straight_times(self, start: Array, end: Array) -> Array:
         dynamics = self.rules.dynamics
@@ -453,61 +405,20 @@ class FreePathFinder:
         shift, margin_mm = self.layout.tool_offset_mm - pose.across_mm, self.rules.unaligned_uncertainty_mm
         return self.rules.lower_mm + shift + margin_mm, self.rules.upper_mm + shift - margin_mm
 
-    # ------------------------------------------------------------------ bodies
-
-    def _cover(self, pose: ArtefactPose) -> SphereCover:
-        if pose.station not in self._covers:
-            self._covers[pose.station] = cover_turning_bodies(self._artefact(pose), self.layout.mount)
-        return self._covers[pose.station]
-
-    def _artefact(self, pose: ArtefactPose) -> Artefact:
-        return self.layout.artefact_at(pose.station)
-
     def _reach_mm(self, pose: ArtefactPose) -> float:
         return (
-            self._cover(pose).reach_mm
+            self.bodies.cover(pose).reach_mm
             + self.layout.probe.ram_half_width_mm
             + self.rules.unaligned_uncertainty_mm
             + 10.0 * CELL_MM
         )
 
     @property
-    def _probe(self) -> ProbeGeometry:
-        """Probe with a stem at least as thick as the tip, so that the tip can always withdraw along the stylus."""
-        probe = self.layout.probe
-        return replace(probe, stem_radius_mm=max(probe.stem_radius_mm, probe.tip_radius_mm))
-
-    @property
     def _contact_mm(self) -> float:
         return self.layout.contact_mm
-
-    def _posed(self, pose: ArtefactPose) -> _PosedBodies:
-        if pose not in self._posed_cache:
-            location_mm = self.layout.location(pose.station) if pose.station else np.array(pose.across_mm)
-            centres, scene = measuring_scene(
-                self._artefact(pose),
-                self._probe,
-                self.layout.mount,
-                frame=self.layout.frame,
-                location_mm=location_mm,
-                azimuth_rad=math.radians(pose.azimuth_deg),
-                elevation_rad=math.radians(pose.elevation_deg),
-                other_bodies=self.layout.neighbours.get(pose.station, ()),
-            )
-            back = point(-location_mm)
-            self._posed_cache[pose] = _PosedBodies(
-                centres + back,
-                [point(centre) for centre in centres + back],
-                PrefilteredScene.of(scene.translated(back)),
-            )
-        return self._posed_cache[pose]
 
 
 def round_up_uncertainty(uncertainty_mm: float) -> float:
     """Return `uncertainty_mm` rounded up to the next value of the list `UNCERTAINTY_STEPS_MM`, or unchanged if it
     exceeds the largest value of the list."""
     return next((value for value in UNCERTAINTY_STEPS_MM if uncertainty_mm <= value), uncertainty_mm)
-
-
-def _mount_angles(pose: ArtefactPose) -> tuple[float, float]:
-    return pose.azimuth_deg, pose.elevation_deg

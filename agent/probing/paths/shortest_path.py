@@ -10,8 +10,9 @@ import numpy as np
 
 from agent.execution.steps import MoveTo, OrientTo, Plan, Point
 from agent.probing.paths.approach_points import TipLocation
+from agent.probing.paths.artefact_bodies import ArtefactPose
 from agent.probing.paths.ball_order import shortest_sequence
-from agent.probing.paths.free_paths import ArtefactPose, FreePathFinder, TurningPath
+from agent.probing.paths.free_paths import FreePathFinder, TurningPath
 from agent.probing.paths.path_planner import MeasuringSequence, PlainPathPlanner, PlannedPosition
 from agent.probing.paths.retreat import Retreat
 from agent.probing.probing_parameters import ProbingParameters

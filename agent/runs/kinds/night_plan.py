@@ -74,8 +74,15 @@ def station_of(job: Job, named: int | None) -> int:
     """Return the station of the artefact for a nightly run or a verification. It is `named`, or the station named in
     the settings if `named` is None.
 
-    Raises ConfigurationError if neither is given, or if the machine has no such station.
+    Raises ConfigurationError if neither is given, if the machine has no such station, or if the artefact is placed by
+    hand, because such a run is unattended.
     """
+    if job.settings.stations.placed_by_hand:
+        raise ConfigurationError(
+            "the artefact is placed by hand, and an unattended run has nobody to place it",
+            key="stations.placed_by_hand",
+            hint="run `volcal calibrate` with an operator at the machine, or use a mount for unattended runs",
+        )
     station = named if named is not None else job.settings.stations.standing_at
     if station is None:
         raise ConfigurationError(

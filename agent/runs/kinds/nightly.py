@@ -79,8 +79,8 @@ class Night:
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         chosen = job.settings.nightly
-        reference = require_reference(job, start.run)
         station = station_of(job, self.station)
+        reference = require_reference(job, start.run)
         here = job_at_station(job, station)
         judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
         slot = Slot(
@@ -289,7 +289,7 @@ class NightlyRun(CalibrationRun):
 
     def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:
         limits = self._job.gate_limits
-        gates = estimate_gates(estimation.estimate, estimation.volumetric, limits)
+        gates = estimate_gates(estimation.estimate, limits)
         prior = self._judge.prior if self._fit is None else self._fit.prior
         change = change_since(self._job, self._judge.reference, self._nights, estimation.estimate, prior)
         return (*gates, change_gate(change.found_um, change.expected_um, limits))

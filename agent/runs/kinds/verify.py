@@ -44,8 +44,8 @@ class Verification:
     name: str = "verify"
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        reference = require_reference(job, start.run)
         station = station_of(job, self.station)
+        reference = require_reference(job, start.run)
         judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
         plan = verification_plan(PositionChooser(job_at_station(job, station), station), judge)
         own = plan.job(job)

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from agent.errors import PlanDiverged
-from agent.execution.encoding import encode_step, table_digest
+from agent.errors import PlacementLost, PlanDiverged
+from agent.execution.encoding import LostPlacement, encode_step, table_digest
 from agent.execution.engine import Action, Engine, Observer
 from agent.execution.journal import RunJournal
 from agent.execution.replay_log import RecordedStep, ReplayLog
@@ -116,7 +116,14 @@ class ReplayingEngine(Engine):
             return super()._do_durably(step)
         if not self._replay.over:
             return self._recorded(step)
-        if self._has_taken_effect(step):
+        try:
+            taken_effect = self._has_taken_effect(step)
+        except PlacementLost as lost:
+            # The next resumption must come to the same decision at the same step.
+            self._writer.begin(step)
+            self._writer.finish(step, LostPlacement(lost.message), begun=True)
+            raise
+        if taken_effect:
             # A step that writes is never carried out twice.
             self._writer.begin(step)
             self._writer.finish(step, None, begun=True)
@@ -125,6 +132,9 @@ class ReplayingEngine(Engine):
 
     def _recorded(self, step: Step) -> Any:
         result = self._replay.next(step).result
+        if isinstance(result, LostPlacement):
+            self._replay.trace.forget_placement()
+            raise PlacementLost(result.reason, step=step.key)
         if isinstance(step, ReadTable) and result is not None:
             return self._stored(step.bank, result["crc32"])
         return result

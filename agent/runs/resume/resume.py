@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from agent.errors import ArtefactMoved
 from agent.execution.journal import RunJournal
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME
@@ -41,13 +42,28 @@ def resume(
 
     The run is planned again from its start conditions (axis positions, time and run number). The results of its
     recorded steps are taken from the journal, the machine returns to its position before the interruption, and the
-    remaining steps are carried out. `asked` contains the source of the request to resume; it is journaled.
+    remaining steps are carried out. If the balls of the present position are no longer where they were, this position
+    is measured again, at most once. `asked` contains the source of the request to resume; it is journaled.
 
     Raises InputError if there is no run to resume, PlanDiverged if an input file has changed since the start, and
     another error if the lock on the machine, the configuration or the journal prevents the resumption. Once the run is
     continued, its end, whether a success or an error, is returned as a `RunResult`.
     """
     hooks = hooks or RunHooks()
+    first = _resume_once(state_directory, hooks, asked or {}, final=False)
+    result = first or _resume_once(state_directory, hooks, asked or {}, final=True)
+    assert result is not None  # noqa: S101  the last attempt has a result
+    return result
+
+
+def _resume_once(
+    state_directory: Path, hooks: RunHooks, asked: Mapping[str, object], *, final: bool
+) -> RunResult | None:
+    """Resume the run and return its result.
+
+    If `final` is False, return None if the run is to be resumed once more, because its present position was discarded
+    and nobody has asked for the end of the run.
+    """
     origin = resumable_origin(state_directory)
     settings, run_id, job = origin.settings, origin.run_id, prepare_job(origin.settings, origin.base)
     with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
@@ -55,9 +71,9 @@ def resume(
         clock = resources.interruptible(run_clock)
         rig = hooks.devices.assemble(settings, clock, origin.base)
         journal, recorded = resources.journal.continue_run(origin.start.run, run_id, clock)
-        record_asked(journal, asked or {})
+        record_asked(journal, asked)
         tracker = RunStateTracker(journal, hooks.announce, recorded.states)
-        steps = StepProgress(tracker, hooks.observe)
+        steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
         replay = Replay(recorded, run_clock, StepTrace())
         engine = ReplayingEngine(rig.actions(journal.run), journal, steps.observe, replay, stored_tables(journal, rig))
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
@@ -73,6 +89,9 @@ def resume(
                 session.progress = run.carry_out()
                 if session.progress.error is not None:
                     _note_compensation(rig, origin, tracker.note)
+        moved = isinstance(session.progress.error, ArtefactMoved)
+        if moved and not final and not resources.supervisor.stop_requested:
+            return None
         return session.result()
 
 

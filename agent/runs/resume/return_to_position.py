@@ -3,7 +3,7 @@ recorded step of a resumed run and the first step that is carried out instead of
 
 from __future__ import annotations
 
-from agent.errors import PlanDiverged
+from agent.errors import ArtefactMoved, PlanDiverged
 from agent.execution.encoding import table_digest
 from agent.execution.steps import (
     ActivateBank,
@@ -22,7 +22,8 @@ from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.return_path import ReturnPath
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.run_context import RunContext
-from drivers.roles import Activation
+from drivers.errors import CommandRejected, MotionFault
+from drivers.roles import Activation, MotionState
 
 WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
 """Types of steps that use only the compensation store, so that the machine need not return for them."""
@@ -54,6 +55,7 @@ class ReturnToPosition:
         self._rig = context.rig
         self._tracker = context.tracker
         self._aside = context.engine.aside()
+        self._journal = context.journal
         self._trace = trace
         self._clock = clock
         self._time_s = time_s
@@ -74,6 +76,7 @@ class ReturnToPosition:
     def _return_compensation(self, following: Step) -> bool:
         """Carry out `reactivation`; nothing moves. Return True if `following` has already taken effect."""
         self._clock.start_running(self._time_s)
+        self._clear_fault()
         prefix = f"{self._prefix}/compensation"
         return self._aside.run(reactivation(prefix, self._trace, following, self._activation))
 
@@ -88,8 +91,40 @@ class ReturnToPosition:
         self._rig.last_motion = self._trace.last_motion
         rules = self._run.rules
         path = ReturnPath(self._prefix, self._trace, rules, rules.drift.fault_mm)
-        self._aside.run(path.plan(following))
+        try:
+            self._aside.run(path.plan(following))
+        except ArtefactMoved as moved:
+            self._discard_position(moved)
+            raise
         self._tracker.announce_again()
+
+    def _clear_fault(self) -> None:
+        """Clear a fault that the interruption has left in the controller, such as an emergency stop.
+
+        A person has removed the cause and asked for the resumption; the controller refuses if the cause is still there.
+        """
+        status = self._rig.machine.status()
+        if status.state is not MotionState.FAULT:
+            return
+        try:
+            self._rig.machine.reset()
+        except CommandRejected as refusal:
+            failure = MotionFault(
+                f"the fault of the controller is still there: {status.fault}",
+                hint="remove its cause, reset and reference the machine if necessary, then `volcal resume` again",
+                **refusal.where,
+            )
+            self._journal.fault(failure)
+            raise failure from refusal
+        self._tracker.note(f"the fault of the controller is cleared: {status.fault}")
+
+    def _discard_position(self, moved: ArtefactMoved) -> None:
+        """Exclude all that was measured in the present pose of the mount, and note it; it is measured again."""
+        pose = self._trace.pose
+        assert pose is not None  # noqa: S101  only the balls of a pose are touched again
+        balls = self._journal.discard_since(pose.key, str(moved))
+        self._journal.fault(moved, pose.key)
+        self._tracker.note(f"{balls} balls of this position are discarded, because {moved.message}", step=pose.key)
 
     def _await_rest(self) -> None:
         """Stop all devices and wait until the axes stand still.

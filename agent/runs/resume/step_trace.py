@@ -3,6 +3,7 @@ active compensation."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,7 +24,7 @@ from agent.execution.steps import (
     TouchTowards,
 )
 from agent.execution.tip_trace import LastMotion
-from drivers.roles import Miss, TableImage, Touch
+from drivers.roles import Miss, PlacementRequest, TableImage, Touch
 
 LONG_MM = 1.0
 """Travel of one axis that certainly takes up its play, so that earlier motion no longer has an effect."""
@@ -58,8 +59,9 @@ class StepTrace:
 
     `at_mm` contains the axis positions in mm; it is None until they are read. `axes` contains, for each axis, its last
     motions, which determine the side on which the play of the axis is taken up. `moved` is True after the first motion.
-    `pose` is the step of the last finished turn of the mount. `datum_mm` is the last ball centre found in this pose
-    with the active table, and `datum_key` is the key of the journal record of this ball. `contents` maps each table
+    `pose` is the step of the last finished turn of the mount. `found` contains the ball centres found in this pose with
+    the active table, each with the key of its journal record, in the order of measurement. `placed` is True if a
+    person has placed the artefact by hand in its present position. `contents` maps each table
     bank of the controller to the CRC-32 of its table. `staged` is the last step that wrote a table into a bank.
     """
 
@@ -68,11 +70,23 @@ class StepTrace:
     moved: bool = False
     last_motion: LastMotion = field(default_factory=LastMotion)
     pose: OrientTo | None = None
-    datum_mm: Point | None = None
-    datum_key: str = ""
+    found: list[tuple[str, Point]] = field(default_factory=list)
+    placed: bool = False
     active_bank: int | None = None
     contents: dict[int, int | None] = field(default_factory=dict)
     staged: StageTable | None = None
+
+    @property
+    def datums(self) -> list[tuple[str, Point]]:
+        """Balls that show whether the artefact has moved: the ball found last and the one farthest from it.
+
+        Two balls also show a rotation about one of them. There is one if no other ball was found, none if no ball was.
+        """
+        if not self.found:
+            return []
+        last = self.found[-1]
+        farthest = max(self.found, key=lambda one: math.dist(one[1], last[1]))
+        return [last] if math.dist(farthest[1], last[1]) < LONG_MM else [last, farthest]
 
     def add(self, step: Step, result: object) -> None:
         """Update this state with a finished step of the run and the result of the step."""
@@ -87,9 +101,10 @@ class StepTrace:
                 self.at_mm = result
                 self.last_motion.set_position(result)
             case OrientTo():
-                self.pose, self.datum_mm = step, None
+                self.pose, self.found = step, []
             case AskOperator():
-                self.pose = self.datum_mm = None
+                self.pose, self.found = None, []
+                self.placed = isinstance(step.request, PlacementRequest)
             case Record():
                 self._add_record(step)
             case ReadActiveBank() if isinstance(result, int):
@@ -99,7 +114,14 @@ class StepTrace:
             case StageTable():
                 self.contents[step.bank], self.staged = table_digest(step.table), step
             case ActivateBank():
-                self.active_bank, self.datum_mm = step.bank, None
+                self.active_bank, self.found = step.bank, []
+
+    def forget_placement(self) -> None:
+        """Forget the balls and the position of the tip at which the artefact was found to be moved. The probe was then
+        withdrawn, and the next reading of the position is the present one."""
+        self.found, self.at_mm = [], None
+        for moves in self.axes:
+            moves.clear()
 
     def _add_motion(self, key: str, end: Point) -> None:
         start = self.at_mm
@@ -132,4 +154,4 @@ class StepTrace:
         centre = step.payload.get("centre_mm")
         if centre is not None:
             x, y, z = (float(value) for value in centre)
-            self.datum_mm, self.datum_key = (x, y, z), step.key
+            self.found.append((step.key, (x, y, z)))

@@ -28,6 +28,7 @@ def create_app(app_state: AppState, names: Collection[str] = (), extensions: Seq
         redoc_url=None,
     )
     app.state.app_state = app_state
+    app.state.token = app_state.token
     app.add_middleware(Guard, names=names)
     problems.install(app)
     add_endpoints(app)

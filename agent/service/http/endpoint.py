@@ -20,28 +20,23 @@ GRACE_PERIOD_S = 2
 MAX_CONCURRENCY = 64
 
 
-class HttpEndpoint:
-    """HTTP server of the service. `make_app` is a function that creates the HTTP application for a given control. Port
-    0 means any free port."""
+class HttpServer:
+    """HTTP server of one application in its own thread. Port 0 of the settings means any free port."""
 
-    name = "http"
-
-    def __init__(self, settings: ServiceSettings, directory: Path, make_app: Callable[[Control], FastAPI]) -> None:
+    def __init__(self, settings: ServiceSettings) -> None:
         self._settings = settings
-        self._directory = directory
-        self._make_app = make_app
         self._server: uvicorn.Server | None = None
         self._thread: threading.Thread | None = None
         self.url = ""
 
-    def start(self, control: Control) -> None:
+    def serve(self, app: FastAPI) -> None:
         """Bind the socket and start the server. Raise ConfigurationError if the address cannot be bound."""
         settings = self._settings
         bound = self._bound()
         port = bound.getsockname()[1]
         self.url = f"{settings.scheme}://{settings.reached_at}:{port}"
         config = uvicorn.Config(
-            self._make_app(control),
+            app,
             log_config=None,
             access_log=False,
             lifespan="off",
@@ -55,10 +50,8 @@ class HttpEndpoint:
         server = self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, name="http", daemon=True)
         self._thread.start()
-        address_file.write_address(self._directory, self.url)
 
-    def stop(self) -> None:
-        address_file.remove_address(self._directory)
+    def shut_down(self) -> None:
         if self._server is not None and self._thread is not None:
             self._server.should_exit = True
             self._thread.join(GRACE_PERIOD_S + OPEN_TIMEOUT_S)
@@ -85,3 +78,24 @@ class HttpEndpoint:
                 hint="choose another port, or stop the program that uses this one",
             ) from error
         return listening
+
+
+class HttpEndpoint(HttpServer):
+    """HTTP server of the service. `make_app` is a function that creates the HTTP application for a given control. The
+    address is written into `directory`, where the commands find it."""
+
+    name = "http"
+
+    def __init__(self, settings: ServiceSettings, directory: Path, make_app: Callable[[Control], FastAPI]) -> None:
+        super().__init__(settings)
+        self._directory = directory
+        self._make_app = make_app
+
+    def start(self, control: Control) -> None:
+        """Bind the socket and start the server. Raise ConfigurationError if the address cannot be bound."""
+        self.serve(self._make_app(control))
+        address_file.write_address(self._directory, self.url)
+
+    def stop(self) -> None:
+        address_file.remove_address(self._directory)
+        self.shut_down()

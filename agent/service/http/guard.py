@@ -14,12 +14,11 @@ from http import HTTPStatus
 from typing import Annotated
 from urllib.parse import urlsplit
 
-from fastapi import Depends
+from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from agent.service.http.app_state import AppStateDependency
 from agent.service.http.problems import Problem, RequestRefused, answer
 
 MAX_BODY_BYTES = 64 * 1024
@@ -73,8 +72,13 @@ class Guard:
 _BEARER = HTTPBearer(auto_error=False, description="Content of the file `service.token_file`.")
 
 
+def _token_of(request: Request) -> str:
+    """Return the token of the application, whichever of our applications it is."""
+    return str(request.app.state.token)
+
+
 def require_token(
-    app_state: AppStateDependency, given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]
+    token: Annotated[str, Depends(_token_of)], given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]
 ) -> None:
     """Refuse a request without the valid access token of the service. This function is a dependency of all command
     endpoints that require it."""
@@ -85,7 +89,7 @@ def require_token(
             "send it as `Authorization: Bearer …`; it is stored in the file `service.token_file`",
             {"WWW-Authenticate": "Bearer"},
         )
-    if not secrets.compare_digest(given.credentials.encode(), app_state.token.encode()):
+    if not secrets.compare_digest(given.credentials.encode(), token.encode()):
         raise RequestRefused(
             HTTPStatus.FORBIDDEN, "the token is wrong", "it is stored in the file `service.token_file`"
         )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from agent.execution.states import RunState
 from agent.runs.run_request import RunRequest
-from agent.service.control import Status
+from agent.service.control import Question, Status
 
 
 class RequestBody(BaseModel):
@@ -71,10 +72,35 @@ class AlarmView(BaseModel):
     where: dict[str, str]
 
 
+class BallToPlaceView(BaseModel):
+    """Axis positions in mm at which the centre of the ball is to be."""
+
+    ball: int
+    position_mm: tuple[float, float, float]
+
+
+class PlacementView(BaseModel):
+    """Position in which the artefact is to be placed by hand. The first of the `balls` is measured first. `refused` is
+    the reason for which the last placement was refused; it is empty if there was none."""
+
+    azimuth_deg: float
+    elevation_deg: float
+    balls: list[BallToPlaceView]
+    refused: str
+    refused_ball: int | None
+
+
 class QuestionView(BaseModel):
+    """Open question. `placement` is given if the artefact is to be placed by hand."""
+
     number: int
     text: str
     station: int | None
+    placement: PlacementView | None = None
+
+    @classmethod
+    def of(cls, question: Question) -> QuestionView:
+        return cls.model_validate(dataclasses.asdict(question))
 
 
 class StatusView(BaseModel):
@@ -165,7 +191,7 @@ def status_view(status: Status, event: int) -> StatusView:
     question = status.question
     alarms = [AlarmView(code=a.code, text=a.text, hint=a.hint, where=dict(a.where)) for a in status.alarms]
     replaced = {
-        "question": None if question is None else QuestionView(**vars(question)),
+        "question": None if question is None else QuestionView.of(question),
         "alarms": alarms,
         "may": sorted(status.may),
     }

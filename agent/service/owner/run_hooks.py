@@ -56,8 +56,12 @@ class RunHooksFactory:
         )
 
     def _announce(self, announcement: Announcement) -> None:
-        if announcement.kind == "state" and RunState(announcement.data["state"]) in AT_REST:
-            self.parts.health.begin_conclusion()
+        if announcement.kind == "state":
+            state = RunState(announcement.data["state"])
+            if state in AT_REST:
+                self.parts.health.begin_conclusion()
+            elif state is RunState.RESUMING:  # a resumption that discards a position moves again after its first end
+                self.parts.health.begin_run()
         self.parts.board.on_announcement(announcement)
 
     def _observe(self, step: Step, result: object) -> None:

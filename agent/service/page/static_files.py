@@ -34,12 +34,10 @@ CONTENT_SECURITY_POLICY = "; ".join(
 def mount_page(app: FastAPI, _: AppState) -> None:
     """Add the routes `/`, `/assets/…`, `/drawing/…` and `/api/page/…` to the application. Browsers must revalidate the
     files at each request, because the file names contain no version."""
-    own, drawing = _directory("agent.service.page") / "assets", _directory("agent.planning.preview")
+    drawing = _directory("agent.planning.preview")
     scripts = {path.name: path for path in drawing.glob("*.js")}
 
-    @app.get("/", include_in_schema=False)
-    def page() -> FileResponse:
-        return FileResponse(own / "index.html", media_type="text/html")
+    mount_document(app, "index.html")
 
     @app.get("/drawing/{name}", include_in_schema=False)
     def drawing_script(name: str) -> Response:
@@ -47,6 +45,16 @@ def mount_page(app: FastAPI, _: AppState) -> None:
         return Response(status_code=404) if path is None else FileResponse(path, media_type="text/javascript")
 
     app.include_router(page_router())
+
+
+def mount_document(app: FastAPI, name: str) -> None:
+    """Add the routes `/`, which answers with the HTML document `name`, and `/assets/…`, with the policy of the page."""
+    own = _directory("agent.service.page") / "assets"
+
+    @app.get("/", include_in_schema=False)
+    def page() -> FileResponse:
+        return FileResponse(own / name, media_type="text/html")
+
     app.mount("/assets", StaticFiles(directory=own))
     app.middleware("http")(_with_policy)
 

@@ -18,7 +18,7 @@ from agent.planning.job_preparation import prepare_job
 from agent.planning.preflight import PreflightResult
 from agent.planning.preview.blob import document
 from agent.planning.preview.builder import preview_of
-from agent.planning.preview.tip_path import Waypoint
+from agent.planning.preview.tip_path import Waypoint, standing_after
 from agent.settings.schema import Settings
 from twin.artefact.position_set import Position
 from twin.collision.geometry import point, translate_point
@@ -96,6 +96,6 @@ def _waypoints(job: Job, steps: Sequence[TimedStep], timeline: Mapping[str, floa
                 tip = translate_point(target, offset)
             case OrientTo() as turn:
                 standing = Position(turn.station, turn.azimuth_deg, turn.elevation_deg)
-            case AskOperator(request=request) if request.station is not None:
-                standing = Position(request.station, standing.azimuth_deg, standing.elevation_deg)
+            case AskOperator(request=request):
+                standing = standing_after(request, standing)
         yield Waypoint(timed.step, tip, timeline[timed.step.key], standing)

@@ -11,7 +11,7 @@ request "hello") during the motion.
     {"id": 7, "do": "status"}  ->  {"id": 7, "ok": {...}}  or  {"id": 7, "error": "refused", "text": "..."}
 
 `error` is `refused` (the request was understood but not carried out), `unknown` (HAL, the hardware abstraction layer,
-has no such name) or `gone` (LinuxCNC does not answer).
+has no such name), `gone` (LinuxCNC does not answer) or `stopped` (a process of LinuxCNC gives no heartbeat).
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from collections.abc import Callable
 from typing import Any
 
 import hal
+import hold
 import linuxcnc
 from halpins import HalPins, NoSuchPinError
+from heartbeat import LIMIT_S, ProcessMonitor, ProcessStoppedError
 
 Fields = Any
 """JSON object."""
@@ -66,6 +68,7 @@ class Bridge:
         self._component = hal.component(f"volcal-bridge-{os.getpid()}")
         self._component.ready()
         self._pins = HalPins()
+        self._monitor = ProcessMonitor(linuxcnc.nmlfile)
         self._watch_s = 0.0
         self._heard_s = time.monotonic()
         self._begun: int | None = None
@@ -109,7 +112,8 @@ class Bridge:
             self._poll()
             if self._under_way() and not self._stat.paused:
                 self._abandoned = True
-                self._command.abort()
+                self._heard_s = time.monotonic()
+                self._stop()
             self._begun = self._begun if self._stat.paused else None
             self._heard_s = time.monotonic()
 
@@ -120,7 +124,7 @@ class Bridge:
         """
         self._poll()
         if self._begun is not None and self._under_way():
-            self._command.abort()
+            self._stop()
 
     def _watched(self) -> bool:
         return self._watch_s > 0.0 and self._begun is not None
@@ -128,6 +132,26 @@ class Bridge:
     def _under_way(self) -> bool:
         stat = self._stat
         return stat.state == linuxcnc.RCS_EXEC or stat.interp_state != linuxcnc.INTERP_IDLE or not stat.inpos
+
+    def _stop(self) -> None:
+        """Stop the motion, whoever commanded it; without the task, which would do it, hold its feed through HAL.
+
+        Raises ProcessStoppedError if LinuxCNC cannot carry out an abort.
+        """
+        try:
+            self._monitor.require_alive(surely=True)
+        except ProcessStoppedError as error:
+            raise ProcessStoppedError(error.part, f"{error.reason}; {self._stop_without(error.part)}") from None
+        self._command.abort()
+
+    def _stop_without(self, part: str) -> str:
+        """Stop the motion of a LinuxCNC of which `part` has stopped, and return what was achieved."""
+        if part == "motion":
+            return "nothing but the emergency stop can stop the axes"
+        if part == "task":
+            return "its motion is held" if hold.hold() else "its motion cannot be held and runs to the end of the line"
+        self._command.abort()
+        return "its motion was aborted"
 
     def _poll(self) -> None:
         try:
@@ -139,6 +163,8 @@ class Bridge:
 
     def _hello(self, request: Fields) -> Fields:
         self._watch_s = float(request.get("watch_s", 0.0))
+        self._monitor.limit_s = float(request.get("heartbeat_s", LIMIT_S))
+        self._monitor.require_alive(surely=True)
         self._poll()
         return {
             "protocol": PROTOCOL,
@@ -149,6 +175,11 @@ class Bridge:
             "axis_mask": self._stat.axis_mask,
             "joints": self._stat.joints,
             "limits": [(a["min_position_limit"], a["max_position_limit"]) for a in self._stat.axis[:3]],
+            "joint_limits": [
+                (joint["min_position_limit"], joint["max_position_limit"])
+                for joint in self._stat.joint[: self._stat.joints]
+            ],
+            "watched": self._monitor.watched,
             "monotonic_s": time.monotonic(),
         }
 
@@ -159,6 +190,7 @@ class Bridge:
         return {"values": [ini.find(section, key) for section, key in request["keys"]]}
 
     def _status(self, request: Fields) -> Fields:
+        self._monitor.require_alive()
         self._poll()
         stat = self._stat
         if self._begun is not None and not self._under_way():
@@ -193,6 +225,7 @@ class Bridge:
             "rapid_override": stat.rapidrate,
             "cycle_s": stat.cycle_time,
             "abandoned": self._abandoned,
+            "held_by_volcal": hold.held(),
             "errors": self._take_messages(),
             "pins": self._pins.values(*request.get("pins", ())),
             "monotonic_s": time.monotonic(),
@@ -217,6 +250,7 @@ class Bridge:
 
     def _mdi(self, request: Fields) -> Fields:
         """Send one MDI line and wait until LinuxCNC's task has accepted it."""
+        self._monitor.require_alive(surely=True)
         self._poll()
         if self._stat.task_state != linuxcnc.STATE_ON:
             raise RefusedError("the machine is not on")
@@ -246,6 +280,7 @@ class Bridge:
         self._await(lambda stat: stat.echo_serial_number == serial, "take the command")
 
     def _set_mode(self, mode: int) -> None:
+        self._monitor.require_alive(surely=True)
         self._command.mode(mode)
         self._await(lambda stat: stat.task_mode == mode, f"change to mode {MODES[mode]}")
 
@@ -262,22 +297,32 @@ class Bridge:
 
     def _abort(self, _request: Fields) -> Fields:
         self._begun = None
-        self._command.abort()
+        self._stop()
         return {}
 
     def _pause(self, _request: Fields) -> Fields:
+        self._monitor.require_alive(surely=True)
         self._command.auto(linuxcnc.AUTO_PAUSE)
         return {}
 
     def _resume(self, _request: Fields) -> Fields:
+        self._monitor.require_alive(surely=True)
         self._command.auto(linuxcnc.AUTO_RESUME)
         return {}
 
     def _on(self, _request: Fields) -> Fields:
-        """Switch the machine on. Raises RefusedError in an emergency stop, which is never overridden."""
+        """Switch the machine on, and release a hold by volcal after an abort of the motion that it held.
+
+        Raises RefusedError in an emergency stop, which is never overridden.
+        """
+        self._monitor.require_alive(surely=True)
         self._poll()
         if self._stat.task_state == linuxcnc.STATE_ESTOP:
             raise RefusedError("emergency stop")
+        if hold.held():
+            self._command.abort()
+            self._await(lambda stat: stat.interp_state == linuxcnc.INTERP_IDLE and stat.inpos, "abort the held motion")
+            hold.release()
         if self._stat.task_state != linuxcnc.STATE_ON:
             self._command.state(linuxcnc.STATE_ON)
             self._await(lambda stat: stat.task_state == linuxcnc.STATE_ON, "switch the machine on")
@@ -287,6 +332,7 @@ class Bridge:
         """Wait up to 1 s for a state that LinuxCNC's task reaches within its next cycles, if at all."""
         ends_s = time.monotonic() + 1.0
         while True:
+            self._monitor.require_alive()
             self._poll()
             if reached(self._stat):
                 return
@@ -308,6 +354,8 @@ def answer_line(bridge: Bridge, line: bytes) -> Fields:
         return {"id": number, "ok": bridge.answer(request)}
     except NoSuchPinError as error:
         return {"id": number, "error": "unknown", "text": str(error)}
+    except ProcessStoppedError as error:
+        return {"id": number, "error": "stopped", "text": str(error)}
     except GoneError as error:
         return {"id": number, "error": "gone", "text": str(error)}
     except (RefusedError, linuxcnc.error) as error:
@@ -329,7 +377,7 @@ def main() -> None:
     try:
         while True:
             if not select.select([0], [], [], bridge.pause_s())[0]:
-                bridge.watch()
+                _watch(bridge)
                 continue
             chunk = os.read(0, 65536)
             if not chunk:
@@ -343,10 +391,17 @@ def main() -> None:
         _end(bridge)
 
 
+def _watch(bridge: Bridge) -> None:
+    try:
+        bridge.watch()
+    except ProcessStoppedError as error:  # the next request reports it
+        sys.stderr.write(f"{error}\n")
+
+
 def _end(bridge: Bridge) -> None:
     try:
         bridge.end()
-    except GoneError as error:
+    except (GoneError, ProcessStoppedError) as error:
         sys.stderr.write(f"{error}\n")
 
 

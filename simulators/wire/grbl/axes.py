@@ -12,9 +12,9 @@ import numpy as np
 
 from drivers.errors import CommandRejected
 from drivers.roles import MotionState, Permission
-from simulators.wire.grbl.blocks import Triple
+from simulators.wire.grbl.blocks import Triple, single
 from simulators.wire.grbl.physics import GrblPhysics, MachineCoordinates
-from simulators.wire.grbl.settings import RATE, TRAVEL, GrblSettings
+from simulators.wire.grbl.settings import HARD_LIMITS, PULL_OFF, RATE, TRAVEL, GrblSettings
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,7 @@ class GrblAxes:
         return max(self._settings.axes(RATE)) if feed is None else feed
 
     def position(self) -> Triple:
+        """Return the position in machine coordinates: a whole number of steps, in single precision."""
         return self._coordinates.from_axes(self._physics.displayed_position())
 
     def latch_after(self, latches: int) -> Triple | None:
@@ -88,8 +89,18 @@ class GrblAxes:
         return self._coordinates.from_axes(latch.position) if latch is not None and latch.sequence > latches else None
 
     def beyond_travel(self, target_mm: Triple) -> bool:
-        travel = self._settings.axes(TRAVEL)
-        return any(value > 0.0 or value < -length for value, length in zip(target_mm, travel, strict=True))
+        """Return True if the soft limits do not allow the target, in single precision as in GRBL."""
+        settings = self._settings
+        shrunk = settings.dialect.pull_off_shrinks_travel and int(settings[HARD_LIMITS]) & 1
+        pull_off = settings[PULL_OFF] if shrunk else 0.0
+        return any(
+            value > single(-pull_off) or value < single(pull_off - length)
+            for value, length in zip(target_mm, settings.axes(TRAVEL), strict=True)
+        )
+
+    def at(self, target_mm: Triple) -> bool:
+        """Return True if the axes stand at `target_mm` to the step, so that a move there is no motion."""
+        return self._coordinates.rounded(target_mm) == self.position()
 
     def begin(self, move: PlannedMove, *, touching: bool = False, leaving: bool = False) -> bool:
         """Start a move, and return False if the simulated machine refuses the move.
@@ -112,8 +123,12 @@ class GrblAxes:
 
     def watch_pin(self) -> None:
         """Brake the axes if the current move was to end when the probe comes free, and the probe has come free."""
-        free_s = self._physics.probe_free_s if self._leaving else None
-        if free_s is not None and self._now() >= free_s and self.released_at_mm is None:
+        if not self._leaving or self.released_at_mm is not None:
+            return
+        free_s = self._physics.probe_free_s
+        # It may have come free while the axes braked for a hold; this shows only when they move again.
+        free = self._now() >= free_s if free_s is not None else self.moving and not self.pin
+        if free:
             self.released_at_mm = self.position()
             self._physics.halt()
 

@@ -1,9 +1,10 @@
 """Parser of G-code blocks, with the words, modal groups and error codes of GRBL 1.1.
 
-Errors are checked in the same order as in GRBL. Arcs (G2, G3), predefined positions (G28, G30), inverse time (G93) and
-jogging are not simulated; they are answered with error 20.
+Errors are checked in the same order as in GRBL. Positions are single-precision numbers, as in GRBL: a probe cycle is
+refused if its target equals the position of the parser bit by bit. Arcs (G2, G3), predefined positions (G28, G30) and
+inverse time (G93) are not simulated; they are answered with error 20.
 
-Source: gnea/grbl, doc/markdown/commands.md and doc/csv/error_codes_en_US.csv.
+Source: gnea/grbl, doc/markdown/commands.md, doc/csv/error_codes_en_US.csv and grbl/gcode.c.
 """
 
 from __future__ import annotations
@@ -13,10 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+import numpy as np
+
 EXPECTED_LETTER, BAD_NUMBER, UNSUPPORTED, MODAL_VIOLATION = 1, 2, 20, 21
 UNDEFINED_FEED, REPEATED, NO_AXIS_WORDS = 22, 25, 26
 LINE_NUMBER, VALUE_MISSING, UNSUPPORTED_COORDINATES, G53_MODE, AXIS_WORDS_UNUSED = 27, 28, 29, 30, 31
 INVALID_TARGET, UNUSED_WORDS, LENGTH_AXIS = 33, 36, 37
+INVALID_JOG = 16
 
 MM_PER_INCH: Final = 25.4
 LARGEST_LINE_NUMBER: Final = 9_999_999
@@ -98,7 +102,7 @@ class WorkOffsets:
 def parse_words(line: str) -> list[tuple[str, float]]:
     """Return the letters and values of the words in a line from which blanks and comments have been removed.
 
-    Raises BlockError if the line is malformed.
+    Values are numbers of single precision. Raises BlockError if the line is malformed.
     """
     words: list[tuple[str, float]] = []
     at = 0
@@ -187,6 +191,21 @@ class BlockParser:
         )
         return replace(modes, feed_mm_per_min=values["F"] * _scale(modes)) if "F" in values else modes
 
+    def read_jog(self, line: str, machine_mm: Triple) -> tuple[Triple, float]:
+        """Return the target and the feed in mm/min of a jog command ``$J=``, which does not change the modal state.
+
+        Raises BlockError if the command has an error.
+        """
+        codes, values = self._classify_words(parse_words(line))
+        if not set(codes) <= {"units", "distance", "once"} or codes.get("once", 53) != 53 or set(values) - set("XYZFN"):
+            raise BlockError(INVALID_JOG)
+        if not set(values) & set(AXES):
+            raise BlockError(NO_AXIS_WORDS)
+        if not values.get("F", 0.0) > 0.0:
+            raise BlockError(UNDEFINED_FEED)
+        modes = self._modes(codes, values)
+        return self._target(values, modes, machine_mm, absolute="once" in codes), modes.feed_mm_per_min
+
     def _motion(
         self,
         codes: dict[str, float],
@@ -217,12 +236,13 @@ class BlockParser:
         for axis, letter in enumerate(AXES):
             if letter not in values:
                 continue
+            value = single(values[letter] * scale)
             if absolute:
-                target[axis] = values[letter] * scale
+                target[axis] = value
             elif modes.distance == 91:
-                target[axis] += values[letter] * scale
+                target[axis] = single(target[axis] + value)
             else:
-                target[axis] = values[letter] * scale + offset[axis]
+                target[axis] = single(value + single(offset[axis]))
         return target[0], target[1], target[2]
 
     def _offset(
@@ -263,6 +283,11 @@ class BlockParser:
 def _replace_axes(offset: Triple, given: dict[str, float], value: Callable[[int, float], float]) -> Triple:
     new = [value(i, given[a]) if a in given else offset[i] for i, a in enumerate(AXES)]
     return new[0], new[1], new[2]
+
+
+def single(value: float) -> float:
+    """Return `value` rounded to single precision, in which GRBL computes positions."""
+    return float(np.float32(value))
 
 
 def _scale(modes: GrblModalState) -> float:

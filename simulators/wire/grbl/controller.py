@@ -1,7 +1,7 @@
-"""GRBL 1.1 controller in front of the simulated machine, written from GRBL's documents.
+"""GRBL 1.1 or grblHAL controller in front of the simulated machine, written from the documents and sources of both.
 
 There are two programs, as on the microcontroller that runs GRBL. The interrupt program takes real-time characters out
-of the received stream when they arrive. All other characters wait in a receive buffer of 128 bytes. The main program
+of the received stream when they arrive. All other characters wait in a receive buffer. The main program
 reads one line at a time from this buffer. Like GRBL's main program, it waits while the planner is full, during a dwell
 or a probe cycle, and during every hold. It is a generator that yields the condition for which it waits.
 
@@ -9,30 +9,40 @@ The physics does not look ahead over blocks, so the axes come to rest at the end
 motion, the simulated axes brake instead of losing steps, but the alarm is raised nevertheless. A collision is reported
 to GRBL as an active limit switch.
 
-Source: gnea/grbl, doc/markdown/interface.md, commands.md, realtime_cmds.md.
+Source: gnea/grbl, doc/markdown/interface.md, commands.md, realtime_cmds.md, grbl/protocol.c, system.c and
+motion_control.c; grblHAL/core, protocol.c, state_machine.c, motion_control.c, machine_limits.c.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from enum import Enum
 from typing import Final
 
 from simulators.wire.grbl import reports
 from simulators.wire.grbl.axes import GrblAxes, PlannedMove
-from simulators.wire.grbl.blocks import PROBING, BlockError, BlockParser, GcodeBlock, Triple, WorkOffsets
+from simulators.wire.grbl.blocks import PROBING, BlockError, BlockParser, Triple, WorkOffsets
 from simulators.wire.grbl.physics import GrblPhysics
-from simulators.wire.grbl.settings import GrblSettings, SettingRefusedError
-
-RECEIVE_BUFFER: Final = 128
-"""Size of the receive buffer in bytes; one byte is never used."""
-LINE_BUFFER: Final = 80
-PLANNER_BLOCKS: Final = 15
-
-HARD_LIMIT, SOFT_LIMIT, ABORTED, NOT_READY, NO_CONTACT, HOMING_RESET = 1, 2, 3, 4, 5, 6
-CRITICAL: Final = frozenset({HARD_LIMIT, SOFT_LIMIT})
-BAD_NUMBER, NOT_RECOGNISED, HOMING_DISABLED, NOT_IDLE, LOCKED, OVERFLOW, DOOR_OPEN = 2, 3, 5, 8, 9, 11, 13
+from simulators.wire.grbl.receiver import LineReceiver
+from simulators.wire.grbl.settings import GrblSettings
+from simulators.wire.grbl.states import (
+    ABORTED,
+    BEYOND_TRAVEL,
+    CRITICAL,
+    DOOR_OPEN,
+    HARD_LIMIT,
+    HOMING_DISABLED,
+    HOMING_RESET,
+    LOCKED,
+    NO_CONTACT,
+    NOT_IDLE,
+    NOT_READY,
+    NOT_RECOGNISED,
+    OVERFLOW,
+    SOFT_LIMIT,
+    GrblState,
+    snapshot,
+)
 
 RESET, DOOR, JOG_CANCEL = 0x18, 0x84, 0x85
 TOWARDS, NO_ALARM = frozenset({38.2, 38.3}), frozenset({38.3, 38.5})
@@ -42,21 +52,13 @@ Program = Generator[WaitCondition, None, int | None]
 """Main program; returns the number after ``error:``, or None for ``ok``."""
 
 
-class GrblState(Enum):
-    IDLE = "Idle"
-    RUN = "Run"
-    HOLD = "Hold"
-    DOOR = "Door"
-    ALARM = "Alarm"
-    HOME = "Home"
-
-
 class GrblController:
     """Simulated GRBL on a serial line: `received` accepts bytes from the line, and the function `send` writes to the
     line.
 
     `on_advance` and `wakes_at` connect the controller to machine time. If `homed` is False, the controller starts
-    locked, as after power-on. Check mode, sleep, jogging, startup lines and overrides are not simulated.
+    locked, as after power-on. If `homing_fails` is set, every homing ends with the alarm of this number. Check mode,
+    sleep, startup lines and overrides are not simulated.
     """
 
     def __init__(
@@ -65,18 +67,26 @@ class GrblController:
         now: Callable[[], float],
         send: Callable[[bytes], None],
         *,
-        settings: GrblSettings | None = None,
+        settings: GrblSettings,
         homed: bool = True,
     ) -> None:
-        self.settings = settings or GrblSettings(physics.limits())
+        self.settings = settings
+        self._dialect = self.settings.dialect
         self._now = now
         self._send = send
         self._axes = GrblAxes(physics, self.settings, now)
         self._reporter = reports.StatusReporter(self.settings)
         self._parser = BlockParser(WorkOffsets())
         self._probed: tuple[Triple, bool] = ((0.0, 0.0, 0.0), False)
-        self.state = GrblState.IDLE if homed or not self.settings.flag(22) else GrblState.ALARM
+        self.state = GrblState.IDLE if homed or not self._homes else GrblState.ALARM
+        self._homed = homed
+        self.homing_fails: int | None = None
+        self._receiver = LineReceiver(self._dialect)
         self._restart()
+
+    @property
+    def _homes(self) -> bool:
+        return bool(int(self.settings[22]) & 1)
 
     @property
     def offsets(self) -> WorkOffsets:
@@ -91,8 +101,8 @@ class GrblController:
         for byte in data:
             if byte in _REALTIME:
                 _REALTIME[byte](self)
-            elif byte < 0x80 and len(self._waiting) < RECEIVE_BUFFER - 1:
-                self._waiting.append(byte)
+            else:
+                self._receiver.store(byte)
         self._run()
 
     def on_advance(self, _now_s: float) -> None:
@@ -114,11 +124,15 @@ class GrblController:
 
     def query(self) -> None:
         self._run()
-        if self.state is not GrblState.HOME and not self._critical:
-            self.send_line(self._reporter.report(self._snapshot()))
+        silent = self._critical and not self._dialect.reports_when_critical
+        if self.state is not GrblState.HOME and not silent:
+            blocks = len(self._planner) + (self._axes.current_move is not None)
+            now = snapshot(self.state, self._axes, self._parser, blocks=blocks, homed=self._homed)
+            self.send_line(self._reporter.report(now, self._receiver.waiting))
 
     def feed_hold(self) -> None:
         self._run()
+        self.cancel_jog_motion()
         if self.state in (GrblState.IDLE, GrblState.RUN):
             self._suspend(GrblState.HOLD)
 
@@ -140,6 +154,7 @@ class GrblController:
         """
         if self._axes.moving and self.state is not GrblState.ALARM:
             self.send_line(f"ALARM:{HOMING_RESET if self.state is GrblState.HOME else ABORTED}")
+            self._homed = self._homed and self.state is not GrblState.HOME
             self.state = GrblState.ALARM
         self._axes.abort()
         if self._in_line:
@@ -154,25 +169,35 @@ class GrblController:
         If homing is enabled, the controller is locked until it is homed.
         """
         self._axes.abort()
-        self.state = GrblState.ALARM if self.settings.flag(22) else GrblState.IDLE
+        self._homed = False
+        self.state = GrblState.ALARM if self._homes else GrblState.IDLE
         self._restart()
         self._welcome()
+        if self.state is GrblState.ALARM and self._dialect.alarm_when_not_homed is not None:
+            self.send_line(f"ALARM:{self._dialect.alarm_when_not_homed}")
 
     def _welcome(self) -> None:
-        self._send_lines(("", reports.WELCOME))
+        self._send_lines(("", self._dialect.welcome))
         if self.state is GrblState.ALARM:
             self.send_line(reports.LOCKED)
 
     def cancel_jog(self) -> None:
-        """Do nothing: jogging is not simulated."""
+        """End a jog. grblHAL also discards the lines that wait in the receive buffer, in every state."""
+        if self._dialect.cancel_jog_empties_buffer:
+            self._receiver.clear()
+            self._last_error = 0
+        self.cancel_jog_motion()
+
+    def cancel_jog_motion(self) -> None:
+        if self.state is GrblState.JOG:
+            self._planner.clear()
+            self._axes.abort()
 
     # ------------------------------------------------------------------ main program
 
     def _restart(self) -> None:
-        self._waiting = bytearray()
-        self._reading: list[str] = []
-        self._comment = ""
-        self._line_complete = False
+        self._receiver.clear()
+        self._last_error = 0
         self._planner: deque[PlannedMove] = deque()
         self._critical = False
         self._in_line = False
@@ -190,7 +215,10 @@ class GrblController:
             if self._can_start():
                 self._begin(self._planner.popleft())
             if self._can_continue():
-                self._awaited = next(self._program)
+                program = self._program
+                awaited = next(program)
+                if program is self._program:  # it has not reset the controller
+                    self._awaited = awaited
             self._end_motion()
 
     def _can_continue(self) -> bool:
@@ -198,45 +226,32 @@ class GrblController:
 
     def _main(self) -> Generator[WaitCondition, None, None]:
         while True:
-            yield self._line_received
-            line = "".join(self._reading)
-            self._reading, self._comment, self._line_complete = [], "", False
+            yield self._receiver.line_received
+            line = self._receiver.take_line()
             self._in_line = True
-            code = OVERFLOW if len(line) >= LINE_BUFFER else (yield from self._execute(line))
+            code = OVERFLOW if line is None else (yield from self._execute(line))
             self._in_line = False
+            self._last_error = code or 0
             self.send_line(f"error:{code}" if code else "ok")
-
-    def _line_received(self) -> bool:
-        """Take bytes from the receive buffer up to the end of a line, dropping blanks and comments.
-
-        Returns True if the line is complete.
-        """
-        while self._waiting and not self._line_complete:
-            character = chr(self._waiting.pop(0))
-            if character in "\r\n":
-                self._line_complete = True
-            elif self._comment:
-                self._comment = "" if (self._comment, character) == ("(", ")") else self._comment
-            elif character in "(;":
-                self._comment = character
-            elif character > " " and character != "/":
-                self._reading.append(character.upper())
-        return self._line_complete
 
     def _execute(self, line: str) -> Program:
         if not line:
             return None
+        if line.startswith("$J"):
+            return (yield from self._jog(line))
         if line.startswith("$"):
             return (yield from self._system(line))
-        if self.state is GrblState.ALARM:
+        if self.state in (GrblState.ALARM, GrblState.JOG):
             return LOCKED
+        if self._last_error and self._dialect.repeats_errors:
+            return self._last_error
+        return (yield from self._perform(line))
+
+    def _perform(self, line: str) -> Program:
         try:
             block = self._parser.read(line, self._planned_mm)
         except BlockError as error:
             return error.code
-        return (yield from self._perform(block))
-
-    def _perform(self, block: GcodeBlock) -> Program:
         if block.dwell_s is not None:
             yield self._synchronised
             self._dwell_until_s = self._now() + block.dwell_s
@@ -249,13 +264,32 @@ class GrblController:
                 yield _never
             if block.motion in PROBING:
                 return (yield from self._probe(block.motion, block.target_mm))
-            yield lambda: len(self._planner) < PLANNER_BLOCKS
-            feed = None if block.motion == 0 else self._parser.modes.feed_mm_per_min
-            self._planner.append(PlannedMove(block.target_mm, feed))
-            self._planned_mm = block.target_mm
+            yield from self._plan(block.target_mm, None if block.motion == 0 else self._parser.modes.feed_mm_per_min)
         if block.program_end:
             yield self._synchronised
             self.send_line(reports.PROGRAM_END)
+        return None
+
+    def _plan(self, target_mm: Triple, feed_mm_per_min: float | None) -> Generator[WaitCondition, None, None]:
+        """Queue a move. A move of less than a step is no motion, but it moves the position of the parser."""
+        yield lambda: len(self._planner) < self._dialect.planner_blocks
+        if not (self._synchronised() and self._axes.at(target_mm)):
+            self._planner.append(PlannedMove(target_mm, feed_mm_per_min))
+        self._planned_mm = target_mm
+
+    def _jog(self, line: str) -> Program:
+        if self.state not in (GrblState.IDLE, GrblState.JOG):
+            return NOT_IDLE
+        if not line.startswith("$J="):
+            return NOT_RECOGNISED
+        try:
+            target_mm, feed_mm_per_min = self._parser.read_jog(line[3:], self._planned_mm)
+        except BlockError as error:
+            return error.code
+        if self.settings.flag(20) and self._axes.beyond_travel(target_mm):
+            return BEYOND_TRAVEL
+        yield from self._plan(target_mm, feed_mm_per_min)
+        self.state = GrblState.JOG if self._planner else self.state
         return None
 
     def _probe(self, motion: float, target_mm: Triple) -> Program:
@@ -269,8 +303,10 @@ class GrblController:
             self._alarm(NOT_READY)
             return None
         latches = axes.latches
-        self._begin(PlannedMove(target_mm, self._parser.modes.feed_mm_per_min), touching=towards, leaving=not towards)
-        yield self._at_rest
+        if not axes.at(target_mm):
+            move = PlannedMove(target_mm, self._parser.modes.feed_mm_per_min)
+            self._begin(move, touching=towards, leaving=not towards)
+            yield self._at_rest
         position = axes.latch_after(latches) if towards else axes.released_at_mm
         if position is not None:
             self._probed = (position, True)
@@ -278,7 +314,8 @@ class GrblController:
             self._probed = (axes.position(), False)
         else:
             self._alarm(NO_CONTACT)
-        self._planned_mm = axes.position()
+        # After a miss, the parser stands at the target of the cycle, although the axes stand on a step beside it.
+        self._planned_mm = axes.position() if position is not None else target_mm
         self.send_line(reports.probe_message(*self._probed, inches=self.settings.flag(13)))
         return None
 
@@ -303,13 +340,13 @@ class GrblController:
                 self._send_lines(reports.parameters(self.offsets, self._parser.modes, inches=inches))
                 self.send_line(reports.probe_message(*self._probed, inches=inches))
             case "$I":
-                self._send_lines(("[VER:1.1h.20190830:volcal simulated machine]", "[OPT:VL,15,128]"))
+                self._send_lines(self._dialect.build_info)
             case "$N":
                 self._send_lines(("$N0=", "$N1="))
             case "$H":
                 return (yield from self._home())
             case _:
-                return self._store_setting(line)
+                return self.settings.store_line(line)
         return None
 
     def _send_lines(self, lines: Iterable[str]) -> None:
@@ -325,30 +362,29 @@ class GrblController:
             self._axes.clear_fault()
         return None
 
-    def _store_setting(self, line: str) -> int | None:
-        name, separator, value = line[1:].partition("=")
-        if not (separator and name.isdecimal()):
-            return NOT_RECOGNISED
-        try:
-            self.settings.store(int(name), float(value))
-        except SettingRefusedError as refusal:
-            return refusal.code
-        except ValueError:
-            return BAD_NUMBER
-        return None
-
     def _home(self) -> Program:
-        if not self.settings.flag(22):
+        if not self._homes:
             return HOMING_DISABLED
         self._axes.clear_fault()
         yield lambda: self._axes.idle
+        if self.homing_fails is not None:
+            self._fail_homing(self.homing_fails)
+            yield _never
         pull_off = -self.settings[27]
         self._axes.begin(PlannedMove((pull_off, pull_off, pull_off), self.settings[25]))
         self.state = GrblState.HOME
         yield lambda: not self._axes.moving
         self.state, self._axes.current_move = GrblState.IDLE, None
         self._planned_mm = self._axes.position()
+        self._homed = True
+        self._reporter.report_homed()
         return None
+
+    def _fail_homing(self, code: int) -> None:
+        """Raise an alarm of homing. It resets the controller, which answers the line before its welcome."""
+        self._homed = False
+        self._alarm(code)
+        self.soft_reset()
 
     # ------------------------------------------------------------------ motion
 
@@ -362,11 +398,11 @@ class GrblController:
         return self._dwell_until_s is None or self._now() >= self._dwell_until_s
 
     def _can_start(self) -> bool:
-        free = self.state in (GrblState.IDLE, GrblState.RUN) and self._axes.current_move is None
+        free = self.state in (GrblState.IDLE, GrblState.RUN, GrblState.JOG) and self._axes.current_move is None
         return free and bool(self._planner) and self._axes.idle
 
     def _begin(self, move: PlannedMove, *, touching: bool = False, leaving: bool = False) -> None:
-        self.state = GrblState.RUN
+        self.state = GrblState.JOG if self.state is GrblState.JOG else GrblState.RUN
         if not self._axes.begin(move, touching=touching, leaving=leaving):
             self._alarm(HARD_LIMIT)
 
@@ -379,6 +415,13 @@ class GrblController:
         elif axes.current_move is not None and axes.idle and self.state is GrblState.RUN:
             axes.current_move = None
             self.state = GrblState.RUN if self._planner else GrblState.IDLE
+        elif self.state is GrblState.JOG and axes.idle:
+            self._end_jog()
+
+    def _end_jog(self) -> None:
+        self._axes.current_move = None
+        if not self._planner:
+            self.state, self._planned_mm = GrblState.IDLE, self._axes.position()
 
     def _suspend(self, state: GrblState) -> None:
         self.state = state
@@ -392,31 +435,6 @@ class GrblController:
         if code in CRITICAL:
             self._critical = True
             self.send_line(reports.RESET_TO_CONTINUE)
-
-    # ------------------------------------------------------------------ status
-
-    def _snapshot(self) -> reports.StatusSnapshot:
-        modes, axes = self._parser.modes, self._axes
-        spindle = {3: "S", 4: "C"}.get(int(modes.spindle), "")
-        return reports.StatusSnapshot(
-            state=self._state_shown(),
-            moving=axes.moving,
-            position_mm=axes.position(),
-            work_offset_mm=self._parser.work_offset_mm,
-            free_blocks=PLANNER_BLOCKS - len(self._planner) - (axes.current_move is not None),
-            free_bytes=RECEIVE_BUFFER - len(self._waiting),
-            feed_mm_per_min=axes.feed_mm_per_min,
-            speed_rpm=modes.speed_rpm if spindle else 0.0,
-            pins="P" * axes.pin + "D" * axes.door_open,
-            accessories=spindle + {8: "F", 7: "M"}.get(int(modes.coolant), ""),
-        )
-
-    def _state_shown(self) -> str:
-        if self.state is GrblState.HOLD:
-            return f"Hold:{int(self._axes.moving)}"
-        if self.state is GrblState.DOOR:
-            return "Door:2" if self._axes.moving else f"Door:{int(self._axes.door_open)}"
-        return str(self.state.value)
 
 
 def _never() -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final, Protocol
 
 from simulators.wire.grbl.controller import GrblController
+from simulators.wire.grbl.dialect import GRBL_11, GrblDialect
 from simulators.wire.grbl.physics import GrblPhysics
 from simulators.wire.grbl.settings import GrblSettings
 from simulators.wire.pty_port import ANY, PseudoTerminal
@@ -20,7 +21,9 @@ class WorldWithAxes(TimeDriven, Protocol):
 
 
 class GrblPort:
-    """Simulated GRBL controller on a pseudo-terminal. It controls the axes and the probe of the simulated world."""
+    """Simulated GRBL or grblHAL controller on a pseudo-terminal. It controls the axes and the probe of the simulated
+    world.
+    """
 
     def __init__(
         self,
@@ -28,8 +31,10 @@ class GrblPort:
         link: str = ANY,
         *,
         settings: GrblSettings | None = None,
+        dialect: GrblDialect = GRBL_11,
         homed: bool = True,
     ) -> None:
+        settings = settings or GrblSettings(shared.world.controller.limits(), dialect=dialect)
         self._shared = shared
         self.line = PseudoTerminal("grbl", self._received, link)
         self.controller = GrblController(

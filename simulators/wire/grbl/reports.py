@@ -1,6 +1,6 @@
-"""Texts that GRBL 1.1 sends: status reports, parameters, parser state, build info.
+"""Texts that GRBL 1.1 and grblHAL send: status reports, parameters, parser state.
 
-Source: gnea/grbl, doc/markdown/interface.md.
+Source: gnea/grbl, doc/markdown/interface.md; grblHAL/core, report.c.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from simulators.wire.grbl.blocks import MM_PER_INCH, GrblModalState, Triple, WorkOffsets
 from simulators.wire.grbl.settings import GrblSettings
 
-WELCOME = "Grbl 1.1h ['$' for help]"
 LOCKED = "[MSG:'$H'|'$X' to unlock]"
 RESET_TO_CONTINUE = "[MSG:Reset to continue]"
 UNLOCKED = "[MSG:Caution: Unlocked]"
@@ -36,12 +35,12 @@ class StatusSnapshot:
     moving: bool
     position_mm: Triple
     work_offset_mm: Triple
-    free_blocks: int
-    free_bytes: int
+    planned_blocks: int
     feed_mm_per_min: float
     speed_rpm: float
     pins: str
     accessories: str
+    homed: bool = True
     overrides: tuple[int, int, int] = (100, 100, 100)
 
 
@@ -63,18 +62,28 @@ class StatusReporter:
         self._until_offset, self._until_overrides = 0, 1
         self._shown_offset: Triple | None = None
         self._shown_others: tuple[tuple[int, int, int], str] | None = None
+        self.report_homed()
 
-    def report(self, now: StatusSnapshot) -> str:
+    def report_homed(self) -> None:
+        """Let the next report contain whether the machine has homed, if the firmware reports this."""
+        self._homed_due = self._settings.dialect.reports_homed
+
+    def report(self, now: StatusSnapshot, waiting_bytes: int) -> str:
         machine = bool(int(self._settings[10]) & MACHINE_POSITION)
         shown = now.position_mm if machine else _less(now.position_mm, now.work_offset_mm)
         fields = [now.state, f"{'MPos' if machine else 'WPos'}:{self._coordinates(shown)}"]
         if int(self._settings[10]) & BUFFER_STATE:
-            fields.append(f"Bf:{now.free_blocks},{now.free_bytes}")
+            dialect = self._settings.dialect
+            free = dialect.planner_blocks - now.planned_blocks, dialect.receive_buffer - waiting_bytes
+            fields.append(f"Bf:{free[0]},{free[1]}")
         feed = now.feed_mm_per_min / (MM_PER_INCH if self._settings.flag(13) else 1.0)
         fields.append(f"FS:{feed:.0f},{now.speed_rpm:.0f}")
         if now.pins:
             fields.append(f"Pn:{now.pins}")
         fields += self._intermittent(now)
+        if self._homed_due:
+            self._homed_due = False
+            fields.append(f"H:{int(now.homed)}")
         return "<" + "|".join(fields) + ">"
 
     def _intermittent(self, now: StatusSnapshot) -> list[str]:

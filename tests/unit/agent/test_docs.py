@@ -103,6 +103,17 @@ def test_the_command_page_names_every_option(name: str) -> None:
     assert [option for option in options if f"`{option}`" not in text] == []
 
 
+def test_settings_page_lists_every_removed_key() -> None:
+    listed = [CODE.findall(row[0]) for row in rows(section(page("settings.md"), "Removed keys"))]
+    declared = {
+        f"{name}.{removed}"
+        for name, field in Settings.model_fields.items()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, StrictModel)
+        for removed in field.annotation.removed_keys
+    }
+    assert {key for keys in listed for key in keys} == declared
+
+
 def test_settings_page_lists_every_renamed_key() -> None:
     documented = {
         (former.strip("`"), present.strip("`"))

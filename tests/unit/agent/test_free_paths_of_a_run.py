@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from agent.probing.paths.approach_points import TipLocation
+from agent.probing.paths.artefact_bodies import ArtefactPose
 from agent.probing.paths.free_paths import (
     UNCERTAINTY_STEPS_MM,
-    ArtefactPose,
     FreePathFinder,
     FreePathRules,
     round_up_uncertainty,

@@ -70,7 +70,8 @@ def test_a_small_machine_passes_with_the_defaults(small: Path) -> None:
     document = json.loads(planned.stdout)
     gates = {gate["gate"]: gate for gate in document["gates"]}
     assert all(gate["passes"] and not gate["remedy"] for gate in gates.values())
-    assert 0.0 < gates["gain"]["expected"] < gates["gain"]["limit"] == 0.5
+    assert gates["gain"]["expected"] > gates["gain"]["limit"] == 0.25
+    assert gates["proof"]["expected"] > gates["proof"]["limit"] > 0.0
     assert 0.1 < gates["extrapolation"]["expected"] < 0.8
 
 
@@ -89,7 +90,6 @@ def test_a_run_that_will_be_refused_is_named_by_its_keys(small: Path) -> None:
         "probe_check.limit_um": "2.0",
         "gates.max_chi2": "0.9",
         "gates.min_degrees_of_freedom": "500",
-        "gates.max_remaining_fraction": "0.2",
         "gates.max_certificate_sigma": "1.0",
         "gates.max_change": "0.5",
         "gates.night_false_alarm": "0.9",

@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 
 from agent.planning import held_out_positions as module
-from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.case_file import CASE_STUDY, load_case, shipped_case
 from agent.planning.design.feasibility import FeasibilityCheck
-from agent.planning.held_out_positions import held_out_positions, least_known
+from agent.planning.held_out_positions import (
+    held_out_grid,
+    held_out_positions,
+    least_known,
+    verification_stations,
+)
 from agent.planning.job import Job
-from agent.planning.job_preparation import prepare_job
+from agent.planning.job_preparation import prepare_job, reached_balls
 from agent.planning.preflight import run_preflight
 from agent.results.predicted_accuracy import predict_accuracy
 from agent.runs.kinds.position_choice import PositionChooser
+from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
@@ -105,6 +111,22 @@ def test_a_chosen_position_can_be_measured() -> None:
     job = case()
     feasibility = FeasibilityCheck(job)
     assert [feasibility.hit(position) for position in job.held_out] == ["", "", "", ""]
+
+
+@pytest.mark.parametrize("name", ["mill", "router", "bridge"])
+def test_with_plain_paths_no_chosen_position_rises_above_the_retreat_plane_of_a_vertical_machine(name: str) -> None:
+    """On these machines some orientations rise above the retreat plane. They are accessible, but a plain path hits
+    them."""
+    file = shipped_case(name).settings
+    settings = load_settings(file)
+    plain = settings.procedure.model_copy(update={"paths": "plain"})
+    job = prepare_job(settings.model_copy(update={"procedure": plain}), file.parent)
+    feasibility, station = FeasibilityCheck(job), verification_stations(job.settings)[0]
+    offered = [Position(station, *angles) for angles in held_out_grid(job.settings)]
+    assert any(feasibility.hit(position) for position in offered if reached_balls(job, position) >= MIN_BALLS)
+    flat = next(position for position in job.positions if position.station == station and position.elevation_deg == 0.0)
+    preflight = run_preflight(replace(job, positions=(flat,)))
+    assert len(preflight.verified.positions) == len(job.held_out)
 
 
 def test_listed_orientations_are_held_out_at_every_station() -> None:

@@ -9,13 +9,19 @@ from pathlib import Path
 import pytest
 
 from agent.execution.states import RunState
+from agent.planning.setup_proposal.axis_check import Finding, Part, ProbeFinding
+from agent.results.gates import GATE_RULES
 from agent.runs.kinds.restoration import TABLE_ROLES
+from agent.runs.new_machine.fields import SETUP_FIELDS, FieldKind, SetupField
 from agent.runs.run_request import KINDS, SOURCES
 from agent.service.alarms import CODES, DEFECT, AlarmCode
 
 ASSETS = Path(__file__).parents[3] / "agent" / "service" / "page" / "assets"
 SCRIPTS = sorted(ASSETS.glob("*.js"))
-MESSAGES: dict[str, dict[str, str]] = json.loads((ASSETS / "messages.json").read_text(encoding="utf-8"))
+CATALOGUES = [
+    json.loads((ASSETS / name).read_text(encoding="utf-8")) for name in ("messages.json", "setup-messages.json")
+]
+MESSAGES: dict[str, dict[str, str]] = {**CATALOGUES[0], **CATALOGUES[1]}
 LANGUAGES = {"en", "de"}
 
 KEY = re.compile(r'"([a-z]+\.[\w.]+)"')
@@ -26,11 +32,15 @@ WORDS = re.compile(r'"[^"\n]*[A-Za-z]{3,} [a-z]{2,} [a-z]{2,}[^"\n]*"')
 NO_KEYS = {"volcal.language", "volcal.theme", "volcal.token"}
 
 
+UNTRANSLATED = {"spindle", "touches"}
+
+
 def used() -> set[str]:
     """Keys that stand in scripts and document as they are."""
     keys = {key for script in SCRIPTS for key in KEY.findall(script.read_text(encoding="utf-8"))}
     names = {path.name for path in ASSETS.iterdir()}
-    return (keys | set(NAMED.findall((ASSETS / "index.html").read_text(encoding="utf-8")))) - NO_KEYS - names
+    documents = "".join((ASSETS / name).read_text(encoding="utf-8") for name in ("index.html", "setup.html"))
+    return (keys | set(NAMED.findall(documents))) - NO_KEYS - names
 
 
 def built() -> set[str]:
@@ -51,8 +61,35 @@ def test_each_message_is_there_in_both_languages_with_the_same_places(key: str) 
 
 def test_each_message_that_is_used_exists_and_each_that_exists_is_used() -> None:
     assert used() - set(MESSAGES) - {f"problem.{status}" for status in (401, 403, 409)} == set()
-    starts = built() | {"alarm.", "problem.", "kind.", "source."}
+    starts = built() | {"alarm.", "problem.", "kind.", "source.", "controller.", "shape.", "calibration."}
     assert {key for key in MESSAGES if key not in used() and not key.startswith(tuple(starts))} == set()
+
+
+def test_no_message_stands_in_two_catalogues() -> None:
+    assert set(CATALOGUES[0]) & set(CATALOGUES[1]) == set()
+
+
+@pytest.mark.parametrize("field", SETUP_FIELDS, ids=lambda field: field.name)
+def test_each_field_of_a_set_up_has_its_label_its_step_and_its_choices(field: SetupField) -> None:
+    assert {f"field.{field.name}", f"step.{field.step}", f"about.{field.step}", f"expected.{field.kind.value}"} <= set(
+        MESSAGES
+    )
+    words = "class" if field.name == "machine_class" else field.name
+    assert (
+        field.kind is not FieldKind.CHOICE
+        or field.name in UNTRANSLATED
+        or {f"{words}.{choice}" for choice in field.choices} <= set(MESSAGES)
+    )
+
+
+def test_each_finding_and_each_gate_of_a_forecast_has_its_words() -> None:
+    findings = {
+        f"finding.{finding.value.replace(' ', '_')}" for finding in Finding if finding is not Finding.WRONG_SIDE
+    }
+    sides = {f"finding.wrong_side_{part.value}" for part in Part}
+    touches = {f"touch.{finding.value.replace(' ', '_')}" for finding in ProbeFinding}
+    gates = {f"{word}.{gate.replace(' ', '_')}" for word in ("gate", "remedy") for gate in GATE_RULES}
+    assert findings | sides | touches | gates <= set(MESSAGES)
 
 
 @pytest.mark.parametrize("state", RunState)

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from agent.cli import calibrate
+import agent.cli
 from agent.cli.printing import columns_table, facts_table, results_console
 
 PATH = "/var/lib/volcal/a-machine-with-a-long-name/20261122T124825Z-fe2a/another-long-folder-of-the-plant/report.html"
@@ -84,7 +84,7 @@ def test_numbers_are_aligned_to_the_right() -> None:
 
 
 def test_every_command_prints_its_tables_through_this_module() -> None:
-    folder = Path(calibrate.__file__).parent
+    folder = Path(agent.cli.__file__).parent
     writers = [path for path in folder.rglob("*.py") if path.name != "printing.py"]
     assert [path.name for path in writers if "Console()" in path.read_text(encoding="utf-8")] == []
 

@@ -30,7 +30,7 @@ from agent.runs.resume.replay_engine import Replay, ReplayingEngine
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import VirtualClock
-from drivers.errors import LinkLost, MotionFault
+from drivers.errors import CommandRejected, DeadlineExpired, GuardTripped, LinkLost, MotionFault
 from drivers.roles import Miss, Orientation, TableImage, Touch
 
 TABLE = TableImage((0.0, 0.1, 0.2), (1.0, 2.0, 3.0), 1e-4, np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3))
@@ -89,6 +89,31 @@ def test_entries_are_neither_written_twice_nor_changed(journal: Journal, tmp_pat
     other, _ = journal.continue_run(run.run, run.run_id, VirtualClock())
     with pytest.raises(PlanDiverged, match="same with other figures"):
         other.decision("gate", {"value": 0.3333333333333333 + 1e-16})
+
+
+def test_a_discarded_position_is_measured_again_from_its_turn_on(journal: Journal, tmp_path: Path) -> None:
+    run = begun(journal)
+    turn = OrientTo("measure/station-1/az0-el0/orient", 1, 0.0, 0.0)
+    for step, result in (
+        (OrientTo("measure/station-1/az9-el0/orient", 1, 9.0, 0.0), Orientation(9.0, 0.0)),
+        (Record("measure/station-1/az9-el0/ball-00/centre", "ball", {"centre_mm": [0.0, 0.0, 0.0]}), None),
+        (turn, Orientation(0.0, 0.0)),
+        (Record("measure/station-1/az0-el0/ball-00/centre", "ball", {"centre_mm": [1.0, 0.0, 0.0]}), None),
+        (Record("measure/station-1/az0-el0/ball-01/lost", "event", {"ball": 1}), None),
+    ):
+        if isinstance(step, OrientTo):
+            run.begin(step)
+        run.finish(step, result, begun=isinstance(step, OrientTo))
+    assert run.discard_since(turn.key, "it has moved") == 1
+    again, recorded = journal.continue_run(run.run, run.run_id, VirtualClock())
+    assert [step.key for step in recorded.steps] == ["measure/station-1/az9-el0/orient"]
+    assert [key for key, _ in recorded.entries["balls"]] == ["measure/station-1/az9-el0/ball-00/centre"]
+    assert not recorded.entries["events"]
+    again.begin(turn)
+    with open_journal(tmp_path) as reader:
+        [discarded] = reader.events(1, ("discarded",))
+        assert reader.ordinal_of(1, turn.key) > 3
+    assert discarded.record["record"] == {"centre_mm": [1.0, 0.0, 0.0]}
 
 
 def replaying(journal: Journal, done: list[str], *, run: int = 1) -> ReplayingEngine:
@@ -203,7 +228,16 @@ def test_replayed_states_are_not_announced(journal: Journal) -> None:
     assert [one.data["state"] for one in heard] == ["resuming", "identifying", "staging"]
 
 
-@pytest.mark.parametrize(("error", "resumable"), [(LinkLost("gone"), True), (MotionFault("hit"), False)])
+@pytest.mark.parametrize(
+    ("error", "resumable"),
+    [
+        (LinkLost("gone"), True),
+        (MotionFault("emergency stop"), True),
+        (DeadlineExpired("the override is at 0 %"), True),
+        (GuardTripped("hit"), False),
+        (CommandRejected("outside the travel"), False),
+    ],
+)
 def test_only_faults_from_outside_can_be_resumed(journal: Journal, tmp_path: Path, error, resumable) -> None:
     run = begun(journal)
     step = MoveTo("a", (1.0, 0.0, 0.0))

@@ -35,7 +35,7 @@ from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.return_to_position import ReturnToPosition, reactivation
 from agent.runs.resume.step_trace import StepTrace
 from drivers.clock import VirtualClock
-from drivers.roles import Activation, TableImage
+from drivers.roles import Activation, MachineStatus, MotionState, TableImage
 
 
 def image(value: int) -> TableImage:
@@ -181,6 +181,10 @@ class Machine:
         self.targets: list[tuple[float, float, float]] = []
         self.complaints: list[str] = []
         self.last_motion = LastMotion()
+        self.machine = self
+
+    def status(self) -> MachineStatus:
+        return MachineStatus(MotionState.IDLE, {})
 
     def stop(self) -> list[str]:
         self.log.append("stop")
@@ -228,6 +232,7 @@ RULES = SimpleNamespace(
     retreat=Retreat(1, -50.0, 0, {}),
     probing=SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=10.0),
     drift=SimpleNamespace(fault_mm=0.02),
+    placement=None,
 )
 
 
@@ -244,7 +249,7 @@ class Return:
         self.trace = trace
         run: Any = SimpleNamespace(activation=Activation.IMMEDIATE, rules=RULES, too_late=lambda _: refusal)
         engine = self.machine.engine(store or Store(1, {1: OLD}))
-        context: Any = SimpleNamespace(rig=self.machine, tracker=self.tracker, engine=engine)
+        context: Any = SimpleNamespace(rig=self.machine, tracker=self.tracker, engine=engine, journal=None)
         self.returning = ReturnToPosition("resume-1", run, context, trace, self.clock, 160.0)
 
 

@@ -24,6 +24,7 @@ class FakePlc:
         self.registers = dict.fromkeys(READABLE, 0)
         self.now_s = 0.0
         self.requests: list[bytes] = []
+        self.connections = 0
         self.commands: list[int] = []
         self.disturb: Callable[[bytes, bytes], bytes | None] = lambda _request, answer: answer
         self.offers_23 = True
@@ -31,6 +32,8 @@ class FakePlc:
         self.handles_commands = True
         self.acknowledge_after_s = 0.0
         self.brakes_for_s = 0.0
+        self.override = 1.0
+        self.ends_off_mm = (0.0, 0.0, 0.0)
         self._brake_until_s = math.inf
         self.trip_at_mm: float | None = None
         self.wrong_latch: tuple[float, float, float] | None = None
@@ -95,16 +98,26 @@ class FakePlc:
         while True:
             try:
                 self._connection, _ = self._listener.accept()
-                while request := self._connection.recv(1024):
-                    self.requests.append(request)
-                    body = self._pdu(request[7:])
-                    frame = request[:4] + struct.pack(">HB", len(body) + 1, request[6]) + body
-                    answer = self.disturb(request, frame)
-                    if answer is not None:
-                        self._connection.sendall(answer)
+                self.connections += 1
+                with self._connection:
+                    self._serve_client(self._connection)
             except OSError:
                 if self._listener.fileno() < 0:
                     return
+
+    def _serve_client(self, client: socket.socket) -> None:
+        while request := client.recv(1024):
+            self.requests.append(request)
+            body = self._pdu(request[7:])
+            frame = request[:4] + struct.pack(">HB", len(body) + 1, request[6]) + body
+            answer = self.disturb(request, frame)
+            if answer is not None:
+                client.sendall(answer)
+
+    def drop_client(self) -> None:
+        """Close the connection, as when a switch restarts; the next connection is accepted."""
+        assert self._connection is not None
+        self._connection.shutdown(socket.SHUT_RDWR)
 
     def _pdu(self, pdu: bytes) -> bytes:
         function = pdu[0]
@@ -183,14 +196,14 @@ class FakePlc:
         if not all(low <= value <= high for low, value, high in zip(TRAVEL[0], target, TRAVEL[1], strict=True)):
             return 5
         self._target = target
-        speed = feed or RAPID_MM_PER_S
+        speed = (feed or RAPID_MM_PER_S) * self.override
         if self.registers[2001] == 22:
             speed = self._speed
         else:
             self._code = self.registers[2001]
         self._speed = speed
         start = self.get_words(1012, "3d")
-        self._motion = (self.now_s, start, target, math.dist(start, target) / speed, sequence)
+        self._motion = (self.now_s, start, target, _seconds(math.dist(start, target), speed), sequence)
         self._beat = (self._beat[0], self.now_s)
         self.registers[1004] = 1
         self.registers[1010], self.registers[1011] = sequence, 1
@@ -232,6 +245,7 @@ class FakePlc:
             self._halt(3, 5)
             self.registers[1005] = 5
         elif share >= 1.0:
+            self.set_words(1012, "3d", *(a + b for a, b in zip(here, self.ends_off_mm, strict=True)))
             self._halt(0, 2)
 
     # tables
@@ -307,6 +321,10 @@ class FakePlc:
             number = 0xFFFF
         self.set_words(1200, "HH", bank, number)
         self.set_words(1202, "120H", *struct.unpack(">120H", block.ljust(240, b"\x00")))
+
+
+def _seconds(length_mm: float, speed_mm_per_s: float) -> float:
+    return length_mm / speed_mm_per_s if speed_mm_per_s > 0.0 else math.inf
 
 
 def _inside(part: tuple[int, int], allowed: list[int]) -> bool:

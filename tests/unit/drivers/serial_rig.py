@@ -17,8 +17,10 @@ from drivers.registry import DeviceContext
 from drivers.serial_cnc.device import SerialCnc
 from drivers.serial_cnc.plugin import PLUGIN
 from simulators.scenario import Scenario, read_scenario
+from simulators.wire.grbl.dialect import GRBL_11, GrblDialect
 from simulators.wire.grbl.port import GrblPort
 from simulators.wire.grbl.settings import GrblSettings
+from simulators.wire.pty_port import ANY
 from simulators.wire.shared_world import SharedWorld
 from simulators.world.world import World
 
@@ -99,7 +101,9 @@ def rig(
     *,
     settings: dict[int, float] | None = None,
     homed: bool = True,
+    dialect: GrblDialect = GRBL_11,
     clock: Clock | None = None,
+    link: str = ANY,
     **options: Any,
 ) -> Iterator[Rig]:
     """Create a rig with a device that is not yet open.
@@ -108,9 +112,9 @@ def rig(
     """
     world = World(_scenario())
     shared = SharedWorld(world)
-    told = GrblSettings(world.controller.limits())
+    told = GrblSettings(world.controller.limits(), dialect=dialect)
     told.change(settings or {})
-    port = GrblPort(shared, settings=told, homed=homed)
+    port = GrblPort(shared, link, settings=told, homed=homed)
     line = Line(port)
     port.line.distort = line.distort
     port.start()

@@ -173,13 +173,11 @@ def test_bus_off_is_a_lost_link_and_the_mount_can_be_opened_again() -> None:
         with pytest.raises(LinkLost, match="gone off the bus") as caught:
             turn(bench)
         assert "adapter" in caught.value.hint
-        assert any("quick stop failed too" in note for note in caught.value.__notes__)
-        assert bench.axes.moving("azimuth"), "nobody could be told"
+        assert not bench.axes.turns, "the stop was sent over a new connection"
         bench.mount.close()
         bench.mount.open()
         bench.frames()
         assert bench.mount.orient_to(1.0, 1.0) == Orientation(1.0, 1.0)
-        assert QUICK_STOPS[0] in bench.frames(), "what still turned was stopped first"
 
 
 def test_error_passive_is_only_a_warning() -> None:

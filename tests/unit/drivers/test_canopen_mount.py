@@ -204,7 +204,11 @@ def test_tolerated_emergency_does_not_end_the_turn() -> None:
 def test_not_settled_within_the_window() -> None:
     with rig(in_position_timeout_s=1.0) as bench:
         bench.axes.offset_deg = 0.008  # inside the drive's window, outside ours
-        with pytest.raises(DeadlineExpired, match=r"within 0.005 degrees \(it is \+0.0080 degrees off\)"):
+        text = (
+            r"elevation target 0\.0000 degrees, reported 0\.0080 degrees, off by \+0\.0080 degrees, "
+            r"limit 0\.005 degrees \(in_position_deg\) .*axis elevation"
+        )
+        with pytest.raises(MotionFault, match=text):
             bench.mount.orient_to(10.0, 0.0)
         assert both_stopped(bench)
 

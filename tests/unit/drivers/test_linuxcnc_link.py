@@ -23,6 +23,7 @@ from drivers.errors import (
     LinkLost,
     LinkTimeout,
     MotionFault,
+    PermissionMissing,
     ProtocolError,
 )
 from drivers.linuxcnc.bridge_link import BridgeLink
@@ -42,6 +43,8 @@ HELLO = {
     "axis_mask": 7,
     "joints": 3,
     "limits": [[0.0, 100.0], [0.0, 200.0], [0.0, 300.0]],
+    "joint_limits": [[-1.0, 101.0], [0.0, 201.0], [-1.0, 301.0]],
+    "watched": ["motion", "task", "tool and e-stop I/O"],
     "monotonic_s": 0.0,
 }
 STATUS = {
@@ -69,6 +72,7 @@ STATUS = {
     "feed_override": 1.0,
     "rapid_override": 1.0,
     "abandoned": False,
+    "held_by_volcal": False,
     "errors": [],
     "pins": [],
     "monotonic_s": 0.0,
@@ -120,7 +124,11 @@ def link(tmp_path: Path) -> Iterator[Callable[..., BridgeLink]]:
         file = tmp_path / "script.json"
         file.write_text(json.dumps(script(ask=list(answers))), encoding="utf-8")
         command = (sys.executable, str(FAKE), str(file))
-        made.append(BridgeLink(command, response_timeout_s=within_s, watchdog_timeout_s=0.0, device="cnc"))
+        made.append(
+            BridgeLink(
+                command, response_timeout_s=within_s, watchdog_timeout_s=0.0, heartbeat_timeout_s=1.0, device="cnc"
+            )
+        )
         made[-1].open()
         return made[-1]
 
@@ -173,13 +181,22 @@ class TestLink:
         with pytest.raises(kind, match="the reason"):
             link({"error": error, "text": "the reason"}).ask("ask")
 
+    def test_stopped_process_of_linuxcnc_is_a_lost_link_that_says_what_to_do(self, link) -> None:
+        with pytest.raises(LinkLost, match="task has ended") as caught:
+            link({"error": "stopped", "text": "LinuxCNC's task has ended; its motion is held"}).ask("ask")
+        assert "emergency stop" in caught.value.hint
+
     def test_missing_program(self) -> None:
-        absent = BridgeLink(["/no/such/python3"], response_timeout_s=1.0, watchdog_timeout_s=0.0, device="cnc")
+        absent = BridgeLink(
+            ["/no/such/python3"], response_timeout_s=1.0, watchdog_timeout_s=0.0, heartbeat_timeout_s=1.0, device="cnc"
+        )
         with pytest.raises(LinkLost, match="cannot be started"):
             absent.open()
 
     def test_program_that_ends_without_output(self) -> None:
-        mute = BridgeLink(["true"], response_timeout_s=5.0, watchdog_timeout_s=0.0, device="cnc")
+        mute = BridgeLink(
+            ["true"], response_timeout_s=5.0, watchdog_timeout_s=0.0, heartbeat_timeout_s=1.0, device="cnc"
+        )
         with pytest.raises(LinkLost, match="ended with 0"):
             mute.open()
 
@@ -263,6 +280,23 @@ class TestDevice:
             make(told).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
         assert not hasattr(caught.value, "__notes__")
 
+    def test_stopped_task_ends_the_motion_and_does_not_hinder_closing(self, make: Make) -> None:
+        stopped = {"error": "stopped", "text": "LinuxCNC's task has stopped"}
+        device = make(script(status=[look(), look(state="exec", idle=False), stopped], abort=[stopped]))
+        with pytest.raises(LinkLost, match="task has stopped"):
+            device.move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+        device.close()
+
+    def test_held_feed_is_a_fault_until_the_reset(self, make: Make) -> None:
+        held = look(state="exec", idle=False, held_by_volcal=True)
+        device = make(script(status=[held, held, held, held, look()]))
+        assert device.status().state is MotionState.FAULT
+        assert "volcal-hold" in device.status().fault
+        with pytest.raises(PermissionMissing, match="volcal-hold"):
+            device.move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+        device.reset()
+        assert device.status().state is MotionState.IDLE
+
     def test_closed_device_says_so_and_stops_nothing(self, make: Make) -> None:
         device = make(script())
         device.close()
@@ -297,6 +331,24 @@ class TestDoctor:
         assert "JOINT_0" in found["homing"].text
         assert "JOINT_1" not in found["homing"].text
         assert "external offsets have no effect" in found["[AXIS_*]OFFSET_AV_RATIO"].text
+
+    def test_heartbeats_that_cannot_be_watched_are_reported(self, make: Make) -> None:
+        hello = HELLO | {"watched": ["motion"]}
+        ini = [{"ok": {"values": INI}}, {"ok": {"values": [None] * 10}}]
+        found = self.findings(make(script(hello=[{"ok": hello}], ini=ini)))
+        assert not found["heartbeats"].ok
+        assert "task cannot be watched" in found["heartbeats"].text
+
+    @pytest.mark.parametrize("least_y", [0.0, -1.0])
+    def test_joints_need_room_for_the_correction_beyond_their_axes(self, make: Make, least_y: float) -> None:
+        limits = [[-1.0, 101.0], [least_y, 201.0], [-1.0, 301.0]]
+        ini = [{"ok": {"values": INI}}, {"ok": {"values": [None] * 10}}]
+        silent = [{"ok": {"values": [0]}}]
+        told = script(hello=[{"ok": HELLO | {"joint_limits": limits}}], ini=ini, hal_get=silent)
+        options = {"method": "external-offsets", "directory": "tables"}
+        found = self.findings(make(told, compensation=options))["[JOINT_*] limits"]
+        assert found.ok == (least_y == -1.0)
+        assert f"Y {abs(least_y):g} mm" in found.text
 
     def test_long_servo_period_is_reported(self, make: Make) -> None:
         slow = [*INI[:9], "2000000", *INI[10:]]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
 from modbus_plc import FakePlc
+from modbus_rig import opened
 
 from agent.errors import Aborted
-from drivers.clock import Clock, InterruptibleClock, VirtualClock
+from drivers.clock import InterruptibleClock, VirtualClock
 from drivers.errors import (
     CommandRejected,
     DeadlineExpired,
@@ -35,29 +36,6 @@ from drivers.roles import (
 )
 
 START = (100.0, 200.0, 300.0)
-
-
-@contextmanager
-def opened(plc: FakePlc, clock: Clock, **options: object) -> Iterator[ModbusCnc]:
-    settings = ModbusCncSettings.model_validate(
-        {"host": "127.0.0.1", "port": plc.port, "timeout_s": 0.5, "retries": 1, **options}
-    )
-    device = ModbusCnc(settings, clock, "cnc")
-    device.open()
-    with closing(device):
-        yield device
-
-
-@pytest.fixture
-def clock() -> VirtualClock:
-    return VirtualClock()
-
-
-@pytest.fixture
-def plc(clock: VirtualClock) -> Iterator[FakePlc]:
-    with closing(FakePlc()) as server:
-        clock.subscribe(server.advance_to)
-        yield server
 
 
 @pytest.fixture
@@ -245,6 +223,59 @@ def test_a_motion_that_never_ends_meets_its_deadline(cnc: ModbusCnc, plc: FakePl
     plc._move = lambda: None  # type: ignore[method-assign]
     with pytest.raises(DeadlineExpired, match="the end of MOVE RAPID"):
         cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+    assert plc.commands[-1] == 23
+
+
+@pytest.mark.parametrize("off_mm", [0.5, -3.0, 0.06])
+def test_in_position_is_not_believed_if_the_reported_position_is_off(
+    cnc: ModbusCnc, plc: FakePlc, off_mm: float
+) -> None:
+    plc.ends_off_mm = (0.01, off_mm, 0.0)
+    text = (
+        f"MOVE RAPID ended off its target: Y target 200.0000 mm, reported {200.0 + off_mm:.4f} mm, "
+        f"off by {off_mm:+.4f} mm, limit 0.05 mm (position_tolerance_mm)"
+    )
+    with pytest.raises(MotionFault, match=re.escape(text)) as caught:
+        cnc.move_to(np.array([110.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+    assert caught.value.where["axis"] == "Y"
+    assert "in-position window" in caught.value.hint
+
+
+def test_a_touch_that_misses_short_of_its_target_is_not_believed(cnc: ModbusCnc, plc: FakePlc) -> None:
+    end = plc._halt
+
+    def short_of_the_target(state: int, outcome: int) -> None:
+        plc.set_words(1012, "3d", 119.0, 200.0, 300.0)
+        end(state, outcome)
+
+    plc._halt = short_of_the_target  # type: ignore[method-assign]
+    with pytest.raises(MotionFault, match=r"TOUCH ended off its target: X target 120\.0000 mm, reported 119\.0000 mm"):
+        cnc.touch_towards(np.array([120.0, 200.0, 300.0]), feed_mm_per_s=5.0)
+
+
+def test_a_deviation_within_the_limit_is_accepted_and_the_limit_can_be_set(plc: FakePlc, clock: VirtualClock) -> None:
+    plc.ends_off_mm = (0.0, 0.04, 0.0)
+    with opened(plc, clock) as cnc:
+        cnc.move_to(np.array([110.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+    with opened(plc, clock, position_tolerance_mm=0.03) as cnc, pytest.raises(MotionFault, match=r"limit 0\.03 mm"):
+        cnc.move_to(np.array([120.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+
+
+def test_a_move_at_five_percent_override_takes_its_time(cnc: ModbusCnc, plc: FakePlc, clock: VirtualClock) -> None:
+    plc.override = 0.05
+    cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=20.0, guarded=True)
+    assert clock.now() == pytest.approx(150.0, abs=0.2)
+    plc.trip_at_mm = 5.0
+    assert isinstance(cnc.touch_towards(np.array([260.0, 200.0, 300.0]), feed_mm_per_s=0.5), Touch)
+    assert clock.now() == pytest.approx(350.0, abs=0.5)
+
+
+def test_axes_that_stand_still_point_to_the_override(cnc: ModbusCnc, plc: FakePlc, clock: VirtualClock) -> None:
+    plc.override = 0.0
+    text = r"axes have stood still for .* near X 100\.000 Y 200\.000 Z 300\.000, 150\.000 mm before .*feed override"
+    with pytest.raises(DeadlineExpired, match=text):
+        cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+    assert clock.now() == pytest.approx(1.5 * 1.5 + 5.0, abs=0.5)
     assert plc.commands[-1] == 23
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import termios
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,10 +25,11 @@ from drivers.errors import (
 )
 from drivers.links.serial_port import SerialAddress, SerialPort
 from drivers.registry import DeviceContext
-from drivers.roles import MotionState, Permission, Touch
+from drivers.roles import Miss, MotionState, Permission, Touch
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.device import SerialCnc
 from drivers.serial_cnc.settings import SerialCncSettings
+from simulators.wire.grbl.dialect import GRBL_11, GRBL_HAL, GrblDialect
 from simulators.wire.time_server import Ticker
 
 FAR = np.array([1000.0, 0.0, 0.0])
@@ -88,8 +91,7 @@ class TestFaultsOnTheLine:
         assert stands_still(grbl)
         grbl.device.status()
         grbl.port.line.send(late[0])
-        with pytest.raises(ProtocolError, match="no line waits"):
-            grbl.device.status()
+        grbl.device.status()
         go_far(grbl)
         assert grbl.device.position() == pytest.approx(FAR)
 
@@ -228,6 +230,21 @@ class TestTheControllerIntervenes:
         assert grbl.device.position() == pytest.approx(FAR)
         assert grbl.clock.now() > 50.0
 
+    def test_hold_between_two_motions_is_waited_for(self, grbl: Rig) -> None:
+        grbl.type(b"!")
+        grbl.at(20.0, lambda: grbl.type(b"~"))
+        go_far(grbl)
+        assert grbl.clock.now() > 20.0
+        assert grbl.device.position() == pytest.approx(FAR)
+
+    def test_hold_between_two_motions_that_is_never_released_ends(self, tmp_path: Path) -> None:
+        with rig(tmp_path, max_hold_s=30.0) as grbl:
+            grbl.device.open()
+            grbl.type(b"!")
+            with pytest.raises(MotionFault, match="held at the machine for more than 30 s"):
+                go_far(grbl)
+            assert grbl.world.controller.displayed_position()[0] == 0.0
+
     def test_hold_that_is_never_released_ends(self, tmp_path: Path) -> None:
         with rig(tmp_path, max_hold_s=30.0) as grbl:
             grbl.device.open()
@@ -320,6 +337,24 @@ class TestTheControllerIntervenes:
             with pytest.raises(CommandRejected):
                 grbl.device.reset()
 
+    @pytest.mark.parametrize("code", [6, 8, 9])
+    def test_failed_homing_says_home_the_machine(self, grbl: Rig, code: int) -> None:
+        grbl.line.on_line = lambda line: b"" if line == b"ok\r\n" else line
+        grbl.port.controller.homing_fails = code
+        grbl.type(b"$H\n")
+        grbl.line.on_line = None
+        assert f"alarm {code}" in grbl.device.status().fault
+        with pytest.raises(PermissionMissing, match=r"homing.*home the machine \(\$H\)"):
+            go_far(grbl)
+        with pytest.raises(CommandRejected, match=r"home the machine \(\$H\)"):
+            grbl.device.reset()
+
+    def test_homing_that_is_off_says_what_to_set(self, tmp_path: Path) -> None:
+        with rig(tmp_path, settings={22: 0}) as grbl:
+            grbl.device.open()
+            with pytest.raises(PermissionMissing, match=r"\$22=1.*manual_referencing"):
+                go_far(grbl)
+
     def test_controller_that_runs_something_is_left_alone(self, tmp_path: Path) -> None:
         with rig(tmp_path) as grbl:
             grbl.type(b"G1X-100F600\n")
@@ -342,21 +377,14 @@ class TestTheControllerIntervenes:
 
 
 class TestGrblHal:
-    """Differences in grblHAL (its core's report.c): name, firmware, longer masks, alarm as a sub-state, homed."""
-
-    @staticmethod
-    def hal(line: bytes) -> bytes:
-        return (
-            line.replace(b"Grbl 1.1h ['$' for help]", b"GrblHAL 1.1f ['$' or '$HELP' for help]")
-            .replace(b"[OPT:VL,15,128]\r\n", b"[OPT:VNMGL,100,1024,3,0]\r\n[FIRMWARE:grblHAL]\r\n")
-            .replace(b"$10=1\r\n", b"$10=511\r\n")
-            .replace(b"[TLO:0.000]", b"[TLO:0.000,0.000,0.000]")
-            .replace(b"<Alarm|", b"<Alarm:11|")
-        )
+    @pytest.fixture
+    def hal(self, tmp_path: Path) -> Iterator[Rig]:
+        with rig(tmp_path, dialect=GRBL_HAL) as made:
+            made.device.open()
+            yield made
 
     def test_is_driven_like_grbl(self, tmp_path: Path) -> None:
-        with rig(tmp_path) as grbl:
-            grbl.line.on_line = self.hal
+        with rig(tmp_path, dialect=GRBL_HAL) as grbl:
             assert all(finding.ok for finding in grbl.device.diagnose())
             grbl.device.open()
             centre = grbl.before()
@@ -365,8 +393,8 @@ class TestGrblHal:
             grbl.device.move_to(centre - np.array([0.0, 25.0, 0.0]), feed_mm_per_s=None, guarded=True)
 
     def test_reports_why_it_is_locked(self, tmp_path: Path) -> None:
-        with rig(tmp_path, homed=False) as grbl:
-            grbl.line.on_line = self.hal
+        with rig(tmp_path, homed=False, dialect=GRBL_HAL) as grbl:
+            grbl.line.on_line = lambda line: line.replace(b"<Alarm|", b"<Alarm:11|")
             grbl.device.open()
             assert "homing required (alarm 11)" in grbl.device.status().fault
             with pytest.raises(CommandRejected, match="home the machine"):
@@ -377,6 +405,148 @@ class TestGrblHal:
         assert grbl.device.status().missing == (Permission.REFERENCED,)
         grbl.line.on_line = lambda line: line.replace(b"|FS:", b"|H:1,7|FS:")
         assert not grbl.device.status().missing
+
+    def test_refused_line_is_acknowledged_so_that_the_next_is_executed(self, hal: Rig) -> None:
+        hal.line.on_line = lambda line: b"" if line.startswith(b"error") else line
+        hal.type(b"G99\n")  # a line of somebody else, whose error nobody has acknowledged
+        hal.line.on_line = None
+        with pytest.raises(CommandRejected, match="unsupported G-code"):
+            go_far(hal)
+        go_far(hal)
+        assert hal.device.position() == pytest.approx(FAR)
+
+    def test_error_of_an_earlier_program_is_acknowledged_at_the_start(self, tmp_path: Path) -> None:
+        with rig(tmp_path, dialect=GRBL_HAL) as grbl:
+            grbl.type(b"G99\n")
+            grbl.device.open()
+            go_far(grbl)
+            assert grbl.device.position() == pytest.approx(FAR)
+
+    def test_hard_limits_shrink_the_travel(self, tmp_path: Path) -> None:
+        with rig(tmp_path, dialect=GRBL_HAL, settings={21: 1, 27: 2.5}) as grbl:
+            grbl.device.open()
+            limits = grbl.device.limits()
+            assert limits.lower_mm == pytest.approx((2.5, 2.5, 2.5))
+            assert limits.upper_mm == pytest.approx((3997.5, 1297.5, 1497.5))
+            with pytest.raises(CommandRejected, match=r"outside the travel, 2.5 to 3997.5"):
+                grbl.device.move_to(np.array([2.4, 10.0, 10.0]), feed_mm_per_s=None, guarded=False)
+            grbl.device.move_to(np.array(limits.lower_mm), feed_mm_per_s=None, guarded=False)
+
+    def test_axes_without_a_homing_cycle_keep_their_travel(self, tmp_path: Path) -> None:
+        with rig(tmp_path, dialect=GRBL_HAL, settings={21: 1, 27: 2.5, 44: 1, 45: 0}) as grbl:
+            grbl.device.open()
+            assert grbl.device.limits().lower_mm == pytest.approx((2.5, 0.0, 0.0))
+
+
+class TestTargetWhereTheAxesStand:
+    """A probe cycle to the position of the controller's parser is error 33, and positions are reported rounded."""
+
+    @pytest.mark.parametrize("dialect", [GRBL_11, GRBL_HAL], ids=lambda dialect: dialect.name)
+    @pytest.mark.parametrize("first", [True, False])
+    def test_guarded_move_is_no_move(self, tmp_path: Path, dialect: GrblDialect, first: bool) -> None:
+        with rig(tmp_path, dialect=dialect) as grbl:
+            grbl.device.open()
+            target = np.array([10.0004, 0.0004, 20.0003])
+            grbl.device.move_to(target, feed_mm_per_s=None, guarded=first)
+            grbl.device.move_to(target, feed_mm_per_s=None, guarded=True)
+            assert isinstance(grbl.device.touch_towards(target, feed_mm_per_s=1.0), Miss)
+            assert grbl.device.position() == pytest.approx(target, abs=1.1e-3)
+            assert not [line for line in grbl.line.said if line.startswith(b"error:33")]
+
+    def test_target_between_two_steps(self, grbl: Rig) -> None:
+        target = np.array([10.0005, 0.0005, 20.0005])
+        for _ in range(3):
+            grbl.device.move_to(target, feed_mm_per_s=None, guarded=True)
+            assert grbl.device.position() == pytest.approx(target, abs=1.1e-3)
+
+    def test_coarse_steps(self, tmp_path: Path) -> None:
+        with rig(tmp_path, settings={100: 80, 101: 80, 102: 80}) as grbl:
+            grbl.device.open()
+            for offset in np.linspace(0.0, 0.0124, 6):
+                target = np.array([10.0, 5.0, 20.0]) + offset
+                grbl.device.move_to(target, feed_mm_per_s=None, guarded=True)
+                assert grbl.device.position() == pytest.approx(target, abs=0.0068)
+
+    def test_refusal_because_it_stands_there_is_no_error(self, grbl: Rig) -> None:
+        """The controller may know the position better than its report shows."""
+        target = np.array([10.0, 5.0, 20.0])
+        grbl.device.move_to(target, feed_mm_per_s=None, guarded=False)
+        grbl.line.on_line = lambda line: line.replace(b"MPos:-3990.000", b"MPos:-3990.005")
+        grbl.device.move_to(target, feed_mm_per_s=None, guarded=True)
+        assert [line for line in grbl.line.said if line.startswith(b"error:33")]
+
+    def test_refusal_far_from_the_target_is_an_error(self, grbl: Rig) -> None:
+        target = np.array([10.0, 5.0, 20.0])
+        grbl.device.move_to(target, feed_mm_per_s=None, guarded=False)
+        grbl.line.on_line = lambda line: line.replace(b"MPos:-3990.000", b"MPos:-3991.000")
+        with pytest.raises(CommandRejected, match="error 33"):
+            grbl.device.move_to(target, feed_mm_per_s=None, guarded=True)
+
+
+class TestLateAnswers:
+    """A lost answer is decided by time, and a report of an earlier query is never taken for a new one."""
+
+    def test_answer_that_is_late_is_not_lost(self, tmp_path: Path) -> None:
+        with rig(tmp_path, response_timeout_s=2.0) as grbl:
+            grbl.device.open()
+            kept: list[bytes] = []
+
+            def keep(line: bytes) -> bytes:
+                kept.append(line)
+                grbl.at(grbl.clock.now() + 1.5, lambda: grbl.port.line.send(kept[0]))
+                return b""
+
+            grbl.at(5.0, lambda: grbl.line.once(b"ok", keep))
+            go_far(grbl)
+            assert kept == [b"ok\r\n"]
+            assert grbl.device.position() == pytest.approx(FAR)
+
+    def test_report_that_comes_after_the_repetition_is_not_taken_for_the_next(self, tmp_path: Path) -> None:
+        with rig(tmp_path) as grbl:
+            grbl.device.open()
+            late = DelayedReports(grbl, by_s=0.35)  # a repetition is sent after 0.3 s
+            grbl.device.status()
+            late.at_once()
+            go_far(grbl)
+            assert grbl.device.position() == pytest.approx(FAR)
+
+    def test_report_of_a_query_that_timed_out_is_not_taken_for_the_next(self, tmp_path: Path) -> None:
+        with rig(tmp_path) as grbl:
+            grbl.device.open()
+            kept: list[bytes] = []
+
+            def keep(line: bytes) -> bytes:
+                kept.append(line)
+                return b""
+
+            grbl.line.on_line = keep
+            with pytest.raises(LinkTimeout):
+                grbl.device.position()
+            grbl.line.on_line = None
+            for old in kept:
+                grbl.port.line.send(old.replace(b"-4000.000", b"-3000.000"))
+            assert len(kept) == 3
+            assert grbl.device.position() == pytest.approx([0.0, 0.0, 0.0])
+
+
+class DelayedReports:
+    """Line on which every status report comes `by_s` of wall time late."""
+
+    def __init__(self, grbl: Rig, by_s: float) -> None:
+        self._grbl, self._by_s = grbl, by_s
+        self._timers: list[threading.Timer] = []
+        grbl.line.on_line = self._delay
+
+    def _delay(self, line: bytes) -> bytes:
+        if not line.startswith(b"<"):
+            return line
+        timer = threading.Timer(self._by_s, lambda: os.write(self._grbl.port.line._ours, line))
+        self._timers.append(timer)
+        timer.start()
+        return b""
+
+    def at_once(self) -> None:
+        self._grbl.line.on_line = None
 
 
 class TestRunningClock:
@@ -466,6 +636,13 @@ class TestDoctor:
                 "settings"
             }
             assert grbl.world.controller.motion is MotionState.IDLE
+
+    def test_directions_and_shortened_travel_are_stated(self, tmp_path: Path) -> None:
+        with rig(tmp_path, dialect=GRBL_HAL, settings={21: 1, 23: 2, 27: 2.5, 3: 4}) as grbl:
+            [text] = [finding.text for finding in grbl.device.diagnose() if finding.subject == "directions"]
+            assert "X upper, Y lower, Z upper" in text
+            assert "$3=4" in text
+            assert "Z 2.5 mm" in text
 
     @pytest.mark.parametrize(
         ("settings", "subject", "words"),

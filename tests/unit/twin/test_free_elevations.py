@@ -63,3 +63,14 @@ def test_the_pedestal_stops_a_beam_that_swings_against_it() -> None:
     stop_deg = math.degrees(math.acos(36.0 / math.hypot(100.0, 60.0)) - math.atan(0.6))
     assert found.lower_deg == -math.floor(stop_deg)
     assert found.upper_deg == 90.0
+
+
+def test_a_hanging_mount_is_the_mirror_image_of_a_standing_one() -> None:
+    bar = bar_with_holders_up()
+    standing = MountGeometry(shaft_mm=90.0, shaft_direction=(0.0, 0.0, 1.0), pedestal_radius_mm=40.0)
+    below = replace(bar, balls=bar.balls * (1.0, 1.0, -1.0))
+    hanging = replace(standing, shaft_direction=(0.0, 0.0, -1.0), hanging=True)
+    for height_mm in (100.0, 150.0, 220.0):
+        above, under = free_elevations(bar, standing, height_mm), free_elevations(below, hanging, height_mm)
+        assert (under.lower_deg, under.upper_deg) == (-above.upper_deg, -above.lower_deg)
+        assert under.obstacle == above.obstacle == "table"

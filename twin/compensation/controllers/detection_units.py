@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.format_options import ExportOptions, FormatOption, PositiveNumber, WholeNumber
+from twin.compensation.controllers.format_options import ExportOptions, FormatOption, OneOf, PositiveNumber, WholeNumber
 from twin.errors import DataError
 
 LARGEST_MAGNIFICATION = 100
@@ -25,6 +25,15 @@ MAGNIFICATION = FormatOption[int | None](
     None,
     "FANUC: magnification [default: the smallest that fits].",
 )
+CONTROL = FormatOption(
+    "control",
+    OneOf(("30i", "16i")),
+    "30i",
+    "FANUC: form of the data files [default: 30i; 16i for 0i-P, 16i, 18i, 21i].",
+)
+"""Family of controllers. From the 30i on, a block of a data file states what it is: Q1 for a parameter, Q0 for pitch
+error data.
+"""
 
 
 @dataclass(frozen=True)

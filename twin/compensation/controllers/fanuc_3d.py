@@ -3,7 +3,8 @@ interpolation.
 
 The interpolation is described in the additional manual Series 30i-A, A-79351E: the eight corners of a cell are weighted
 by the position within the cell. The parameter numbers, the order of the points and the sign are known only from
-experience. The format of the data files that the controller reads (punched data) is not public. The export therefore
+experience. Its parameters are written as path parameters of the 30i (Q1 for parameter data, L1 for the first path). The
+format of the data files that the controller reads (punched data) is not public. The export therefore
 lists the points, and they have to be entered with the machine builder's tool.
 """
 
@@ -78,9 +79,9 @@ def _parameters(
         "magnification": [unit.magnification] * 3,
         "interval": [unit.whole(step, f"the interval of {axis}") for axis, step in zip(AXES, steps, strict=True)],
     }
-    lines = ["%", *(f"N{10800 + axis}P{axis + 1}" for axis in range(3))]
+    lines = ["%", *(f"N{10800 + axis}Q1L1P{axis + 1}" for axis in range(3))]
     for name, values in rows.items():
-        lines += [f"N{_FIRST_PARAMETER[name] + axis}P{value}" for axis, value in enumerate(values)]
+        lines += [f"N{_FIRST_PARAMETER[name] + axis}Q1L1P{value}" for axis, value in enumerate(values)]
     return "\n".join([*lines, "%"]) + "\n"
 
 

@@ -6,8 +6,12 @@ manual, compensation number n belongs to an interval of the axis. This interval 
 reference position plus (n - P3620) × P3624. Here P3620 and P3624 are the values of parameters 3620 and 3624. The
 compensation at a position is the sum of the increments from the reference point to this position.
 
-Two facts are known only from experience. The controller adds the sum to the command, and the data files that the
-controller reads (punched data) have the form that this module creates.
+The form of a parameter in a data file (punched data) is described in the parameter manual 30i-A (B-63950EN, 3.3). After
+the parameter number, Q1 identifies the block as parameter data, A is the number of the axis, and P is the value.
+Earlier controllers have no Q.
+
+Two facts are known only from experience. The controller adds the sum to the command, and Q0 identifies pitch error data
+from the 30i on.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.compensation.controllers.detection_units import (
+    CONTROL,
     DETECTION_UNIT_UM,
     MAGNIFICATION,
     CountArray,
@@ -56,9 +61,10 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     counts = [unit.counts(one.values) for one in profiles]
     written = [replace(one, values=unit.values(count)) for one, count in zip(profiles, counts, strict=True)]
     firsts = np.concatenate(([0], np.cumsum([len(count) for count in counts])))[:3].tolist()
+    with_q = choices[CONTROL] == "30i"
     files = {
-        "pitch-error.txt": _data([choices.sign * count for count in counts], firsts),
-        "parameters.txt": _parameters(counts, firsts, indices, steps, unit),
+        "pitch-error.txt": _data([choices.sign * count for count in counts], firsts, "Q0" if with_q else ""),
+        "parameters.txt": _parameters(counts, firsts, indices, steps, unit, "Q1" if with_q else ""),
     }
 
     def correction(axis_positions: Array) -> Array:
@@ -68,11 +74,12 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     return ControllerExport(files, correction, LOSSES, facts)
 
 
-def _data(counts: list[CountArray], firsts: list[int]) -> str:
+def _data(counts: list[CountArray], firsts: list[int], identifier: str) -> str:
     lines = ["%"]
     for count, first in zip(counts, firsts, strict=True):
         increments = np.diff(count, prepend=count[:1])
-        lines += [f"N{_DATA_NUMBERS_FROM + first + index}P{value}" for index, value in enumerate(increments.tolist())]
+        numbered = enumerate(increments.tolist(), start=_DATA_NUMBERS_FROM + first)
+        lines += [f"N{number}{identifier}P{value}" for number, value in numbered]
     return "\n".join([*lines, "%"]) + "\n"
 
 
@@ -82,8 +89,9 @@ def _parameters(
     indices: tuple[int, int, int],
     steps: tuple[float, float, float],
     unit: CountUnit,
+    identifier: str,
 ) -> str:
-    """Return lines `N number A axis P value ...` for the parameters 3620 to 3624.
+    """Return lines `N number Q1 A axis P value ...` for the parameters 3620 to 3624.
 
     3620 is the number of the reference point, 3621 that of the farthest point in negative direction, 3622 that of the
     farthest point in positive direction, 3623 the magnification and 3624 the interval.
@@ -96,10 +104,10 @@ def _parameters(
         3624: [unit.whole(step, f"the interval of {axis}") for axis, step in zip(AXES, steps, strict=True)],
     }
     lines = [
-        f"N{number:05d}" + "".join(f"A{axis}P{value}" for axis, value in enumerate(values, start=1))
+        f"N{number:05d}{identifier}" + "".join(f"A{axis}P{value}" for axis, value in enumerate(values, start=1))
         for number, values in rows.items()
     ]
     return "\n".join(["%", *lines, "%"]) + "\n"
 
 
-FORMAT = ExportFormat("fanuc-pitch", export, (REFERENCE_MM, DETECTION_UNIT_UM, MAGNIFICATION))
+FORMAT = ExportFormat("fanuc-pitch", export, (REFERENCE_MM, CONTROL, DETECTION_UNIT_UM, MAGNIFICATION))

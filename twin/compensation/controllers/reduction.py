@@ -54,10 +54,6 @@ class Term:
     factor: Profile | None
     rms_mm: float
 
-    @property
-    def tables(self) -> int:
-        return 1 if self.factor is None else 2
-
     def at(self, axis_positions: Array) -> Array:
         values = self.profile.at(axis_positions)
         return values if self.factor is None else values * self.factor.at(axis_positions)
@@ -85,10 +81,11 @@ def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tup
 
 
 def select_terms(
-    table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True
+    table: CompensationTable, most_tables: int, reference: Array, *, tables_per_product: int | None
 ) -> tuple[Term, ...]:
     """Select the main effects (functions of one axis position) and products of two such functions that reduce the error
-    most, relative to the number of controller tables they need.
+    most, relative to the number of controller tables they need. A main effect needs one table, and a product needs
+    `tables_per_product`. If this is None, no product is selected.
 
     These terms are considered in descending order of the mean square error that they remove per table. A term is
     omitted if its rms is below `LEAST_RMS_MM`. It is also omitted if it needs more tables than are left of the
@@ -99,14 +96,18 @@ def select_terms(
     reference point `reference` (3,).
     """
     found = [_as_term(_main_effect(table, source, output), output) for source in range(3) for output in range(3)]
-    if products:
+    if tables_per_product is not None:
         for first, second in _PAIRS:
             found += [term for output in range(3) for term in _products(table, first, second, output)]
+
+    def tables(term: Term) -> int:
+        return 1 if term.factor is None else tables_per_product or 1
+
     chosen, used = [], 0
-    for term in sorted(found, key=lambda each: -(each.rms_mm**2) / each.tables):
-        if term.rms_mm >= LEAST_RMS_MM and used + term.tables <= most_tables:
+    for term in sorted(found, key=lambda each: -(each.rms_mm**2) / tables(each)):
+        if term.rms_mm >= LEAST_RMS_MM and used + tables(term) <= most_tables:
             chosen.append(term)
-            used += term.tables
+            used += tables(term)
     return _zero_at(tuple(chosen), reference)
 
 

@@ -10,7 +10,9 @@ from twin.compensation.controllers import (
     gcode_csv,
     heidenhain_com,
     isg_volcomp,
+    klipper_skew,
     linuxcnc_comp,
+    linuxcnc_matrixkins,
     neutral,
     siemens_cec,
     siemens_lec,
@@ -22,12 +24,14 @@ FORMATS: Mapping[str, ExportFormat] = {
     one.name: one
     for one in (
         linuxcnc_comp.FORMAT,
+        linuxcnc_matrixkins.FORMAT,
         siemens_lec.FORMAT,
         siemens_cec.FORMAT,
         isg_volcomp.FORMAT,
         fanuc_pitch.FORMAT,
         fanuc_3d.FORMAT,
         heidenhain_com.FORMAT,
+        klipper_skew.FORMAT,
         gcode_csv.FORMAT,
         neutral.FORMAT,
     )

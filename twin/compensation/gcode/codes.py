@@ -22,7 +22,8 @@ _GROUPS: dict[str, tuple[int, ...]] = {
     "feed mode": (930, 940, 950),
     "coordinate system": tuple(SYSTEM_CODES),
     "tool length": (430, 431, 490),
-    "one block only": (40, 280, 300, 530, 920, 921, 922, 923),
+    "lathe radius": (80,),
+    "one block only": (40, 100, 280, 281, 300, 301, 530, 920, 921, 922, 923),
     "cutter radius": (400,),
     "path": (610, 611, 640),
     "spindle mode": (960, 970),
@@ -45,10 +46,7 @@ REASONS: dict[int, str] = {
     52: "splines are not supported",
     53: "splines are not supported",
     70: _LATHE,
-    100: _OFFSETS,
     160: _TURNED,
-    281: "it stores a reference point that is not known in advance",
-    301: "it stores a reference point that is not known in advance",
     310: _PROBING,
     330: _LATHE,
     331: "rigid tapping is synchronised with the spindle",
@@ -79,6 +77,13 @@ STOPS = frozenset((0, 10, 600, *PROGRAM_END))
 
 FIRST = frozenset((30, 40, 70, 80))
 """M codes that take effect before or with the motion: those that switch the spindle or the coolant on."""
+
+_BLENDING, _COOLANT_OFF = 640, 90
+_M_GROUPS = {
+    **dict.fromkeys((30, 40, 50), "spindle"),
+    **dict.fromkeys((70, 80, _COOLANT_OFF), "coolant"),
+    **dict.fromkeys((480, 490), "overrides"),
+}
 
 _CALLS = frozenset((960, 970, 980, 990))
 _STATES = frozenset((700, 710, 720, 730))
@@ -116,6 +121,24 @@ def check_letters(block: Block) -> None:
     rotary = _ROTARY.intersection(values)
     if rotary and not (40 in block.g and rotary == {"U"}):
         block.refuse(f"the table has no axis {min(rotary)}", "Only X, Y and Z can be corrected")
+
+
+def remember_words(block: Block, words: dict[str, str]) -> None:
+    """Record the words of groups that do not change the path in `words`, by the name of their group."""
+    for letter, number, _ in block.tokens:
+        if letter in ("F", "S"):
+            words[letter] = letter + number
+    for code in block.g:
+        if GROUP_OF.get(code) == "path":
+            parts = [letter + number for letter, number, _ in block.tokens if letter in ("P", "Q")]
+            words["path mode"] = " ".join([f"G{code / 10:g}", *(parts if code == _BLENDING else ())])
+    for code in block.m:
+        group = _M_GROUPS.get(code)
+        if group is not None:
+            both = (
+                group == "coolant" and code != _COOLANT_OFF and words.get(group, "M9") not in ("M9", f"M{code // 10}")
+            )
+            words[group] = f"M{code // 10}" if not both else "M7 M8"
 
 
 def _refuse_code(block: Block, code: int) -> None:

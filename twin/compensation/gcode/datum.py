@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 
 from twin.compensation.gcode.codes import AXIS_LETTERS
-from twin.compensation.gcode.modal import ModalState
-from twin.compensation.gcode.setup import NO_OFFSET, Triple
+from twin.compensation.gcode.modal import UNKNOWN, ModalState
+from twin.compensation.gcode.setup import NO_OFFSET, SYSTEMS, Triple
 from twin.compensation.gcode.words import Block
 from twin.compensation.gcode.writer import ProgramWriter
 
 _NO_POSITION = "its position at that point is not known"
-_START = "Give the position of the axes at the beginning: --start X,Y,Z"
 
 
 def axes_in_block(block: Block) -> list[int]:
@@ -80,7 +79,7 @@ def _set_zero(block: Block, modal: ModalState, writer: ProgramWriter) -> None:
     intended, written, texts = list(modal.g92), list(modal.g92_written), {}
     for axis in axes:
         if math.isnan(modal.position[axis]):
-            block.refuse(f"G92 sets coordinates of {AXIS_LETTERS[axis]}, but {_NO_POSITION}", _START)
+            block.refuse(f"G92 sets coordinates of {AXIS_LETTERS[axis]}, but {_NO_POSITION}", modal.start_hint)
         value_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
         difference = writer.position[axis] - modal.position[axis]
         texts[axis] = f"{(value_mm + difference) / modal.unit_mm:.{writer.decimals}f}"
@@ -107,12 +106,61 @@ def go_to_reference(block: Block, name: str, modal: ModalState, writer: ProgramW
         writer.write_unchanged(replace_axis_words(block, _through_words(axes, point, modal, writer)))
     else:
         writer.write_unchanged(block.text)
-    reference = modal.setup.reference_points.get(name)
+    intended, stored = modal.references.get(name, (UNKNOWN, UNKNOWN))
     if block.values.get("P", 2.0) != 2.0:
-        reference = None
+        intended = stored = UNKNOWN
     for axis in axes or range(3):
-        modal.position[axis] = writer.position[axis] = math.nan if reference is None else reference[axis]
+        modal.position[axis], writer.position[axis] = intended[axis], stored[axis]
     writer.resume_at(_triple(modal.position), writer.position, modal.unit_mm)
+
+
+def store_reference(block: Block, name: str, modal: ModalState, writer: ProgramWriter) -> None:
+    """Execute G28.1 or G30.1, which store the present position as the reference point of G28 or G30.
+
+    The controller stores the corrected position.
+    """
+    if axes_in_block(block):
+        block.refuse("this G code takes no axis words")
+    writer.flush()
+    modal.references[name] = (_triple(modal.position), _triple(writer.position))
+    writer.write_unchanged(block.text)
+
+
+def set_work_offset(block: Block, modal: ModalState, writer: ProgramWriter) -> None:
+    """Execute G10 L2, which sets a work offset, or G10 L20, which sets the work offset so that the present position
+    gets the given coordinates.
+
+    With L20, the correction at the present position is added to the coordinates that are written, as with G92.
+    """
+    kind, number = block.values.get("L"), block.values.get("P")
+    if kind not in (2.0, 20.0) or block.values.get("R", 0.0) != 0.0:
+        message = "only work offsets without rotation can be set (G10 L2, G10 L20)"
+        block.refuse(message, "Set the other offsets before the program and give them to this command")
+    if number is None or not (number.is_integer() and 0.0 <= number <= len(SYSTEMS)):
+        block.refuse(f"G10 needs the number of the work offset, P0 to P{len(SYSTEMS)}")
+    writer.flush()
+    name = SYSTEMS[int(number) - 1] if number else modal.system
+    intended = list(modal.work_offsets.get(name, UNKNOWN))
+    written = list(modal.work_written.get(name, UNKNOWN))
+    texts = {}
+    for axis in axes_in_block(block):
+        value_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
+        if kind == 2.0:
+            intended[axis] = value_mm + (0.0 if modal.absolute else intended[axis])
+            written[axis] = value_mm + (0.0 if modal.absolute else written[axis])
+            continue
+        if math.isnan(modal.position[axis]):
+            block.refuse(f"G10 L20 sets coordinates of {AXIS_LETTERS[axis]}, but {_NO_POSITION}", modal.start_hint)
+        difference = writer.position[axis] - modal.position[axis]
+        texts[axis] = f"{(value_mm + difference) / modal.unit_mm:.{writer.decimals}f}"
+        intended[axis] = modal.position[axis] - value_mm - modal.g92[axis] - modal.tool_offset[axis]
+        told_mm = float(texts[axis]) * modal.unit_mm
+        written[axis] = writer.position[axis] - told_mm - modal.g92_written[axis] - modal.tool_offset[axis]
+    if any(map(math.isnan, intended)):
+        block.refuse(f"the work offset {name} is not known", f"Give it: --work-offset {name}=X,Y,Z")
+    modal.work_offsets[name], modal.work_written[name] = _triple(intended), _triple(written)
+    writer.write_unchanged(replace_axis_words(block, texts) if texts else block.text)
+    modal.update_frame()
 
 
 def _through_words(axes: list[int], point: Triple, modal: ModalState, writer: ProgramWriter) -> dict[int, str]:

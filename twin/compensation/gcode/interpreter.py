@@ -21,10 +21,12 @@ from twin.compensation.gcode.codes import (
     TOOL_NAMED,
     check_codes,
     check_letters,
+    remember_words,
 )
 from twin.compensation.gcode.lines import MoveBlock
-from twin.compensation.gcode.modal import MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, ModalState
+from twin.compensation.gcode.modal import INVERSE_TIME, MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, ModalState
 from twin.compensation.gcode.setup import NO_OFFSET, CorrectionOptions, PartSetup, Triple
+from twin.compensation.gcode.source import SourceLine
 from twin.compensation.gcode.words import Block, code_number, is_program_number, read_block, read_plain
 from twin.compensation.gcode.writer import ProgramWriter
 
@@ -40,10 +42,12 @@ _PASSABLE = frozenset("NSF")
 _ARCS = (20, 30)
 _LINEAR = (0, 10)
 _REFERENCES = {280: "G28", 300: "G30"}
+_STORED = {281: "G28", 301: "G30"}
 _DATUM = frozenset((920, 921, 922, 923))
+_OFFSETS = 100
 _WRITTEN = {0: "G0", 10: "G1", 20: "G1", 30: "G1"}
 _DWELL, _MACHINE, _DYNAMIC_LENGTH, _CANCEL = 40, 530, 431, 800
-_SPECIAL = frozenset((_DWELL, _MACHINE, _DYNAMIC_LENGTH, *_REFERENCES, *_DATUM))
+_SPECIAL = frozenset((_DWELL, _MACHINE, _DYNAMIC_LENGTH, _OFFSETS, *_REFERENCES, *_STORED, *_DATUM))
 _UNCLEAR = "the effect of {} in each piece is not known"
 _UNSURE = "M{} takes effect before the motion on some controllers and after it on others"
 
@@ -59,26 +63,25 @@ class Interpreter:
         self._options = options
         self._writer = writer
         self._heading = heading
-        self._begun = False
         self._position_known = self.modal.position_known
         self._coded = True
         self._flowing = False
 
-    def feed(self, line: int, text: str) -> None:
-        """Process one line of the program. `text` is the line without its line end. Raises FormatError if the line
-        cannot be corrected.
+    def feed(self, source: SourceLine, text: str) -> None:
+        """Process one block of the program. `text` is the block without line end, and `source` is the line from which
+        it comes. Raises FormatError if the block cannot be corrected.
         """
-        if self._flowing and self._plain_move(line, text):
+        if self._flowing and self._plain_move(source, text):
             return
         if text.lstrip().startswith("%"):
-            self.modal.ended = self._begun
+            self.modal.ended = self.modal.begun
             self._flowing = False
             self._writer.write_unchanged(text)
             return
-        block = read_block(text, line)
+        block = read_block(text, source)
         if MARK in block.comments:
             block.refuse("this program was already corrected", "Correct the original program")
-        if not self._begun and is_program_number(block):
+        if not self.modal.begun and is_program_number(block):
             self._writer.write_unchanged(text)
             return
         if self._heading and text.strip():
@@ -99,7 +102,7 @@ class Interpreter:
         known = self._position_known and modal.offset is not None and not modal.ended
         return known and modal.motion in _LINEAR and not modal.inverse_time and not self._heading
 
-    def _plain_move(self, line: int, text: str) -> bool:
+    def _plain_move(self, source: SourceLine, text: str) -> bool:
         """Process a plain move on the fast path; return False for any other line."""
         words = read_plain(text)
         if words is None:
@@ -123,9 +126,12 @@ class Interpreter:
         if z is not None:
             mask, end_z = mask | 4, float(z) * unit + base[2]
         head = f"N{number} " if number else ""
-        tail = f" F{feed}" if feed else ""
+        tail = ""
+        if feed:
+            tail = f" F{feed}"
+            modal.words["F"] = tail[1:]
         written = "G1" if modal.motion else "G0"
-        move = MoveBlock(line, text, written, coded, False, mask, head, tail, "", "", 0.0, "")
+        move = MoveBlock(source, written, coded, False, mask, head, tail, "", "", 0.0, "")
         self._writer.move(move, (end_x, end_y, end_z), modal.frame, None)
         modal.position = [end_x, end_y, end_z]
         self._coded = False
@@ -133,7 +139,7 @@ class Interpreter:
 
     def _block(self, block: Block) -> None:
         modal = self.modal
-        self._begun = True
+        modal.begun = True
         if modal.ended:
             block.refuse("the block is after the end of the program", "Remove it: some controllers would execute it")
         check_letters(block)
@@ -142,6 +148,9 @@ class Interpreter:
             if block.deletable:
                 _check_deletable(block)
             self._set_modes(block)
+            remember_words(block, modal.words)
+        elif "F" in block.values or "S" in block.values:
+            remember_words(block, modal.words)
         self._use_axis_words(block)
         if block.m:
             modal.ended = any(code in PROGRAM_END for code in block.m)
@@ -155,7 +164,7 @@ class Interpreter:
         if TOOL_CHANGE in block.m:
             self._change_tool(block)
         if TOOL_NAMED in block.m:
-            modal.tool_held = None
+            modal.tool_held = int(block.values["Q"]) if block.values.get("Q", -1.0) >= 0.0 else None
         if not codes or (len(codes) == 1 and codes[0] in MOTIONS):
             return
         for code in codes:
@@ -175,6 +184,7 @@ class Interpreter:
             if not _AXES.isdisjoint(block.values):
                 block.refuse("a tool change and a move in one block", "Write them as two")
             datum.forget_position(self.modal, self._writer)
+            self.modal.lost_at_tool_change = True
             self._position_known = False
 
     def _tool_length(self, block: Block) -> Triple:
@@ -218,6 +228,10 @@ class Interpreter:
         elif code in _REFERENCES:
             datum.go_to_reference(block, _REFERENCES[code], self.modal, self._writer)
             self._position_known = self.modal.position_known
+        elif code in _STORED:
+            datum.store_reference(block, _STORED[code], self.modal, self._writer)
+        elif code == _OFFSETS:
+            datum.set_work_offset(block, self.modal, self._writer)
         else:
             self._writer.write_unchanged(block.text)
         self._coded = True
@@ -250,7 +264,7 @@ class Interpreter:
         """
         if motion != 0:
             message = "the position of the axes before this block is not known"
-            block.refuse(message, "Begin with G0 moves that name X, Y and Z, or give it: --start X,Y,Z")
+            block.refuse(message, f"Begin with G0 moves that name X, Y and Z. {self.modal.start_hint}")
         self._coded = True
         self._position_known = not any(map(math.isnan, end))
         if self._position_known:
@@ -298,12 +312,12 @@ class Interpreter:
             else:
                 tail += f" M{number}"
                 whole = whole if code_number(number) in FIRST else _UNSURE.format(number)
-        if timed and inverse <= 0.0:
+        if timed and not inverse > 0.0:
             block.refuse("with G93 every move needs its own F", "Write the F word")
         comment = f" {block.comments}" if block.comments else ""
         mask = ("X" in values) + 2 * ("Y" in values) + 4 * ("Z" in values)
         return MoveBlock(
-            block.line, block.text, _WRITTEN[motion], coded, machine, mask, head, tail, stop, comment, inverse, whole
+            block.source, _WRITTEN[motion], coded, machine, mask, head, tail, stop, comment, inverse, whole
         )
 
 
@@ -332,9 +346,7 @@ _MODES: dict[int, Callable[[ModalState], None]] = {
     901: _setter("absolute_centres", True),
     910: _setter("absolute", False),
     911: _setter("absolute_centres", False),
-    930: _setter("inverse_time", True),
-    940: _setter("inverse_time", False),
-    950: _setter("inverse_time", False),
+    **{code: _setter("feed_mode", code) for code in (INVERSE_TIME, 940, 950)},
 }
 
 

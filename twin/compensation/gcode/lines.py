@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from twin.compensation.gcode.source import SourceLine
+
 ALL_AXES = 7
 
 
 class MoveBlock(NamedTuple):
     """Block of a part program that commands a move.
 
+    - `source` is the line of the part program that contains the block.
     - `head` and `tail` are the texts before and after the axis words.
     - `code` is the code to be written, G0 or G1. `coded` is True if the block itself contains the code.
     - `machine` is True if the positions are machine coordinates (G53).
@@ -21,8 +24,7 @@ class MoveBlock(NamedTuple):
     - `whole` is the reason why the move must not be divided. It is an empty string if the move may be divided.
     """
 
-    line: int
-    text: str
+    source: SourceLine
     code: str
     coded: bool
     machine: bool

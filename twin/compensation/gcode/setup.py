@@ -25,6 +25,8 @@ class PartSetup:
     - `g92` is the G92 offset that an earlier program has left in effect.
     - `start` is the position of the axes before the first line, or None if it is unknown.
     - `tool_change_moves` is True if M6 may move the axes.
+    - `parameters` maps numbers (`100`) and names (`_depth`) of parameters to the values that they have in the
+      controller before the program.
     """
 
     work_offsets: Mapping[str, Triple] = field(default_factory=dict)
@@ -39,6 +41,7 @@ class PartSetup:
     plane: Literal["G17", "G18", "G19"] = "G17"
     feed: Literal["G93", "G94", "G95"] = "G94"
     tool_change_moves: bool = True
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

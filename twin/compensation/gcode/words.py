@@ -1,19 +1,23 @@
 """Parsing of one line of a part program into words.
 
+Two words of LinuxCNC are passed on: the number of the spindle (`$0`), and a feed or speed that the controller reads
+from a signal (`F#<_hal[NAME]>`).
+
 A word is a letter followed by a decimal number (RS-274/NGC, NISTIR 6556, section 3.3). Computed numbers (expressions,
-parameters) and jumps (O-words, macros) are refused, because only the controller knows the resulting tool position.
+parameters) and jumps (O-words) have been executed before, see `flattening`.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NoReturn
 
-from twin.errors import FormatError
+from twin.compensation.gcode.source import SourceLine
 
-_WORD = re.compile(r"([A-Z])[ \t]*([-+]?(?:\d+\.?\d*|\.\d+))|([^ \t])")
+_WORD = re.compile(r"([A-Z]|(?<=.)\$)[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)|(?<=[FS])#<_HAL\[[^\[\]<>]*\]>)|([^ \t])")
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+))"
 _PLAIN = re.compile(
     r"(?:N(\d+) ?)?(?:G0?([01]) ?)?" + "".join(f"(?:{letter}{_NUMBER} ?)?" for letter in "XYZ") + f"(?:F{_NUMBER})?$"
@@ -29,14 +33,15 @@ _FLOW = "variables, expressions and O-words are computed by the controller"
 class Block:
     """Words of one line of a part program.
 
-    - `text` is the line without its line end.
+    - `source` is the line of the part program, and `text` is the block, which differs from the line if its numbers were
+      computed.
     - `g` and `m` contain ten times the numbers of the G and M words, for example 911 for G91.1.
     - `values` maps each other letter to its number. Each of these letters may occur only once in a line.
     - `tokens` contains all words in their order.
     - `comments` contains the comments as written.
     """
 
-    line: int
+    source: SourceLine
     text: str
     g: list[int] = field(default_factory=list)
     m: list[int] = field(default_factory=list)
@@ -46,22 +51,15 @@ class Block:
     deletable: bool = False
 
     def refuse(self, message: str, hint: str = "") -> NoReturn:
-        raise refusal(self.line, self.text, message, hint)
+        self.source.refuse(message, hint)
 
 
-def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
-    """Return an error for a line that cannot be corrected. The message of the error contains the text of the line."""
-    shown = "".join(sign if sign.isprintable() else "?" for sign in text.strip()[:61])
-    shown = shown if len(shown) <= 60 else shown[:57] + "..."
-    return FormatError(f"{message}: {shown}", hint=hint, line=line)
-
-
-def read_block(text: str, line: int) -> Block:
-    """Parse one line of a part program, given without its line end, into words.
+def read_block(text: str, source: SourceLine) -> Block:
+    """Parse a block, the text of which comes from the line `source` of a part program, into words.
 
     Raises FormatError if the line contains anything other than plain words and comments.
     """
-    block = Block(line, text)
+    block = Block(source, text)
     code = text.upper()
     if "(" in code or ";" in code or ")" in code:
         code = _without_comments(block)
@@ -79,7 +77,7 @@ def read_block(text: str, line: int) -> Block:
         elif other:
             _refuse_sign(block, code, other)
         else:
-            values[letter] = float(number)
+            values[letter] = math.nan if number.startswith("#") else float(number)
     return block
 
 

@@ -20,7 +20,7 @@ from twin.compensation.gcode.lines import LineFormatter, MoveBlock
 from twin.compensation.gcode.modal import MM_PER_INCH, Frame
 from twin.compensation.gcode.move_batch import CorrectedPoints, Indices, MovePaths, correct_points, round_to_words
 from twin.compensation.gcode.setup import CorrectionOptions, Triple
-from twin.compensation.gcode.words import Block, refusal
+from twin.compensation.gcode.words import Block
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
 
@@ -174,10 +174,10 @@ class ProgramWriter:
             move = moves[row]
             if move.whole:
                 hint = "Put that word into its own block, or allow a larger chord error"
-                raise refusal(move.line, move.text, f"this move has to be divided, and {move.whole}", hint)
+                raise move.source.refusal(f"this move has to be divided, and {move.whole}", hint)
             if pieces[row] > _MOST_PIECES:
                 message = f"the chord error requires {int(pieces[row])} pieces"
-                raise refusal(move.line, move.text, message, "Allow a larger chord error")
+                raise move.source.refusal(message, "Allow a larger chord error")
         self.counts.moves += len(moves)
         self.counts.divided += int((pieces > 1).sum())
         self.counts.arcs += len(self._arcs)
@@ -190,7 +190,7 @@ class ProgramWriter:
             if self.options.outside == "refuse":
                 row = rows[np.argmax(outside)]
                 move, index = moves[int(row)], int(np.argmax(np.where(rows == row, found.beyond_mm, -np.inf)))
-                raise refusal(move.line, move.text, self._where_outside(points[index]), _OUTSIDE_HINT)
+                raise move.source.refusal(self._where_outside(points[index]), _OUTSIDE_HINT)
             counts.outside += int(outside.sum())
             counts.outside_mm = max(counts.outside_mm, float(found.beyond_mm.max()))
         counts.points += len(points)

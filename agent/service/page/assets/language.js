@@ -1,11 +1,11 @@
-/* Language of the page. All texts come from one catalogue, messages.json, in both languages. */
+/* Language of the page. All texts come from catalogues, such as messages.json, in both languages. */
 const KEPT_AS = "volcal.language";
-let catalogue = {};
+const catalogue = {};
 let language = "en";
 const listeners = new Set();
 
-export async function loadWords() {
-  catalogue = await (await fetch("/assets/messages.json")).json();
+export async function loadWords(...names) {
+  for (const name of ["messages.json", ...names]) Object.assign(catalogue, await (await fetch(`/assets/${name}`)).json());
   const wished = localStorage.getItem(KEPT_AS) ?? navigator.language.slice(0, 2);
   language = languages().includes(wished) ? wished : "en";
   document.documentElement.lang = language;

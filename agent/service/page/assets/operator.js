@@ -57,14 +57,32 @@ function render(status, parts) {
 
 const eventLine = (event) => make("li", {}, make("time", { dateTime: event.at }, timeOfDay(event.at)), " ", eventText(event));
 
-function questionCard({ number: asked, text, station }) {
+function questionCard({ number: asked, text, station, placement }) {
   const answer = (yes) => request("/api/answer", { number: asked, yes }, yes ? "done.yes" : "done.no");
   return make("section", { className: "card question" },
-    make("h3", {}, station === null ? say("question.title") : say("question.carry", { station })),
-    make("p", {}, text),
+    make("h3", {}, questionTitle(station, placement)),
+    ...(placement ? placementLines(placement) : [make("p", {}, text)]),
     make("div", { className: "actions" },
       make("button", { id: "answer-yes", className: "go", onclick: () => answer(true) }, say("question.yes")),
       make("button", { id: "answer-no", onclick: () => answer(false) }, say("question.no"))));
+}
+
+function questionTitle(station, placement) {
+  if (station === null) return say("question.title");
+  return say(placement ? "question.place" : "question.carry", { station });
+}
+
+function placementLines({ azimuth_deg: azimuth, elevation_deg: elevation, balls, refused, refused_ball: ball }) {
+  const angle = (value) => number(value, Number.isInteger(value) ? 0 : 1);
+  const reason = `refused.${refused}`;
+  const place = ({ ball: which, position_mm: [x, y, z] }) =>
+    make("li", {}, say("question.place.ball", { ball: which, x: number(x, 1), y: number(y, 1), z: number(z, 1) }));
+  return [
+    refused && known(reason) ? make("p", { className: "hint" }, say(reason, { ball: ball === null ? "" : ball })) : null,
+    make("p", {}, say("question.place.pose", { azimuth: angle(azimuth), elevation: angle(elevation) })),
+    make("ul", {}, ...balls.map(place)),
+    make("p", {}, say("question.place.then", { ball: balls.length ? balls[0].ball : "" })),
+  ];
 }
 
 function alarmCard({ code, text, hint, where }) {

@@ -53,6 +53,40 @@ def linuxcnc(files: Files) -> Rule:
     )
 
 
+def matrixkins(files: Files) -> Rule:
+    """Apply kinematicsInverse of matrixkins.comp: j[0] = x C_xx + y C_xy + z C_xz, and so on."""
+    told = dict(line.removeprefix("setp matrixkins.").split() for line in files["matrixkins.hal"].splitlines())
+    assert len(told) == 9
+
+    def rule(points: np.ndarray) -> np.ndarray:
+        moved = np.zeros_like(points)
+        for n, row in enumerate(points):
+            for joint, name in enumerate("xyz"):
+                for axis, letter in enumerate("xyz"):
+                    moved[n, joint] += row[axis] * float(told[f"C_{name}{letter}"])
+        return moved - points
+
+    return rule
+
+
+def klipper_skew(files: Files) -> Rule:
+    """Apply calc_skew of skew_correction.py with the factors of the profile; SET_SKEW must give the same ones."""
+    told = dict(re.findall(r"(\w\w)_skew = (\S+)", files["skew-profile.cfg"]))
+    xy, xz, yz = (float(told[plane]) for plane in ("xy", "xz", "yz"))
+    for plane, lengths in re.findall(r"(XY|XZ|YZ)=(\S+)", files["set-skew.gcode"]):
+        ac, bd, ad = (float(length) for length in lengths.split(","))
+        side = math.sqrt(2.0 * ac * ac + 2.0 * bd * bd - 4.0 * ad * ad) / 2.0
+        factor = math.tan(math.pi / 2.0 - math.acos((ac * ac - side * side - ad * ad) / (2.0 * side * ad)))
+        assert abs(factor - float(told[plane.lower()])) < 1e-9
+
+    def rule(points: np.ndarray) -> np.ndarray:
+        x, y, z = points.T
+        skewed = np.column_stack([x - y * xy - z * (xz - xy * yz), y - z * yz, z])
+        return skewed - points
+
+    return rule
+
+
 def siemens_lec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) -> Rule:
     """Apply K3 4.4.2: a positive value makes the machine axis move in the negative direction."""
     axes = []
@@ -74,11 +108,14 @@ def siemens_lec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) 
     )
 
 
-def siemens_cec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) -> Rule:
+def siemens_cec(
+    files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1"), *, product_replaces: bool = False
+) -> Rule:
     """Apply K3 4.4.3: the values of all tables of an output axis are added.
 
-    A table with MULT_BY_TABLE gives the product with the table of that number (index + 1); SD41300 selects the tables
-    that are evaluated; the axis moves against the value.
+    A table with MULT_BY_TABLE gives the product with the table of that number (index + 1), in addition to its own value
+    or, if `product_replaces`, instead of it; SD41300 selects the tables that are evaluated; the axis moves against the
+    value.
     """
     lines = [line.split(" ;")[0] for line in files["NC_CEC.INI"].splitlines() if not line.startswith(";")]
     assert lines[:2] == ["%_N_NC_CEC_INI", "CHANDATA(1)"]
@@ -108,7 +145,9 @@ def siemens_cec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) 
         for n, row in enumerate(points):
             for index, (_, output, _, _, multiplier) in tables.items():
                 if index in enabled:
-                    total[n, output] += value(index, row) * (value(multiplier - 1, row) if multiplier else 1.0)
+                    own = value(index, row)
+                    product = own * value(multiplier - 1, row) if multiplier else 0.0
+                    total[n, output] += product + (0.0 if multiplier and product_replaces else own)
         return -total
 
     return rule
@@ -164,11 +203,11 @@ def fanuc_pitch(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
     """
     told = {}
     for line in files["parameters.txt"].split("\n")[1:-2]:
-        parameter = re.fullmatch(r"N(\d+)(A.*)", line)
+        parameter = re.fullmatch(r"N(\d+)Q1(A.*)", line)
         assert parameter is not None, line
         number, rest = parameter.groups()
         told[int(number)] = {int(axis): int(value) for axis, value in re.findall(r"A(\d)P(-?\d+)", rest)}
-    data = {int(n) - 10000: int(v) for n, v in re.findall(r"N(\d+)P(-?\d+)", files["pitch-error.txt"])}
+    data = {int(n) - 10000: int(v) for n, v in re.findall(r"N(\d+)Q0P(-?\d+)", files["pitch-error.txt"])}
     assert all(abs(value) <= 7 for value in data.values())
 
     def amount(axis: int, position: float) -> float:
@@ -190,7 +229,7 @@ def fanuc_pitch(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
 
 def fanuc_3d(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
     """Apply A-79351E: interpolate from the eight corners of the cell; the points are numbered X first."""
-    told = {int(n): int(v) for n, v in re.findall(r"N(\d+)P(-?\d+)", files["parameters.txt"])}
+    told = {int(n): int(v) for n, v in re.findall(r"N(\d+)Q1L1P(-?\d+)", files["parameters.txt"])}
     counts = [told[10803 + axis] for axis in range(3)]
     references = [told[10806 + axis] for axis in range(3)]
     magnification = [told[10809 + axis] for axis in range(3)]
@@ -327,6 +366,8 @@ def rule_at(name: str, files: Files, reference_mm: Place) -> Rule:
 
 RULES: dict[str, Callable[[Files], Rule]] = {
     "linuxcnc-comp": linuxcnc,
+    "linuxcnc-matrixkins": matrixkins,
+    "klipper-skew": klipper_skew,
     "siemens-lec": siemens_lec,
     "siemens-cec": siemens_cec,
     "isg-volcomp": isg,

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from controller_rules import siemens_cec
 from estimated_machine import RANGES, TOOL, known, left_of_estimate_um, machine_with
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -66,7 +67,7 @@ def test_all_terms_together_are_the_table_but_for_what_depends_on_three_axes(see
     xy, yz, xz = (rng.standard_normal(shape) for shape in ((5, 4, 1, 3), (1, 4, 3, 3), (5, 1, 3, 3)))
     table = table_of(1e-3 * (xy + yz + xz))
     reference = points_of(table)[0]
-    found = sum_of_terms(select_terms(table, 1000, reference), points_of(table))
+    found = sum_of_terms(select_terms(table, 1000, reference, tables_per_product=2), points_of(table))
     wanted = table.corrections.reshape(-1, 3)
     assert found == pytest.approx(wanted - wanted[0], abs=2e-4)
 
@@ -78,8 +79,8 @@ def test_no_more_tables_are_used_than_there_are_and_more_never_leave_more(seed: 
     points, wanted = points_of(table), table.corrections.reshape(-1, 3)
 
     def left(count: int) -> float:
-        one = select_terms(table, count, ORIGIN)
-        assert sum(term.tables for term in one) <= count
+        one = select_terms(table, count, ORIGIN, tables_per_product=2)
+        assert sum(1 if term.factor is None else 2 for term in one) <= count
         rest = wanted - sum_of_terms(one, points)
         return float(np.var(rest, axis=0).sum())
 
@@ -87,7 +88,7 @@ def test_no_more_tables_are_used_than_there_are_and_more_never_leave_more(seed: 
 
 
 def test_a_product_is_at_most_its_first_factor() -> None:
-    for term in select_terms(random_table(3), 1000, ORIGIN):
+    for term in select_terms(random_table(3), 1000, ORIGIN, tables_per_product=2):
         if term.factor is not None:
             assert np.abs(term.factor.values).max() == pytest.approx(1.0)
 
@@ -128,12 +129,24 @@ def test_straightness_and_squareness_are_kept_by_cross_tables_and_rotation_is_no
 def test_the_cross_effect_is_carried_by_multiplied_tables_and_by_a_second_argument() -> None:
     """Check y z² of column and ram: one product is enough; without products most of it is lost."""
     source = machine_with(CROSS_b1=-12e-3, CROSS_b2=12e-3)
-    assert kept("siemens-cec", source, tables=4) > 0.97
+    assert kept("siemens-cec", source, tables=6) > 0.97
     assert kept("heidenhain-com", source) < 0.8
     assert kept("isg-volcomp", source) > 0.999
     rows = FORMATS["isg-volcomp"].export(source, ExportOptions()).files["volcomp.csv"].split("\n#\n")[-1].splitlines()
     assert rows[1] == "Y Z EYZ EAZ"
     assert len(rows) == 2 + 14 * 16
+
+
+def test_a_product_is_the_same_whether_it_replaces_the_value_of_its_table_or_is_added() -> None:
+    """The manual of CEC says that the product is added; an example in another one works only if it replaces."""
+    one = FORMATS["siemens-cec"].export(known(1), ExportOptions())
+    assert "$AN_CEC_MULT_BY_TABLE[" in one.files["NC_CEC.INI"]
+    points = evaluation_grid(RANGES, (7, 5, 6))
+    for replaces in (False, True):
+        found = siemens_cec(one.files, product_replaces=replaces)(points)
+        assert np.abs(found - one.correction(points)).max() < 1e-9
+    pairs = [line for line in one.files["NC_CEC.INI"].splitlines() if "MULT_BY" in line and not line.endswith("=0")]
+    assert len(pairs) % 2 == 0 < len(pairs)
 
 
 def test_ve_is_that_of_the_estimated_machine_whatever_the_table_can_say() -> None:

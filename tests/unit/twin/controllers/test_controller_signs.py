@@ -20,7 +20,8 @@ from twin.compensation.controllers.registry import FORMATS
 SEEDS = (1, 2, 3)
 THINNED = {"fanuc-3d": (21, 14, 16)}
 OWN_AXIS_ONLY = ("linuxcnc-comp", "siemens-lec", "fanuc-pitch")
-REMOVED = {**dict.fromkeys(OWN_AXIS_ONLY, 0.0), "heidenhain-com": 0.3}
+LINEAR_ONLY = ("linuxcnc-matrixkins", "klipper-skew")
+REMOVED = {**dict.fromkeys((*OWN_AXIS_ONLY, *LINEAR_ONLY), 0.0), "heidenhain-com": 0.3}
 """Least share of the true VE that a format must remove; formats not listed must remove at least half."""
 
 

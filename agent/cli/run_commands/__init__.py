@@ -1,0 +1,1 @@
+"""Commands that carry out a run in this process, on the machine or on a simulated one, with its preflight."""

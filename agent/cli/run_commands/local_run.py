@@ -1,0 +1,78 @@
+"""Runs in the process of a command: their start, their progress on stderr, and the exit code at their end."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from rich.console import Console
+
+from agent.cli.errors import fail
+from agent.cli.run_commands.progress import watching
+from agent.errors import GateRefused
+from agent.execution.supervisor import Supervisor
+from agent.runs.requested_run import job_of, kind_of
+from agent.runs.run_context import RunHooks
+from agent.runs.run_request import RunRequest
+from agent.runs.session import RunResult, carry_out
+from agent.settings.schema import Settings
+
+
+def calibration_here() -> RunRequest:
+    """Return the request for a calibration that is started on the command line.
+
+    The request includes the consent to move the machine, because the person who types the command is at the machine.
+    """
+    return RunRequest(kind="calibrate", source="command line", consent=True)
+
+
+def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: float | None = None) -> RunResult:
+    """Carry out the run that `request` asks for, in this process and with a progress bar on stderr. Return the result
+    of the run. `base` is the directory to which relative paths in the settings refer.
+
+    Ctrl-C and SIGTERM abort the run. `nights` is the number of nights since the last run whose result was accepted as
+    the reference for later runs. If `nights` is None, the number is computed from the calendar.
+    """
+    job = job_of(request, settings, base)
+    kind = kind_of(request, slot_minutes=request.slot_minutes, nights=nights)
+    with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
+        return carry_out(job, kind, base, RunHooks(announce=listener, attach=interrupts.append))
+
+
+@contextmanager
+def interruptible() -> Iterator[list[Supervisor]]:
+    """Yield an empty list to which the caller can add supervisors, the objects that receive requests to stop a run.
+
+    During the `with` block, Ctrl-C and SIGTERM send an abort request to every supervisor in the list.
+    """
+    supervisors: list[Supervisor] = []
+
+    def ask(number: int, _: FrameType | None) -> None:
+        for supervisor in supervisors:
+            supervisor.request_abort(signal.Signals(number).name)
+
+    former = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield supervisors
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
+def conclude(ended: RunResult) -> None:
+    """Return without a value if the new compensation table of the finished run is active and was verified, or if the
+    run confirmed the active compensation.
+
+    Otherwise, print the error that describes the outcome, and end the program with the exit code of this error.
+    """
+    if ended.error is not None:
+        raise fail(ended.error)
+    if ended.outcome.confirmed is not None:
+        return
+    proof = ended.outcome.proof
+    if proof is None or not proof.accepted:
+        reason = "the new table was not better on the held-out positions; the previous table is active again"
+        raise fail(GateRefused(reason if proof is None else f"{reason}: {proof.reason}"))

@@ -1,0 +1,100 @@
+"""Command `volcal resume`, which resumes or abandons an interrupted run, that is, a run that ended because its process
+ended.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from agent.cli.errors import fail, reported
+from agent.cli.options import config_option
+from agent.cli.printing import results_console
+from agent.cli.run_commands.local_run import conclude, interruptible
+from agent.cli.run_commands.night_options import night_table
+from agent.cli.run_commands.progress import watching
+from agent.cli.run_commands.run_summary import show_summary
+from agent.cli.service_commands.requests import resumed_by_service
+from agent.errors import MeasurementFault
+from agent.execution.device_assembly import assemble, closing_clock, make_clock
+from agent.execution.run_lock import run_lock
+from agent.results.run_outcome import Decision
+from agent.runs.reconcile_result import ReconcileAction
+from agent.runs.resume.abandon import abandon as abandon_run
+from agent.runs.resume.resume import resume
+from agent.runs.run_context import RunHooks
+from agent.runs.session import RunResult
+from agent.settings.load import load_settings
+from agent.settings.schema import Settings
+from drivers.errors import StoreError
+
+
+@click.command("resume")
+@config_option
+@click.option(
+    "--give-up", "abandon", is_flag=True, help="Do not resume: reactivate the previous table and end the run."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
+@reported
+def resume_command(config: Path, abandon: bool, as_json: bool) -> None:
+    """Resume the interrupted run; completed measurements are not repeated.
+
+    If the service is running, it resumes the run, also after a hold; otherwise the run resumes in this process. The run
+    uses the settings and files with which it started; a file that has changed since is refused. The settings given here
+    only name the state directory with the journal.
+    """
+    settings = load_settings(config)
+    if abandon:
+        _give_up(settings, config.resolve().parent, as_json=as_json)
+        return
+    if resumed_by_service(settings):
+        return
+    with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
+        ended = resume(settings.state_directory, RunHooks(announce=listener, attach=interrupts.append))
+    _show_and_exit(ended, as_json=as_json)
+
+
+def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
+    """Print the outcome and exit. The exit code is the one with which the command that started the run would have
+    ended.
+    """
+    outcome = ended.outcome
+    if as_json:
+        click.echo(json.dumps(outcome.as_json(), allow_nan=False))
+    else:
+        if outcome.night is not None:
+            results_console().print(night_table(outcome, outcome.night))
+        if outcome.kind == "calibrate" or outcome.predicted_vce_um is not None:
+            show_summary(outcome)
+    if ended.error is not None:
+        raise fail(ended.error)
+    decision = None if outcome.night is None else outcome.night.decision
+    if outcome.kind == "verify":
+        if decision is Decision.OUT:
+            raise fail(MeasurementFault(f"out of limits: {outcome.night.reason if outcome.night else ''}"))
+    elif decision is None or decision in (Decision.WRITTEN, Decision.RESTORED, Decision.FULL_DONE):
+        conclude(ended)
+
+
+def _give_up(settings: Settings, base: Path, *, as_json: bool) -> None:
+    with (
+        run_lock(settings.state_directory, "to be given up"),
+        closing_clock(make_clock(settings.clock)) as clock,
+    ):
+        rig = assemble(settings, clock, base)
+        rig.open()
+        try:
+            result = abandon_run(rig, settings.state_directory, "volcal resume --give-up")
+        finally:
+            rig.close()
+    run = None if result.unfinished is None else result.unfinished.run_id
+    if as_json:
+        facts = {"run_id": run, "found": result.state.value, "done": result.action.value, "person": result.instruction}
+        click.echo(json.dumps({**facts, "active_bank": result.active_bank, "waiting_bank": result.waiting_bank}))
+    else:
+        click.echo(f"run {run or 'none unfinished'}: {result.text}")
+    if result.action is ReconcileAction.LEFT:
+        raise fail(StoreError("the previous table could not be reactivated", hint=result.instruction))

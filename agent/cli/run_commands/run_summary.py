@@ -1,0 +1,47 @@
+"""Result of a calibration as text on the terminal."""
+
+from __future__ import annotations
+
+from agent.cli.printing import facts_table, results_console, travel_rows
+from agent.execution.states import RunState
+from agent.results.run_outcome import Outcome
+
+
+def show_summary(outcome: Outcome) -> None:
+    """Print the result of a run as text.
+
+    The path of the run's report file is printed on a separate line and is never truncated.
+    """
+    console = results_console()
+    console.print(facts_table(_rows(outcome), title=f"{outcome.run_id}: {outcome.state.value}"))
+    console.print(f"report: {outcome.report or 'none'}", markup=False)
+
+
+def _rows(outcome: Outcome) -> list[tuple[str, str]]:
+    rows = [
+        ("position set", f"{outcome.position_set}, {outcome.formulation}"),
+        ("measured", f"{outcome.balls} balls, {outcome.touches} touches"),
+        ("machine time", f"{outcome.machine_minutes:.1f} min (predicted {_number(outcome.predicted_minutes)})"),
+    ]
+    if outcome.estimated_ve_um is not None:
+        rows.append(("VE before, estimated", f"{outcome.estimated_ve_um:.2f} µm (aligned)"))
+        rows.append(("VCE predicted", f"{_number(outcome.predicted_vce_um)} µm (aligned)"))
+        if outcome.thermometer is not None:
+            rows.append(("temperature", outcome.thermometer.short_text))
+        rows += travel_rows(outcome.travel)
+        rows.append(("rank", f"{outcome.rank} of {outcome.parameters} parameters"))
+    if outcome.proof is not None:
+        proof = outcome.proof
+        text = f"{proof.before_um:.2f} → {proof.after_um:.2f} µm, predicted {proof.predicted_um:.2f} µm"
+        rows.append(("held-out positions", text))
+        rows.append(("verdict", "accepted" if proof.accepted else f"restored: {proof.reason}"))
+    if outcome.confirmed is not None:
+        rows.append(("held-out positions", f"{outcome.confirmed.held_out_um:.2f} µm with the active compensation"))
+        rows.append(("verdict", outcome.confirmed.text))
+    if outcome.state in (RunState.COMPLETE, RunState.REFUSED):
+        rows.append(("active bank", str(outcome.table_bank)))
+    return rows
+
+
+def _number(value: float | None) -> str:
+    return "?" if value is None else f"{value:.2f}"

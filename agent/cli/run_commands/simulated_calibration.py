@@ -1,0 +1,226 @@
+"""Calibration of a simulated machine that is started as a process of its own, compared with the true errors that the
+simulator knows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import click
+
+from agent.cli.printing import columns_table, results_console
+from agent.cli.run_commands.local_run import calibration_here, conclude, run_here
+from agent.cli.run_commands.run_summary import show_summary
+from agent.cli.run_commands.simulator_process import SimulatorProcess
+from agent.figures.heading import subject
+from agent.files import translated
+from agent.model_files import load_machine
+from agent.planning.stations import load_artefacts
+from agent.runs.session import RunResult
+from agent.settings.load import naming
+from agent.settings.schema import Settings
+from drivers.errors import ConfigurationError, LinkError
+from twin.formats.toml_reading import validate_document
+
+ANY_SOCKETCAND = "socketcand:127.0.0.1:0"
+"""CAN of a simulator over TCP, on any free port."""
+
+
+SIMULATED_DRIVE = {
+    "encoder_counts_per_revolution": 131072,
+    "gear_motor_revolutions": 100,
+    "speed_deg_per_s": 20.0,
+    "acceleration_deg_per_s2": 40.0,
+}
+"""Driver options of each drive of a simulated mount."""
+LIMITS_OF_DRIVE = {
+    "azimuth": {"lower_deg": -180.0, "upper_deg": 180.0},
+    "elevation": {"lower_deg": -90.0, "upper_deg": 90.0},
+}
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True volumetric errors of a simulated machine, and the number of its collisions, as reported by the simulator.
+
+    `before_um` and `after_um` are the true volumetric errors before and after the calibration, in µm. The best-fitting
+    rigid motion of the workspace has been removed from them. `after_um` and `collisions` are None if the simulator
+    could no longer be reached after the calibration.
+    """
+
+    before_um: float
+    after_um: float | None
+    collisions: int | None
+
+
+@dataclass(frozen=True)
+class Demonstrated:
+    """Names of the demonstrated machine and its artefact. `case` is the name of the shipped case; it is None if a
+    settings file of its own describes the machine.
+    """
+
+    case: str | None
+    machine: str
+    artefact: str
+
+    @classmethod
+    def of(cls, settings: Settings, case: str | None) -> Self:
+        """Read the names of machine and artefact from the files that the settings name."""
+        machine = load_machine(settings.machine)
+        artefact = load_artefacts(settings.artefact, settings.stations).all
+        return cls(case, machine.name, artefact.name)
+
+    @property
+    def text(self) -> str:
+        shipped = "" if self.case is None else f"shipped case {self.case}: "
+        return f"{shipped}{subject(self.machine, self.artefact)}"
+
+
+def calibrate_simulated(
+    settings: Settings,
+    config: Path,
+    scenario: Path,
+    out: Path,
+    *,
+    case: str | None = None,
+    can: str = ANY_SOCKETCAND,
+    modbus_rtu: str | None = None,
+    as_json: bool,
+) -> None:
+    """Start the machine of a scenario as a process of its own, calibrate it with `settings` over its links, and print
+    the result and the truth.
+
+    `config` is the file of the settings, `case` the name of the shipped case to which it belongs, and `out` the state
+    directory of the run. Raises SystemExit if the new table is not active at the end.
+    """
+    demonstrated = Demonstrated.of(settings, case)
+    bus = None if settings.stations.placed_by_hand else can
+    with SimulatorProcess(scenario, can=bus, log=out / "simulator.log", modbus_rtu=modbus_rtu) as simulator:
+        before = _aligned_um(simulator.ask("truth"), "active")
+        connected = connect(settings, simulator.ready, out)
+        click.echo(f"{demonstrated.text}\n{_introduction(simulator.ready)}", err=True)
+        with naming(config):
+            ended = run_here(calibration_here(), connected, config.resolve().parent)
+        truth = _truth_after(simulator, before)
+    if as_json:
+        click.echo(json.dumps({**vars(demonstrated), **_document(ended, truth)}, allow_nan=False))
+    else:
+        click.echo(demonstrated.text)
+        _show(ended, truth)
+    conclude(ended)
+
+
+def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
+    """Return a copy of `settings` that refers to the running simulator and uses `out` as state directory, in which the
+    run stores its journal and results. If the settings are those of a real machine, the simulated devices replace all
+    of its devices.
+
+    `ready` is the report by which the simulator announces that it is ready. The report contains the addresses of the
+    simulated devices and of the simulator's clock.
+    """
+    document = settings.model_dump(mode="json")
+    if settings.clock.kind != "lockstep":
+        document |= _simulated_devices(settings, ready)
+    devices = document["devices"]
+    roles = document["roles"]
+    machine = devices[roles["machine"]]
+    kept = {name: value for name, value in machine["options"].items() if name not in ("host", "port", "serial")}
+    machine["options"] = kept | ready["modbus"]
+    for mount in _mounts_in(roles["mount"]):
+        devices[mount]["options"] |= ready["can"]
+    devices[roles["operator"]]["options"] |= ready["control"]
+    document["clock"] = {"kind": "lockstep", **ready["time"]}
+    document["state_directory"] = str(out.resolve())
+    with translated(ConfigurationError):
+        return validate_document(document, "settings of the demonstration", Settings)
+
+
+def _mounts_in(role: str | dict[int, str] | None) -> list[str]:
+    """Return the names of the mounts in the setting `roles.mount`."""
+    if role is None:
+        return []
+    return [role] if isinstance(role, str) else list(role.values())
+
+
+def _simulated_devices(settings: Settings, ready: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections `devices` and `roles` of a machine whose devices are those of the simulator. Like the real
+    machine, it has one mount, one at each station, or none."""
+    several = isinstance(settings.roles.mount, dict)
+    mounts = {f"mount-{number}": nodes for number, nodes in ready["can_mounts"].items()}
+    devices: dict[str, Any] = {
+        "cnc": {"driver": "modbus-cnc", "options": {}},
+        "operator": {"driver": "simulated-operator", "options": {}},
+    }
+    for name, nodes in mounts.items():
+        axes = {axis: {"node_id": node, **SIMULATED_DRIVE, **LIMITS_OF_DRIVE[axis]} for axis, node in nodes.items()}
+        devices[name] = {"driver": "canopen-mount", "options": {"sdo_timeout_s": 1.0, **axes}}
+    roles: dict[str, Any] = dict.fromkeys(("machine", "probe", "store", "thermometer"), "cnc")
+    roles["operator"] = "operator"
+    if not settings.stations.placed_by_hand:
+        roles["mount"] = {number: f"mount-{number}" for number in ready["can_mounts"]} if several else "mount-1"
+    return {"devices": devices, "roles": roles}
+
+
+def _truth_after(simulator: SimulatorProcess, before_um: float) -> Truth:
+    try:
+        after = _aligned_um(simulator.ask("truth"), "active")
+        return Truth(before_um, after, int(simulator.ask("collisions")["count"]))
+    except LinkError:
+        return Truth(before_um, None, None)
+
+
+def _aligned_um(truth: dict[str, Any], which: str) -> float:
+    return float(truth[which]["aligned_um"])
+
+
+def _introduction(ready: dict[str, Any]) -> str:
+    modbus, can = ready["modbus"], ready["can"]
+    serial = modbus.get("serial")
+    link = f"RTU {serial['port']} {serial['baud']} baud" if serial else f"TCP {modbus['host']}:{modbus['port']}"
+    bus = "no mount" if can is None else f"CAN {can['interface']} {can['channel']} {can['options']}"
+    return f"simulated machine in a process of its own: Modbus {link}, {bus}"
+
+
+def _document(ended: RunResult, truth: Truth) -> dict[str, object]:
+    return {
+        **ended.outcome.as_json(),
+        "true_ve_before_um": truth.before_um,
+        "true_ve_after_um": truth.after_um,
+        "collisions": truth.collisions,
+        "figures": _figures(ended, truth),
+    }
+
+
+def _figures(ended: RunResult, truth: Truth) -> list[dict[str, object]]:
+    """Return the stated figures whose true values the simulator knows, each with its truth and its 95 % limits.
+
+    The error after compensation is compared only if the new table passed its proof and is active.
+    """
+    outcome = ended.outcome
+    proved = outcome.proof is not None and outcome.proof.accepted
+    figures = (
+        ("ve_before", truth.before_um, outcome.estimated_ve_um, outcome.estimated_ve_limits_um),
+        ("vce_after", truth.after_um if proved else None, outcome.predicted_vce_um, outcome.predicted_vce_limits_um),
+    )
+    return [
+        {
+            "figure": name,
+            "true_um": true_um,
+            "stated_um": stated_um,
+            "limits_um": list(limits_um),
+            "inside": limits_um[0] <= true_um <= limits_um[1],
+        }
+        for name, true_um, stated_um, limits_um in figures
+        if true_um is not None and limits_um is not None
+    ]
+
+
+def _show(ended: RunResult, truth: Truth) -> None:
+    table = columns_table(("", "before", "after"), title="true volumetric error (rigidly aligned), from the simulator")
+    after = "?" if truth.after_um is None else f"{truth.after_um:.2f} µm"
+    table.add_row("VE", f"{truth.before_um:.2f} µm", after)
+    table.add_row("collisions", "", "?" if truth.collisions is None else str(truth.collisions))
+    results_console().print(table)
+    show_summary(ended.outcome)

@@ -1,0 +1,1 @@
+"""Commands for compensation tables: show, export and restore them, and correct part programs with them."""

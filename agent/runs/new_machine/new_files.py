@@ -1,0 +1,125 @@
+"""Files of a new machine: chosen, checked, planned and written together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agent.errors import PlanRefused
+from agent.files import write_all_atomically
+from agent.planning.design.set_valuation import valuation_of
+from agent.planning.job import Job
+from agent.planning.preflight import run_preflight
+from agent.planning.setup_files.new_setup import POSITIONS_FILE, SETTINGS_FILE, NewSetup
+from agent.results.gate_forecast import GateForecast
+from agent.results.sufficient_effort import ChosenFiles, choose_effort
+from agent.runs.new_machine.answers import SetupAnswers
+from drivers.errors import ConfigurationError, InputError
+from twin.units import S_PER_MIN
+
+PREVIEW = "preview"
+"""Directory of the preview, in the directory of the machine."""
+
+
+@dataclass(frozen=True)
+class NewFiles:
+    """Checked files of a new machine, and the plan of its first run.
+
+    `plan` contains the figures of the plan. `refused` is the error of its preflight, None if the plan can be run. The
+    files that the job names are in the scratch directory in which they were checked.
+    """
+
+    setup: NewSetup
+    chosen: ChosenFiles
+    plan: Mapping[str, Any]
+    refused: PlanRefused | None
+
+    @property
+    def texts(self) -> Mapping[str, str]:
+        """Texts of the files by name."""
+        return self.chosen.texts
+
+    @property
+    def forecasts(self) -> Sequence[GateForecast]:
+        return self.chosen.forecasts
+
+    def write(self, directory: Path) -> list[Path]:
+        """Write all files into `directory`, or none, and return their paths."""
+        removed = () if POSITIONS_FILE in self.texts else (POSITIONS_FILE,)
+        write_all_atomically(directory, self.texts, removed=removed)
+        return [directory / name for name in self.texts]
+
+    def draw(self, folder: Path) -> list[Path]:
+        """Write the preview of the plan into `folder`, and return the paths of its files."""
+        from agent.planning.preview.preview_files import write_preview  # noqa: PLC0415  plotting is slow to import
+
+        return write_preview(self.chosen.job, folder, self.refused)
+
+    def document(self, directory: Path) -> dict[str, Any]:
+        """Return the result of the set-up in `directory` as `volcal init --json` prints it, without the preview."""
+        return {
+            "directory": str(directory),
+            "files": [str(directory / name) for name in self.texts],
+            **self.plan,
+            "gates": [forecast.as_json() for forecast in self.forecasts],
+            "next": next_commands(self.setup, directory),
+        }
+
+
+def prepare_files(answers: SetupAnswers, scratch: Path) -> NewFiles:
+    """Return the checked files of the machine that the answers describe.
+
+    The size of a proposed artefact is reduced until the preflight accepts the plan. Raises InputError if an answer is
+    missing or impossible, and ConfigurationError if the files contradict each other. `scratch` is an empty directory.
+    """
+    setup = answers.collect()
+    files = _prepared(setup, scratch)
+    while files.refused is not None and (smaller := answers.with_smaller_artefact(files.setup)) is not None:
+        files = _prepared(smaller, scratch)
+    return files
+
+
+def refuse_existing(directory: Path) -> None:
+    """Raise InputError if the directory contains the settings of a machine."""
+    settings = directory / SETTINGS_FILE
+    if settings.exists():
+        raise InputError(
+            "there are settings of a machine already",
+            hint="choose another directory, or add --force",
+            file=str(settings),
+        )
+
+
+def next_commands(setup: NewSetup, directory: Path) -> list[str]:
+    """Return the commands to be typed next, in order."""
+    enter = [] if directory.resolve() == Path.cwd() else [f"cd {directory}"]
+    commands = [*enter, "volcal calibrate --simulated"]
+    return commands if setup.controller.is_simulated else [*commands, "volcal doctor", "volcal calibrate"]
+
+
+def _prepared(setup: NewSetup, scratch: Path) -> NewFiles:
+    """Return the files of one set-up. An error of their check names the file as it will be called."""
+    try:
+        chosen = choose_effort(setup, scratch)
+    except ConfigurationError as error:
+        error.where = {key: value.removeprefix(f"{scratch.resolve()}/") for key, value in error.where.items()}
+        raise error.at(file=SETTINGS_FILE) from error.__cause__
+    refused, plan = _plan(chosen.job)
+    return NewFiles(setup, chosen, plan, refused)
+
+
+def _plan(job: Job) -> tuple[PlanRefused | None, dict[str, object]]:
+    """Run the preflight. Return the error if it refuses the plan, and the figures of the plan."""
+    try:
+        preflight = run_preflight(job)
+    except PlanRefused as refused:
+        return refused, {"positions": len(job.positions)}
+    return None, {
+        "positions": len(job.positions),
+        "left_out": list(preflight.measured.left_out),
+        "balls": sum(len(position.balls) for position in preflight.measured.positions),
+        "machine_minutes": round(preflight.machine_seconds / S_PER_MIN, 1),
+        "valuation_percent": round(valuation_of(job, job.positions).percent, 1),
+    }

@@ -1,0 +1,73 @@
+/* State of the set-up as the service last sent it, and requests that change it. */
+import { askToken } from "./dialogs.js";
+import { known, say } from "./language.js";
+import { hide, showProblem } from "./notices.js";
+import { ask, read, Refused, token } from "./requests.js";
+
+export const seen = { now: null, fields: [], steps: [], finished: false };
+const listeners = new Set();
+let last = Promise.resolve();
+
+export const onState = (listener) => listeners.add(listener);
+
+export async function load() {
+  const { fields, steps } = await read("/api/setup/fields");
+  Object.assign(seen, { fields, steps: [...steps, "review"] });
+  take(await read("/api/setup"));
+}
+
+function take(document) {
+  seen.now = document;
+  for (const listener of listeners) listener();
+}
+
+/* Sends a request with the token and returns its answer, null if it was refused; one request after the other. */
+export function send(path, body = {}) {
+  const answer = last.then(() => sent(path, body));
+  last = answer.catch(() => null);
+  return answer;
+}
+
+/* Sends a request whose answer is the whole state. */
+export async function change(path, body) {
+  const document = await send(path, body);
+  if (document) take(document);
+  return document !== null;
+}
+
+export const settled = () => last;
+
+async function sent(path, body) {
+  if (!token() && !(await askToken(say("setup.token_why")))) return null;
+  try {
+    const answer = await ask(`/api/setup/${path}`, body);
+    hide();
+    return answer;
+  } catch (error) {
+    if (error instanceof Refused && [401, 403].includes(error.problem.status)) {
+      if (await askToken(say("setup.token_why"))) return sent(path, body);
+    }
+    showProblem(inWords(error));
+    return null;
+  }
+}
+
+/* The error with the words of its alarm, which are in both languages, before those of the service. */
+function inWords(error) {
+  const { code, detail, hint } = error.problem ?? {};
+  if (known(`alarm.${code}`)) error.problem = { ...error.problem, detail: say(`alarm.${code}`), hint: [detail, hint].filter(Boolean).join(". ") };
+  return error;
+}
+
+/* Asks `path` again and again while `wanted()`, and hands each answer to `shown`; a refusal ends it. */
+export async function poll(path, wanted, shown) {
+  while (wanted()) {
+    try {
+      shown(await read(`/api/setup/${path}`));
+    } catch (error) {
+      if (wanted()) showProblem(inWords(error));
+      return;
+    }
+    await new Promise((resolve) => setTimeout(resolve, 300));
+  }
+}

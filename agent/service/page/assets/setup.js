@@ -1,0 +1,95 @@
+/* Set-up of a new machine: one step after the other; the service keeps what was stated. */
+import { askToken } from "./dialogs.js";
+import { byId, make } from "./dom.js";
+import { languageNow, languages, loadWords, onLanguage, say, speak, translate } from "./language.js";
+import { keepToken } from "./requests.js";
+import { connectPanel, drawingPanel, fingerPanel, jogPanel, rest } from "./setup-checks.js";
+import { fieldOf } from "./setup-fields.js";
+import { reviewPanel } from "./setup-review.js";
+import { load, onState, seen, settled } from "./setup-state.js";
+import { openTheme } from "./theme.js";
+
+let step = "machine", fields = [], panels = [];
+
+/* The address that the terminal shows ends with the token; it is taken out of the address at once. */
+function takeToken() {
+  const found = /^#token=(.+)$/.exec(location.hash);
+  if (!found) return;
+  keepToken(decodeURIComponent(found[1]));
+  history.replaceState(null, "", "/");
+}
+
+function panelsOf(name) {
+  const redraw = () => update();
+  return { controller: () => [connectPanel()], chain: () => [drawingPanel(), jogPanel(redraw)], probe: () => [fingerPanel()], review: () => [reviewPanel()] }[name]?.() ?? [];
+}
+
+function show(name) {
+  rest();
+  step = name;
+  fields = seen.fields.filter((field) => field.step === name).map(fieldOf);
+  panels = panelsOf(name);
+  byId("step").replaceChildren(make("h2", { id: "step-title" }, say(`step.${name}`)), make("p", { className: "remark" }, say(`about.${name}`)),
+    ...(name === "machine" ? [make("p", { className: "remark" }, say("setup.directory", { directory: seen.now.directory }))] : []),
+    make("div", { id: "general" }), ...(fields.length ? [make("div", { className: "fields" }, ...fields.map(({ element }) => element))] : []),
+    ...panels.map(({ element }) => element));
+  update();
+}
+
+/* Shows the state; what had the focus keeps it, also if it was made anew. */
+function update(needed = false) {
+  const focused = document.activeElement?.id;
+  refresh(needed);
+  if (focused && document.activeElement !== byId(focused)) byId(focused)?.focus({ preventScroll: true });
+}
+
+function refresh(needed) {
+  for (const field of fields) field.update(needed);
+  for (const panel of panels) panel.update();
+  const general = seen.now.problems[""];
+  byId("general").replaceChildren(...(general ? [make("div", { className: "panel problem" }, make("b", {}, say("setup.general")), make("p", {}, [general.detail, general.hint].filter(Boolean).join(". ")))] : []));
+  byId("steps").replaceChildren(...seen.steps.map((name, i) => make("button", {
+    id: `to-${name}`, "data-number": String(i + 1), "aria-current": name === step ? "step" : null, onclick: () => go(name), title: say(`step.${name}`) }, make("span", {}, say(`step.${name}`)))));
+  byId("back").disabled = step === seen.steps[0];
+  byId("next").disabled = step === seen.steps.at(-1);
+  document.title = `${say(`step.${step}`)} – ${say("setup.title")}`;
+}
+
+function go(name) {
+  show(name);
+  byId("step").scrollTop = 0;
+  byId("step").focus();
+}
+
+/* The next step, once nothing that this one asks for is wrong or missing. */
+async function next() {
+  document.activeElement?.blur();
+  await settled();
+  update(true);
+  const wrong = fields.find(({ name }) => name in seen.now.problems || seen.now.missing === name);
+  if (wrong) wrong.element.querySelector("input, select").focus();
+  else go(seen.steps[seen.steps.indexOf(step) + 1]);
+}
+
+function words() {
+  const other = languages().find((language) => language !== languageNow()) ?? languageNow();
+  translate();
+  byId("language").textContent = other.toUpperCase();
+  byId("language").setAttribute("aria-label", say("language.change"));
+  byId("language").onclick = () => speak(other);
+}
+
+takeToken();
+await loadWords("setup-messages.json");
+openTheme();
+words();
+await load();
+onState(() => update());
+onLanguage(() => {
+  words();
+  if (!seen.finished) show(step);
+});
+byId("back").addEventListener("click", () => go(seen.steps[seen.steps.indexOf(step) - 1]));
+byId("next").addEventListener("click", next);
+byId("token").addEventListener("click", () => askToken(say("setup.token_why")));
+show(step);

@@ -1,0 +1,224 @@
+"""Plan of the lines and files that `volcal linuxcnc install` adds to a machine, and of their removal.
+
+The compensation is by external offsets, the method that leaves the machine's kinematics alone. It needs a HAL file
+beside the INI file and seven lines in it: HALFILE in [HAL], the section [VOLCAL] with DIRECTORY, OFFSET_AV_RATIO in
+[AXIS_X], [AXIS_Y] and [AXIS_Z], and HALFILE for the probe unless the machine has connected it. What is there already is
+kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.errors import InputError
+from drivers.linuxcnc.installation.changes import FileChange, require_writable
+from drivers.linuxcnc.installation.hal_links import Link, adapted, hal_file, links, read_hal
+from drivers.linuxcnc.installation.ini_file import IniFile
+
+COMPONENTS = Path(__file__).resolve().parents[1] / "components"
+COMPENSATION_HAL = "volcal-eoffset.hal"
+PROBE_HAL = "volcal-probe.hal"
+OTHER_METHOD_HAL = "volcal-kins.hal"
+OWN_FILES = (COMPENSATION_HAL, PROBE_HAL)
+PROBE_INPUT = "motion.probe-input"
+OFFSET_SHARE = "0.1"
+"""Share of speed and acceleration of an axis that is reserved for its external offset."""
+DEFAULT_DIRECTORY = Path("/var/lib/volcal/linuxcnc")
+BACKUP = ".volcal-backup"
+BUILT = (Path("/usr/lib/linuxcnc/modules/volcal_eoffset.so"), Path("/usr/bin/volcal_tables"))
+
+
+@dataclass(frozen=True)
+class Installation:
+    """Changes of files, directory to be created (None if it exists), and notes for the user."""
+
+    changes: list[FileChange]
+    directory: Path | None
+    notes: list[str]
+
+
+def plan_installation(ini_path: Path, *, directory: Path | None, probe_pin: str | None) -> Installation:
+    """Return what is missing for volcal in the configuration of a machine. Nothing is written.
+
+    `directory` is for the compensation tables; `probe_pin` is the HAL pin of the probe, None if the machine has
+    connected it. Raises InputError if the configuration cannot be changed safely.
+    """
+    before = _read(ini_path)
+    ini = IniFile(ini_path, before)
+    require_writable(ini_path)
+    ini.without_marked_lines()  # raises if a mark is damaged
+    _require_other_method_unused(ini)
+    made = links(_hal_texts(ini, ini_path))
+    text, notes = adapted((COMPONENTS / COMPENSATION_HAL).read_text(encoding="utf-8"), made)
+    files = {COMPENSATION_HAL: text}
+    notes += _probe(files, made, probe_pin)
+    tables = _add_entries(ini, files, directory)
+    changes = [_own_file(ini_path.parent / name, content) for name, content in files.items()]
+    if ini.content() != before:
+        changes += [_backup(ini_path, before), FileChange(ini_path, before, ini.content())]
+    notes += _still_to_do(ini, made, probe_pin)
+    missing = not (ini_path.parent / tables).is_dir()
+    return Installation(
+        [c for c in changes if c.before != c.after], ini_path.parent / tables if missing else None, notes
+    )
+
+
+def plan_removal(ini_path: Path) -> Installation:
+    """Return how what `install` has added is taken out again. Nothing is written."""
+    before = _read(ini_path)
+    ini = IniFile(ini_path, before)
+    after = ini.without_marked_lines()
+    if after == before:
+        return Installation([], None, ["nothing to remove"])
+    require_writable(ini_path)
+    changes, notes = [FileChange(ini_path, before, after)], []
+    for name in OWN_FILES:
+        path = ini_path.parent / name
+        if path.is_file() and not _is_named(IniFile(ini_path, after), name):
+            changes.append(FileChange(path, path.read_bytes(), None))
+    for backup in sorted(ini_path.parent.glob(f"{ini_path.name}{BACKUP}*")):
+        if backup.read_bytes() == after:
+            changes.append(FileChange(backup, after, None))
+        else:
+            notes.append(f"{backup} is kept: the configuration was changed since")
+    notes.append("the compensation tables are kept; without these lines LinuxCNC corrects nothing")
+    return Installation(changes, None, notes)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError("there is no such file", hint="give the INI file of LinuxCNC", file=str(path)) from None
+    except OSError as error:
+        raise InputError(f"the file cannot be read: {error.strerror}", file=str(path)) from None
+
+
+def _add_entries(ini: IniFile, files: dict[str, str], directory: Path | None) -> Path:
+    """Add the missing entries, and return the directory of the tables."""
+    for axis in "XYZ":
+        section = ini.require_section(f"AXIS_{axis}", "volcal needs the axes X, Y and Z")
+        ratio = ini.value(section, "OFFSET_AV_RATIO")
+        if ratio is None:
+            ini.insert_after(section.header, f"OFFSET_AV_RATIO = {OFFSET_SHARE}")
+        elif not _is_share(ratio):
+            raise InputError(
+                f"OFFSET_AV_RATIO = {ratio} of axis {axis} leaves no speed for external offsets or none for motions",
+                hint=f"set it to {OFFSET_SHARE}",
+                file=str(ini.path),
+                line=section.header + 1,
+            )
+    last = [index for index, key, _ in ini.entries(ini.require_section("HAL")) if key == "HALFILE"]
+    if not last:
+        raise InputError("[HAL] names no HALFILE, and one must load the motion", file=str(ini.path))
+    missing = [f"HALFILE = {name}" for name in files if not _is_named(ini, name)]
+    if missing:
+        ini.insert_after(last[-1], *missing)
+    return _add_directory(ini, directory)
+
+
+def _add_directory(ini: IniFile, directory: Path | None) -> Path:
+    section = ini.section("VOLCAL")
+    told = None if section is None else ini.value(section, "DIRECTORY")
+    if told is not None:
+        if directory is not None and Path(told) != directory:
+            raise InputError(
+                f"[VOLCAL]DIRECTORY is {told}, not {directory}",
+                hint="leave out --directory, or remove the installation first",
+                file=str(ini.path),
+            )
+        return Path(told)
+    chosen = directory or DEFAULT_DIRECTORY
+    if section is None:
+        ini.append("[VOLCAL]", f"DIRECTORY = {chosen}")
+    else:
+        ini.insert_after(section.header, f"DIRECTORY = {chosen}")
+    return chosen
+
+
+def _probe(files: dict[str, str], made: dict[str, Link], probe_pin: str | None) -> list[str]:
+    """Add the HAL file of the probe if a pin is given, and return notes."""
+    link = made.get(PROBE_INPUT)
+    if probe_pin is None:
+        return [f"the probe is the signal {link.signal} ({link.file}:{link.line})"] if link else []
+    if link is not None:
+        raise InputError(
+            f"{PROBE_INPUT} is already connected to the signal {link.signal}",
+            hint="leave out --probe-pin, or disconnect the other probe",
+            file=link.file,
+            line=link.line,
+        )
+    signal = made[probe_pin].signal if probe_pin in made else "volcal-probe"
+    source = "" if probe_pin in made else f"{probe_pin} "
+    files[PROBE_HAL] = f"# Touch probe of the machine, for G38 and volcal.\nnet {signal} {source}=> {PROBE_INPUT}\n"
+    return []
+
+
+def _own_file(path: Path, content: str) -> FileChange:
+    """Return the change that writes one of volcal's files; a file of other content is refused."""
+    before = path.read_bytes() if path.is_file() else None
+    if before is not None and before != content.encode():
+        raise InputError("this file exists with other content", hint="move it away; it is written anew", file=str(path))
+    require_writable(path)
+    return FileChange(path, before, content.encode())
+
+
+def _backup(ini_path: Path, before: bytes) -> FileChange:
+    """Return the change that keeps the INI file as it is, beside it, and overwrites no former backup."""
+    number, path = 1, ini_path.with_name(ini_path.name + BACKUP)
+    while path.is_file() and path.read_bytes() != before:
+        number += 1
+        path = ini_path.with_name(f"{ini_path.name}{BACKUP}-{number}")
+    return FileChange(path, before if path.is_file() else None, before)
+
+
+def _hal_texts(ini: IniFile, ini_path: Path) -> list[tuple[str, str]]:
+    """Return the HAL commands of the machine without those of volcal, by file."""
+    texts = []
+    for index, key, value in ini.entries(ini.require_section("HAL")):
+        if key == "HALCMD":
+            texts.append((f"{ini_path} line {index + 1}", value))
+        if key in ("HALFILE", "POSTGUI_HALFILE") and value not in OWN_FILES:
+            path = hal_file(value, ini_path.parent, ini_path)
+            if path is not None:
+                texts.append((str(path), read_hal(path)))
+    return texts
+
+
+def _is_named(ini: IniFile, name: str) -> bool:
+    entries = ini.entries(ini.require_section("HAL"))
+    return any(key == "HALFILE" and Path(value).name == name for _, key, value in entries)
+
+
+def _require_other_method_unused(ini: IniFile) -> None:
+    kinematics = ini.section("KINS")
+    told = "" if kinematics is None else ini.value(kinematics, "KINEMATICS") or ""
+    if _is_named(ini, OTHER_METHOD_HAL) or told.startswith("volcal_kins"):
+        raise InputError(
+            "this machine already compensates in its kinematics (volcal_kins)",
+            hint="one method is enough; use method = 'kinematics' in volcal's settings",
+            file=str(ini.path),
+        )
+
+
+def _still_to_do(ini: IniFile, made: dict[str, Link], probe_pin: str | None) -> list[str]:
+    """Return what a person must decide or do, because it depends on the machine."""
+    notes = []
+    if any(not path.exists() for path in BUILT):
+        notes.append(f"before LinuxCNC starts again, build the components: sudo make -C {COMPONENTS} install")
+    if probe_pin is None and PROBE_INPUT not in made:
+        notes.append(f"nothing is connected to {PROBE_INPUT}: give the pin of the probe with --probe-pin")
+    display = ini.section("DISPLAY")
+    override = None if display is None else ini.value(display, "MAX_FEED_OVERRIDE")
+    if override not in (None, "1", "1.0"):
+        notes.append(f"[DISPLAY]MAX_FEED_OVERRIDE is {override}: leave the override at 100 % while volcal measures")
+    notes.append("widen the soft limits by the largest correction where the mechanics allow it, see the how-to")
+    return notes
+
+
+def _is_share(text: str) -> bool:
+    try:
+        return 0.0 < float(text) < 1.0
+    except ValueError:
+        return False

@@ -1,0 +1,19 @@
+"""Tolerance of an artefact that is placed by hand. Settings, collision checks and measurement share this value."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PlacementTolerance:
+    """Largest deviation of the artefact from the position in which it is to be placed: `distance_mm` is the
+    displacement of any ball by a shift of the whole artefact, and `angle_deg` is its rotation."""
+
+    distance_mm: float
+    angle_deg: float
+
+    def displacement_mm(self, radius_mm: float) -> float:
+        """Return the largest displacement in mm of a ball at the distance `radius_mm` from the centre of rotation."""
+        return self.distance_mm + math.radians(self.angle_deg) * radius_mm
