@@ -24,6 +24,7 @@ from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
+from agent.probing.run_plan import MeasuredPositions
 from agent.results.estimation import EstimationResult
 from agent.results.observations import (
     Correction,
@@ -34,8 +35,10 @@ from agent.results.observations import (
 )
 from agent.results.predicted_reduction import PredictedReduction
 from agent.results.run_outcome import Confirmation, Proof
+from agent.results.thermal_drift import earlier_deviations
 from agent.settings.schema import VerificationSettings
 from twin.arrays import Array
+from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import HeldOutResiduals, HeldOutTest, held_out_residuals
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, residual_covariance
@@ -74,25 +77,55 @@ def expected_gain(estimate: Estimate, new_um: float, correction: Correction, too
     return ExpectedGain(math.hypot(volumetric_error(grid + tool_offset_mm, left).aligned_um, new_um), new_um)
 
 
-def predicted_reduction(
-    job: Job, estimation: EstimationResult, balls: Sequence[MeasuredBall], correction: Correction
-) -> PredictedReduction:
-    """Return the reduction that the table of the estimate is predicted to show at the held-out `balls`. They were
-    measured with the active table, whose corrections are `correction`. Raises MeasurementFault if too few were
-    measured.
+@dataclass(frozen=True, eq=False)
+class FormerBalls:
+    """Held-out balls measured with the former table, whose corrections are `correction`, in the course of the
+    measurement from which the estimate was made.
+
+    `observed` are their observations without compensation. `drift_mm` (n, 3) contains what the drift of the machine
+    takes away from their deviations until the end of that measurement, which is the state that the estimate describes.
     """
-    offset, reference = job.tool_offset_mm, estimation.reference(job.artefact)
-    certified = _certified(reference, balls, " before")
+
+    balls: Sequence[MeasuredBall]
+    correction: Correction
+    observed: Observations
+    drift_mm: Array
+
+    @classmethod
+    def of(
+        cls, job: Job, estimation: EstimationResult, measured: MeasuredPositions, correction: Correction
+    ) -> FormerBalls:
+        """Return the held-out balls in `measured`. Raises MeasurementFault if none was measured."""
+        reference = estimation.reference(job.artefact)
+        balls = _certified(reference, job.balls_of(measured, held_out=True), " with the former table active")
+        drift_mm = earlier_deviations(
+            job, measured, balls, estimation.estimate, estimation.observations.thermal_regressors
+        )
+        return cls(balls, correction, observations_of(balls, job.tool_offset_mm, correction), drift_mm)
+
+    def residuals(self, tool_offset_mm: Array, artefact: Artefact) -> HeldOutResiduals:
+        """Return the residuals that the balls would show at the end of the measurement with the former table active.
+
+        A ball is met at its place minus the deviation, so less deviation lets its displayed position grow.
+        """
+        displayed = np.array([ball.found.centre_mm for ball in self.balls])
+        return held_out_residuals(self.observed, displayed + tool_offset_mm + self.drift_mm, artefact)
+
+
+def predicted_reduction(job: Job, estimation: EstimationResult, former: FormerBalls) -> PredictedReduction:
+    """Return the reduction that the table of the estimate is predicted to show at the held-out balls `former`. Raises
+    MeasurementFault if too few were measured."""
+    offset, artefact = job.tool_offset_mm, estimation.reference(job.artefact).artefact
     with translated(MeasurementFault):
-        observed = observations_of(certified, offset, correction)
-        measured = displayed_residuals(certified, offset, reference.artefact)
-        left = _field(estimation.estimate, observed.axis_positions, offset) + _correction_at(certified, correction)
-        square = held_out_residuals(observed, measured.placed_mm + left, reference.artefact).rms_mm ** 2
+        measured = former.residuals(offset, artefact)
+        left = _field(estimation.estimate, former.observed.axis_positions, offset)
+        left += _correction_at(former.balls, former.correction)
+        square = held_out_residuals(former.observed, measured.placed_mm - left, artefact).rms_mm ** 2
     return PredictedReduction.of(
         measured.rms_mm**2,
         square,
         measured.freedom,
-        estimation.estimate.scales.noise**2 * component_variance(observed),
+        estimation.estimate.scales.noise**2 * component_variance(former.observed),
         job.settings.verification.max_missing_fraction,
     )
 
@@ -102,11 +135,8 @@ def component_variance(observed: Observations) -> float:
     return float(np.einsum("nii->n", observed.covariance).mean()) / 3.0
 
 
-def confirm(
-    job: Job, estimation: EstimationResult, gain: ExpectedGain, balls: Sequence[MeasuredBall], correction: Correction
-) -> Confirmation:
-    """Return the confirmation of the active table, whose corrections are `correction`. The held-out `balls` were
-    measured with it.
+def confirm(job: Job, estimation: EstimationResult, gain: ExpectedGain, former: FormerBalls) -> Confirmation:
+    """Return the confirmation of the active table, with which the held-out balls `former` were measured.
 
     The confirmation relies on the estimate. The ball centres, corrected by the estimate, must therefore agree with
     their prediction; otherwise the reason of the confirmation is not empty. Raises MeasurementFault if too few
@@ -114,13 +144,13 @@ def confirm(
     """
     limits, offset = job.settings.verification, job.tool_offset_mm
     reference = estimation.reference(job.artefact)
-    certified = _certified(reference, balls, "")
     with translated(MeasurementFault):
-        bare = observations_of(certified, offset, correction)
-        points = bare.axis_positions + offset + _field(estimation.estimate, bare.axis_positions, offset)
+        bare = former.observed
+        field = _field(estimation.estimate, bare.axis_positions, offset)
+        points = bare.axis_positions + offset + field + former.drift_mm
         result = held_out_residuals(bare, points, reference.artefact)
         expected = _compared(reference, estimation, bare, result, offset)
-        measured_um = UM_PER_MM * displayed_residuals(certified, offset, reference.artefact).rms_mm
+        measured_um = UM_PER_MM * displayed_residuals(former.balls, offset, reference.artefact).rms_mm
     return Confirmation(
         kept_um=gain.kept_um,
         new_um=gain.new_um,
@@ -131,28 +161,27 @@ def confirm(
     )
 
 
-def prove(
-    job: Job,
-    estimation: EstimationResult,
-    before: Sequence[MeasuredBall],
-    after: Sequence[MeasuredBall],
-    correction: Correction,
-) -> Proof:
-    """Return the proof of a new compensation table at the held-out balls. The balls `before` were measured with the
-    former table, whose corrections are `correction`, and the balls `after` with the new one.
+def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Sequence[MeasuredBall]) -> Proof:
+    """Return the proof of a new compensation table at the held-out balls, measured with the former table, `former`,
+    and with the new one, `after`.
 
-    Raises MeasurementFault if too few balls were found for a comparison.
+    If the machine drifted, the measured reduction is that from the state at the end of the measurement. Otherwise an
+    error that grew until then would hide the effect of the table, and one that shrank would pass for it. Raises
+    MeasurementFault if too few balls were found for a comparison.
     """
     limits, offset = job.settings.verification, job.tool_offset_mm
-    predicted = predicted_reduction(job, estimation, before, correction)
+    predicted = predicted_reduction(job, estimation, former)
     reference = estimation.reference(job.artefact)
-    before, after = _certified(reference, before, " before"), _certified(reference, after, " with the new table active")
+    after = _certified(reference, after, " with the new table active")
     with translated(MeasurementFault):
         seen = observations_of(after, offset, estimation.table.at)
-        former, result = (displayed_residuals(balls, offset, reference.artefact) for balls in (before, after))
+        before, result = (displayed_residuals(balls, offset, reference.artefact) for balls in (former.balls, after))
         expected = _compared(reference, estimation, seen, result, offset)
-    change_um = f"{UM_PER_MM * former.rms_mm:.2f} to {UM_PER_MM * result.rms_mm:.2f} µm"
-    reason = _shortfall(predicted, former.rms_mm**2 - result.rms_mm**2, change_um) or _disagreement(expected, limits)
+        undrifted = former.residuals(offset, reference.artefact)
+    change_um = f"{UM_PER_MM * before.rms_mm:.2f} to {UM_PER_MM * result.rms_mm:.2f} µm"
+    if former.drift_mm.any():
+        change_um += f" (before the table, {UM_PER_MM * undrifted.rms_mm:.2f} µm in the state to which it drifted)"
+    reason = _shortfall(predicted, undrifted.rms_mm**2 - result.rms_mm**2, change_um) or _disagreement(expected, limits)
     success = (
         "reduced and as predicted"
         if predicted.can_be_shown
@@ -160,7 +189,7 @@ def prove(
     )
     return Proof(
         accepted=not reason,
-        before_um=UM_PER_MM * former.rms_mm,
+        before_um=UM_PER_MM * before.rms_mm,
         after_um=UM_PER_MM * result.rms_mm,
         predicted_um=UM_PER_MM * expected.predicted_mm,
         chi2_normalised=expected.chi2_normalised,

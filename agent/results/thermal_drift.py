@@ -16,9 +16,11 @@ from agent.probing.run_plan import MeasuredPositions
 from agent.results.observations import Correction, observations_of
 from agent.settings.schema import IdentificationSettings
 from agent.settings.temperature import TemperatureSettings
+from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.thermal_regressors import smooth_readings, thermal_regressors
-from twin.identification import CarriedOverPrior, Options
+from twin.identification import CarriedOverPrior, Estimate, Options
+from twin.machine.forward_model import deviation_basis
 
 
 def balls_for_estimate(job: Job, measured: MeasuredPositions) -> list[MeasuredBall]:
@@ -57,6 +59,26 @@ def observations_with_drift(job: Job, balls: Sequence[MeasuredBall], correction:
     regressors = thermal_regressors(instants_s, machine_c, change_k(job.settings.temperature, balls))
     observations = observations_of(balls, job.tool_offset_mm, correction, regressors)
     return replace(observations, temperature_c=smooth_readings(instants_s, observations.temperature_c))
+
+
+def earlier_deviations(
+    job: Job, measured: MeasuredPositions, balls: Sequence[MeasuredBall], estimate: Estimate, regressors: Array
+) -> Array:
+    """Return the deviations (n, 3) in mm of the machine at the time when the n `balls` were measured, minus those in
+    the state that `estimate` describes, which is the end of the measurement. They are zero if the estimate contains no
+    drift.
+
+    `regressors` (m, w) contains the thermal regressors in K of the m balls in `measured` from which the estimate was
+    made.
+    """
+    positions = np.array([ball.found.centre_mm for ball in balls])
+    if estimate.drift is None:
+        return np.zeros_like(positions)
+    known_s = np.array([ball.conditions.instant_s for ball in balls_for_estimate(job, measured)])
+    instants_s, by_time = [ball.conditions.instant_s for ball in balls], np.argsort(known_s)
+    course = [np.interp(instants_s, known_s[by_time], column[by_time]) for column in regressors.T]
+    basis = deviation_basis(estimate.model, positions, job.tool_offset_mm)
+    return estimate.drift.deviations(basis, np.stack(course, axis=1) - regressors[-1])
 
 
 def identification_options(

@@ -40,6 +40,7 @@ from agent.results.run_outcome import Decision, Proof
 from agent.results.table_image import image_of
 from agent.results.table_replacement import (
     ExpectedGain,
+    FormerBalls,
     confirm,
     expected_gain,
     predicted_reduction,
@@ -110,7 +111,7 @@ class CalibrationRun(GuardedRun):
             worth = self._gain_gate(gain)
             if not worth.passed:
                 self._pass_gates(gates)
-                self._confirm(estimation, gain, job.balls_of(progress.measured, held_out=True))
+                self._confirm(estimation, gain, progress.measured)
                 return
             gates += (worth,)
         gates += table_gates(estimation.table, estimation.travel, self._rig.store.store_limits(), job.gate_limits)
@@ -146,12 +147,12 @@ class CalibrationRun(GuardedRun):
             self._journal.decision("gate", vars(gate))
         require_passed(self.progress.gates)
 
-    def _confirm(self, estimation: EstimationResult, gain: ExpectedGain, held_out: Sequence[MeasuredBall]) -> None:
+    def _confirm(self, estimation: EstimationResult, gain: ExpectedGain, measured: MeasuredPositions) -> None:
         """Keep the active table, and accept the estimate as the reference of later runs. Raises GateRefused if the
         held-out balls contradict the estimate."""
         job, found = self._job, self.progress.found
         assert found is not None  # noqa: S101  read before anything is measured
-        confirmed = confirm(job, estimation, gain, held_out, self._correction)
+        confirmed = confirm(job, estimation, gain, FormerBalls.of(job, estimation, measured, self._correction))
         self._journal.decision(CONFIRMED, {**vars(confirmed), "decision": Decision.CONFIRMED.value})
         if confirmed.reason:
             raise GateRefused(
@@ -171,8 +172,8 @@ class CalibrationRun(GuardedRun):
         progress, enter = self.progress, self._tracker.enter
         assert progress.found is not None  # noqa: S101  read before anything is measured
         image = image_of(estimation.table, self._rig.store.store_limits())
-        held_out = self._job.balls_of(measured, held_out=True)
-        reduction = predicted_reduction(self._job, estimation, held_out, self._correction)
+        former = FormerBalls.of(self._job, estimation, measured, self._correction)
+        reduction = predicted_reduction(self._job, estimation, former)
         enter(RunState.STAGING, "" if reduction.can_be_shown else f"the proof cannot be significant: {reduction.text}")
         bank = publish.choose_bank(self._rig.store.store_limits().banks, progress.found.bank)
         self._engine.run(publish.stage_table(bank, image))
@@ -193,9 +194,8 @@ class CalibrationRun(GuardedRun):
         job, progress = self._job, self.progress
         order = job.verification_order(measured.standing_at, measured.placed)
         progress.verified = self._engine.run(measure_positions(order, job.layout, self.rules, measured.mount_poses))
-        before = job.balls_of(measured, held_out=True)
-        after = job.balls_of(progress.verified, held_out=True)
-        progress.proof = self._proof(estimation, before, after)
+        before, after = (job.balls_of(part, held_out=True) for part in (measured, progress.verified))
+        progress.proof = self._proof(estimation, measured, after)
         self._journal.decision("proof", vars(progress.proof))
         record_held_out(self._journal, job, estimation.reference(job.artefact).artefact, before, after)
         if progress.proof.accepted:
@@ -206,10 +206,8 @@ class CalibrationRun(GuardedRun):
         self._restore(after_fault=False)
         self._tracker.enter(RunState.COMPLETE, f"restored: {progress.proof.reason}")
 
-    def _proof(
-        self, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
-    ) -> Proof:
-        return prove(self._job, estimation, before, after, self._correction)
+    def _proof(self, estimation: EstimationResult, measured: MeasuredPositions, after: Sequence[MeasuredBall]) -> Proof:
+        return prove(self._job, estimation, FormerBalls.of(self._job, estimation, measured, self._correction), after)
 
     def _accept(self, estimation: EstimationResult, image: TableImage) -> None:
         """Record the estimate and the table as the reference with which later runs compare the machine."""

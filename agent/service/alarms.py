@@ -93,6 +93,11 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
         "the artefact has moved during an interruption",
         "check the clamping of artefact and mount; resume the run: the position is measured again",
     ),
+    run_errors.PlacementLost: AlarmCode(
+        432,
+        "an artefact placed by hand no longer stands where it was found",
+        "clean the ball and check that the artefact stands firmly; resume the run",
+    ),
     run_errors.PlanDiverged: AlarmCode(
         440, "the recorded run does not match the settings", "restore the settings of that run or start a new run"
     ),

@@ -109,15 +109,13 @@ def test_every_gate_was_forecast_with_its_verdict_and_its_size(nights: TwoNights
     job = prepare_job(Settings.model_validate(document(nights.state)), Path.cwd())
     forecast = {gate.gate: gate for gate in forecast_gates(job)}
     judged = {row.record["name"]: row.record for row in nights.stored(nights.first).decisions if row.kind == "gate"}
-    assert set(forecast) - set(judged) == {"probe", "change", "night", "margin", "proof fit"}
+    assert set(forecast) - set(judged) == {"probe", "change", "night", "proof", "proof fit"}
     for name, record in judged.items():
         assert record["passed"] is forecast[name].passes, name
         assert forecast[name].expected is not None
     assert judged["redundancy"]["value"] == pytest.approx(forecast["redundancy"].expected, rel=0.05)
     assert judged["extrapolation"]["value"] == pytest.approx(forecast["extrapolation"].expected, abs=0.02)
-    outcome = nights.first.outcome
-    judged["margin"] = {"value": 1.0 - (outcome.predicted_vce_um or 0.0) / (outcome.estimated_ve_um or 1.0)}
-    for name in ("fit", "gain", "certificate", "correction", "slope", "unmeasured", "margin"):
+    for name in ("fit", "gain", "certificate", "correction", "slope", "unmeasured"):
         assert 0.4 < judged[name]["value"] / (forecast[name].expected or 0.0) < 2.5, name
 
 

@@ -134,6 +134,12 @@ class DriftEstimate:
     z: Array
     covariance: Array
 
+    def deviations(self, basis: Array, course: Array) -> Array:
+        """Return the deviations (n, 3) in mm at n points that the drift adds while the thermal regressors change by
+        `course` (n, w) in K. `basis` (n, 3, p) contains the derivative of the deviation with respect to the p model
+        parameters at the points."""
+        return np.asarray(self.drift.columns(basis, course) @ self.z)
+
     def change(self, course: Array) -> dict[str, tuple[float, float]]:
         """Return the change, since the start of the measurement, of each drifting parameter and tip coordinate with its
         standard uncertainty, both in mm or rad. The change is computed for the values `course` (w,) of the thermal

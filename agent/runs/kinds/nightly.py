@@ -294,10 +294,8 @@ class NightlyRun(CalibrationRun):
         change = change_since(self._job, self._judge.reference, self._nights, estimation.estimate, prior)
         return (*gates, change_gate(change.found_um, change.expected_um, limits))
 
-    def _proof(
-        self, estimation: EstimationResult, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]
-    ) -> Proof:
-        proof = super()._proof(estimation, before, after)
+    def _proof(self, estimation: EstimationResult, measured: MeasuredPositions, after: Sequence[MeasuredBall]) -> Proof:
+        proof = super()._proof(estimation, measured, after)
         report = self.progress.night
         assert report is not None  # noqa: S101  judged before anything was fused
         decision = Decision.WRITTEN if proof.accepted else Decision.RESTORED

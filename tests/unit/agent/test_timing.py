@@ -164,7 +164,7 @@ def test_a_position_out_of_reach_takes_no_time() -> None:
 
 def test_the_plan_says_what_the_time_is_spent_on() -> None:
     done = CliRunner().invoke(main, ["plan", "--config", str(CASE_STUDY), "--stations", "2", "--json"])
-    assert done.exit_code == 7, done.output  # one station is too few for the gates
+    assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     parts = said["minutes_by_station"]
     assert list(parts) == ["2"]
@@ -177,7 +177,7 @@ def test_the_plan_says_what_the_time_is_spent_on() -> None:
 
 def test_the_plan_shows_a_row_for_each_station() -> None:
     done = CliRunner().invoke(main, ["plan", "--config", str(CASE_STUDY), "--stations", "2,3"])
-    assert done.exit_code == 7, done.output  # two stations are just too few for the gates
+    assert done.exit_code == 0, done.output
     table = done.stdout.split("machine minutes", 1)[1].split("forecast of the gates", 1)[0]
     rows = [line.strip("│ ").split("│") for line in table.splitlines() if line.startswith("│")]
     assert [row[0].strip() for row in rows] == ["2", "3", "all"]

@@ -70,6 +70,20 @@ def test_the_estimate_is_that_of_the_machine_as_it_stands_at_the_end() -> None:
         assert 0.0 < doubt < 0.006
 
 
+def test_the_drift_adds_the_deviations_of_the_changed_parameters_and_of_the_tip() -> None:
+    rng = np.random.default_rng(3)
+    seen = warmed(FAMILY.draw(rng, 1)[0], rng)
+    options = replace(PLAIN, drift=DriftPrior(), state_regressors=seen.thermal_regressors[-1])
+    found = identify(MODEL, seen, BAR, FAMILY, options)
+    assert found.drift is not None
+    basis = rng.normal(size=(2, 3, MODEL.size))
+    for course in rng.normal(size=(4, found.drift.drift.regressor_count)):
+        change = {name: value for name, (value, _) in found.drift.change(course).items()}
+        tip = np.array([change.pop(f"tip {axis}") for axis in "XYZ"])
+        expected = tip + sum(basis[:, :, MODEL.index(name)] * value for name, value in change.items())
+        assert found.drift.deviations(basis, np.tile(course, (2, 1))) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
 def test_what_is_kept_of_an_estimate_knows_nothing_of_the_drift() -> None:
     rng = np.random.default_rng(2)
     seen = warmed(FAMILY.draw(rng, 1)[0], rng)
