@@ -58,13 +58,15 @@ class ArtefactTruthSettings(StrictModel):
 class TriggerSettings(StrictModel):
     """Trip behaviour of the probe.
 
-    `lobing_um` is the amplitude in µm of a pretravel variation with three lobes around the stylus.
+    `lobing_um` is the amplitude in µm of a pretravel variation with three lobes around the stylus. `latch_delay_ms` is
+    the time in ms between the trip and the storing (latching) of the axis positions.
     """
 
     pretravel_um: NonNegativeFloat = 8.0
     lobing_um: NonNegativeFloat = 0.5
     touch_sigma_um: NonNegativeFloat = 1.0
     overtravel_mm: PositiveFloat = 6.0
+    latch_delay_ms: NonNegativeFloat = 0.0
 
 
 class AxisBehaviour(StrictModel):

@@ -136,6 +136,10 @@ OWN_COMMANDS = {
         "agent.cli.timing:timing_command",
         "Compare a run's step times with the prediction and suggest latencies for the settings.",
     ),
+    "try": OwnCommand(
+        "agent.cli.run_commands.trial:try_command",
+        "Measure one ball, check probe and latch on it, and write nothing: the first run on a machine.",
+    ),
     "verify": OwnCommand(
         "agent.cli.run_commands.nightly:verify_command",
         "Measure a few positions with the active table and compare with the last accepted night.",

@@ -68,7 +68,7 @@ def probing_of(
 def preparation_of(
     settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: ProbingParameters
 ) -> Preparation:
-    """Return the checks that precede a run: probe check, stylus qualification and reversal test.
+    """Return the checks that precede a run: probe check, delay of the latch, stylus qualification and reversal test.
 
     Raises ConfigurationError if the artefact does not have the ball that the settings name as datum ball, on which the
     checks are made.
@@ -87,6 +87,7 @@ def preparation_of(
         reversal=ReversalCheck(turning.touches, turning.limit_um * MM_PER_UM, turning.on_excess == "stop")
         if turning.enabled
         else None,
+        latch_touches=check.touches if check.latch_delay else 0,
     )
 
 

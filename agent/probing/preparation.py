@@ -1,5 +1,5 @@
-"""Preparation of a run by checks on one ball of the artefact. The ball is located, the probe is checked, the stylus is
-qualified, and the lost motion of the axes at reversal is measured."""
+"""Preparation of a run by checks on one ball of the artefact. The ball is located, the probe and the delay of its latch
+are checked, the stylus is qualified, and the lost motion of the axes at reversal is measured."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
 from agent.probing.ball import FittedBall, LostBall, measure_ball, point
 from agent.probing.hand_placement import HandPlacement, PlacementFault, PlacementRefusal, PlacementTask, place_artefact
+from agent.probing.latch_delay import LatchDelay, measure_latch_delay
 from agent.probing.paths.shortest_path import create_path_planner
 from agent.probing.position import PositionRules
 from agent.probing.probe_check import ProbeCheck, Repeatability, check_repeatability
@@ -27,7 +28,8 @@ from twin.collision.measuring_layout import MeasuringLayout
 @dataclass(frozen=True, eq=False)
 class Preparation:
     """Checks that are made before a run. A check is left out if its rules (`check`, `qualification` or `reversal`) are
-    None.
+    None. The delay of the latch is measured with `latch_touches` touches at each of two feeds, or not at all if this is
+    0.
 
     `layout` is a layout in which a ball counts as reachable only if it is accessible for the dense touch pattern of the
     stylus qualification and for the moves of the checks.
@@ -37,21 +39,35 @@ class Preparation:
     qualification: QualificationRules | None
     layout: MeasuringLayout
     reversal: ReversalCheck | None = None
+    latch_touches: int = 0
 
     @property
     def is_empty(self) -> bool:
-        return self.check is None and self.qualification is None and self.reversal is None
+        return (self.check, self.qualification, self.reversal) == (None, None, None) and self.latch_touches == 0
+
+
+@dataclass(frozen=True, eq=False)
+class DatumBall:
+    """Ball on which the checks before a run are made: its number `ball` in the position `position` of the artefact, the
+    axis positions `expected_mm` (3,) at which it was expected, and the ball as it was found."""
+
+    position: Position
+    ball: int
+    expected_mm: Array
+    found: FittedBall
 
 
 @dataclass(frozen=True, eq=False)
 class PreparationResult:
     """Result of the preparation of a run by checks of the probe, the stylus and the axes. `rules` are the measuring
     rules with the qualified stylus, and `standing_at` is the station at which the artefact stands afterwards. `placed`
-    is the position in which an artefact that is placed by hand stands afterwards."""
+    is the position in which an artefact that is placed by hand stands afterwards. `datum` is the ball of the checks."""
 
     rules: PositionRules
     standing_at: int | None
+    datum: DatumBall | None = None
     repeatability: Repeatability | None = None
+    latch: LatchDelay | None = None
     qualification: Qualification | None = None
     reversal: Reversal | None = None
     placed: Position | None = None
@@ -92,7 +108,8 @@ def prepare_probe(
     predicted = layout.nominal(position)[ball]
     yield from _go_to_ball(key, position, predicted, rules)
     found = yield from _locate_ball(f"{key}/ball-{ball:02d}", predicted, rules)
-    prepared = yield from _carry_out(f"{key}/ball-{ball:02d}", found.centre_mm, rules, preparation)
+    datum = DatumBall(position, ball, predicted, found)
+    prepared = yield from _carry_out(f"{key}/ball-{ball:02d}", datum, rules, preparation)
     planner = create_path_planner(rules.retreat, rules.probing, layout)
     yield from planner.take_over(key, position, ball, found.centre_mm)
     yield from planner.leave(key, found.centre_mm)
@@ -119,7 +136,8 @@ def _prepare_placed(
             planner = placed_planner(position, layout, rules)
             yield from planner.to_ball(own, located[ball])
             found = yield from _locate_ball(f"{own}/ball-{ball:02d}", located[ball], rules)
-            prepared = yield from _carry_out(f"{own}/ball-{ball:02d}", found.centre_mm, rules, preparation)
+            datum = DatumBall(position, ball, located[ball], found)
+            prepared = yield from _carry_out(f"{own}/ball-{ball:02d}", datum, rules, preparation)
             yield from planner.from_ball(own, found.centre_mm)
         except PlacementLost as error:
             yield Record(f"{own}/placement-lost", "event", {"reason": error.message})
@@ -141,17 +159,20 @@ def _park_all_mounts(rules: PositionRules) -> Plan[None]:
         yield from park_mounts(PREFIX, "mounts", rules.change, rules.retreat, here, rules.change.own_mounts)
 
 
-def _carry_out(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[PreparationResult]:
-    repeatability = qualification = reversal = None
-    probing = rules.probing
+def _carry_out(key: str, datum: DatumBall, rules: PositionRules, preparation: Preparation) -> Plan[PreparationResult]:
+    repeatability = latch = qualification = reversal = None
+    probing, centre = rules.probing, datum.found.centre_mm
     if preparation.check is not None:
         repeatability = yield from check_repeatability(f"{key}/check", centre, probing, preparation.check)
+    if preparation.latch_touches:
+        latch = yield from measure_latch_delay(f"{key}/latch", centre, probing, preparation.latch_touches)
     if preparation.qualification is not None:
         qualification = yield from qualify_stylus(f"{key}/qualify", centre, probing, preparation.qualification)
         probing = probing.qualified(qualification.stylus)
     if preparation.reversal is not None:
         reversal = yield from measure_reversal(f"{key}/reversal", centre, probing, preparation.reversal)
-    return PreparationResult(replace(rules, probing=probing), None, repeatability, qualification, reversal)
+    rules = replace(rules, probing=probing)
+    return PreparationResult(rules, None, datum, repeatability, latch, qualification, reversal)
 
 
 def _go_to_ball(key: str, position: Position, predicted: Array, rules: PositionRules) -> Plan[None]:

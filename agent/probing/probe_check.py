@@ -77,18 +77,23 @@ def check_repeatability(key: str, centre: Vector, probing: ProbingParameters, ch
 
 def _depths(key: str, first: int, centre: Vector, probing: ProbingParameters, check: ProbeCheck) -> Plan[list[float]]:
     """Touch the pole and return the latched positions along the stylus, in mm from the ball's centre."""
-    pole = probing.directions[0]
     depths = []
     for number in range(first, first + check.touches):
-        touched = yield from touch_ball(f"{key}/touch-{number}", centre, pole, probing, probing.narrow_search)
-        if touched.latched_mm is None:
-            raise MeasurementFault(
-                "a touch missed the ball, which had just been found",
-                hint="check the probe's signal and that the artefact is clamped",
-                step=f"{key}/touch-{number}",
-            )
-        depths.append(float((np.array(touched.latched_mm) - centre) @ probing.stylus_axis))
+        depths.append((yield from pole_depth_mm(f"{key}/touch-{number}", centre, probing)))
     return depths
+
+
+def pole_depth_mm(key: str, centre: Vector, probing: ProbingParameters) -> Plan[float]:
+    """Touch the pole of the ball at `centre` once, and return the latched position along the stylus, in mm from the
+    centre. Raises MeasurementFault if the touch meets nothing."""
+    touched = yield from touch_ball(key, centre, probing.directions[0], probing, probing.narrow_search)
+    if touched.latched_mm is None:
+        raise MeasurementFault(
+            "a touch missed the ball, which had just been found",
+            hint="check the probe's signal and that the artefact is clamped",
+            step=key,
+        )
+    return float((np.array(touched.latched_mm) - centre) @ probing.stylus_axis)
 
 
 def _judged(scatter: RepeatabilityEstimate, check: ProbeCheck) -> Repeatability:

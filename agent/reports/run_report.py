@@ -42,7 +42,7 @@ from drivers.errors import InputError
 from twin.artefact.position_set import Position
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
-TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Night"}
+TITLES = {"calibrate": "Calibration", "verify": "Verification", "nightly": "Night", "try": "Trial of one ball"}
 
 
 def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> ReportData:

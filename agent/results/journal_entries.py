@@ -62,7 +62,8 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
     """Write the results of the checks of probe and stylus to the journal, in the form that a report shows."""
     facts = probe_facts(prepared)
     if facts is not None:
-        warnings = () if prepared.reversal is None else prepared.reversal.warnings
+        checks = (prepared.latch, prepared.reversal)
+        warnings = [warning for check in checks if check is not None for warning in check.warnings]
         journal.decision(PROBE, {"facts": asdict(facts), "warnings": warnings})
 
 

@@ -21,6 +21,7 @@ def probe_facts(prepared: PreparationResult | None) -> ProbeFacts | None:
         return None
     checks = (
         ("Repeatability", prepared.repeatability),
+        ("Delay of the latch", prepared.latch),
         ("Stylus", prepared.qualification),
         ("Reversal of the axes", prepared.reversal),
     )

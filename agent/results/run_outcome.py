@@ -11,6 +11,7 @@ from agent.probing.reversal import AxisReversal
 from agent.results.artefact_calibration import calibration_record
 from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
+from agent.results.trial_report import TrialReport
 from twin.artefact.artefact_calibration import ArtefactCalibration
 
 
@@ -175,6 +176,7 @@ class Outcome:
     proof: Proof | None = None
     confirmed: Confirmation | None = None
     night: NightReport | None = None
+    trial: TrialReport | None = None
     reversal: tuple[AxisReversal, ...] = ()
     kind: str = "calibrate"
     reason: str = ""
@@ -226,6 +228,7 @@ class Outcome:
                 "chi2_normalised": self.confirmed.chi2_normalised,
             },
             "night": None if self.night is None else self.night.as_json(),
+            "trial": None if self.trial is None else self.trial.as_json(),
             "reversal": [dict(vars(axis)) for axis in self.reversal],
             "table_bank": self.table_bank,
             "report": None if self.report is None else str(self.report),

@@ -23,6 +23,7 @@ from agent.results.journal_entries import record_probe
 from agent.results.observations import Correction, no_correction
 from agent.results.run_outcome import Confirmation, NightReport, Proof
 from agent.results.table_image import table_of
+from agent.results.trial_report import TrialReport
 from agent.runs.run_context import RunContext
 from drivers.errors import LinkError, VolcalError
 from drivers.roles import Activation
@@ -45,6 +46,7 @@ class RunProgress:
     proof: Proof | None = None
     confirmed: Confirmation | None = None
     night: NightReport | None = None
+    trial: TrialReport | None = None
     active_bank: int | None = None
     job: Job | None = None
     error: VolcalError | None = None

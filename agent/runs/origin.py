@@ -16,13 +16,14 @@ from agent.results.journal_entries import input_files, sha256_of
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.kinds.nightly import Night
+from agent.runs.kinds.trial import OneBallTrial
 from agent.runs.kinds.verify import Verification
 from agent.runs.planned_run import Kind, StartConditions
 from agent.settings.load import POSITION_FILES, current_settings_document
 from agent.settings.schema import Settings
 from drivers.errors import InputError
 
-KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
+KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night, OneBallTrial)}
 
 
 @dataclass(frozen=True)

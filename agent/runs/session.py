@@ -286,6 +286,7 @@ class RunSession:
             proof=progress.proof,
             confirmed=progress.confirmed,
             night=progress.night,
+            trial=progress.trial,
             reversal=() if progress.prepared is None else progress.prepared.reversals,
             kind=self._kind.name,
             reason="" if progress.error is None else str(progress.error),

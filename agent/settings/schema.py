@@ -137,12 +137,14 @@ class ProbeCheckSettings(StrictModel):
     """Repeatability check of the probe before a run.
 
     A ball is touched `touches` times at its pole. Twice the standard deviation of these touches must not exceed
-    `limit_um`.
+    `limit_um`. If `latch_delay` is True, the ball is also touched `touches` times at each of two feeds, which shows the
+    delay between the trip of the probe and the latching of the axis positions.
     """
 
     enabled: bool = True
     touches: int = Field(default=5, ge=3, le=50)
     limit_um: PositiveFloat = 3.0
+    latch_delay: bool = False
 
 
 class QualificationSettings(StrictModel):

@@ -152,7 +152,7 @@ def cache_preflight() -> None:
             done[start_mm] = run_preflight(job, start_mm, procedure, watch)
         return done[start_mm]
 
-    agent.runs.kinds.calibrate.run_preflight = once  # type: ignore[attr-defined]
+    agent.runs.kinds.calibrate.run_preflight = once  # type: ignore[attr-defined,assignment]
 
 
 @dataclass

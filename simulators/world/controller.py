@@ -330,7 +330,9 @@ class Controller:
         elif self.latch is None or self.latch.sequence < self._touches:
             assert motion.events.trip_mm is not None  # noqa: S101  a trip implies it
             # From the path distance, not from the instant: the same touch latches the same position at any time.
-            position = motion.command.path.at(motion.events.trip_mm)
+            command = motion.command
+            lag_mm = self._trigger.latch_lag_mm(command.speed, command.acceleration)
+            position = command.path.at(motion.events.trip_mm + lag_mm)
             self.latch = Latch(self._touches, np.array(position))
 
     def _arrive(self, motion: _Motion) -> None:

@@ -28,6 +28,7 @@ class Trigger:
         self._lobing_mm = settings.lobing_um * 1e-3
         self._sigma_mm = settings.touch_sigma_um * 1e-3
         self._noise = NoiseSource(seed, "trigger")
+        self._latch_delay_s = settings.latch_delay_ms * 1e-3
         self.overtravel_mm = settings.overtravel_mm
 
     def travel_mm(self, direction: Point, touch: int) -> float:
@@ -42,3 +43,11 @@ class Trigger:
         if self._sigma_mm:
             travel += self._sigma_mm * self._noise.normal(touch)[0]
         return travel
+
+    def latch_lag_mm(self, speed_mm_per_s: float, deceleration_mm_per_s2: float) -> float:
+        """Return the distance in mm that the axes travel between the trip and the latching of their positions. They
+        brake from the trip on.
+        """
+        # v t - a t² / 2, at most up to the standstill at t = v / a
+        late_s = min(self._latch_delay_s, speed_mm_per_s / deceleration_mm_per_s2)
+        return speed_mm_per_s * late_s - 0.5 * deceleration_mm_per_s2 * late_s**2

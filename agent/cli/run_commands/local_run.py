@@ -14,6 +14,8 @@ from agent.cli.errors import fail
 from agent.cli.run_commands.progress import watching
 from agent.errors import GateRefused
 from agent.execution.supervisor import Supervisor
+from agent.planning.job import Job
+from agent.runs.planned_run import Kind
 from agent.runs.requested_run import job_of, kind_of
 from agent.runs.run_context import RunHooks
 from agent.runs.run_request import RunRequest
@@ -37,7 +39,12 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
     the reference for later runs. If `nights` is None, the number is computed from the calendar.
     """
     job = job_of(request, settings, base)
-    kind = kind_of(request, slot_minutes=request.slot_minutes, nights=nights)
+    return carry_out_here(job, kind_of(request, slot_minutes=request.slot_minutes, nights=nights), base)
+
+
+def carry_out_here(job: Job, kind: Kind, base: Path) -> RunResult:
+    """Carry out a run of a kind in this process and with a progress bar on stderr. Return the result of the run. Ctrl-C
+    and SIGTERM abort the run."""
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
         return carry_out(job, kind, base, RunHooks(announce=listener, attach=interrupts.append))
 

@@ -17,6 +17,7 @@ from agent.cli.run_commands.local_run import conclude, interruptible
 from agent.cli.run_commands.night_options import night_table
 from agent.cli.run_commands.progress import watching
 from agent.cli.run_commands.run_summary import show_summary
+from agent.cli.run_commands.trial import show_trial
 from agent.cli.service_commands.requests import resumed_by_service
 from agent.errors import MeasurementFault
 from agent.execution.device_assembly import assemble, closing_clock, make_clock
@@ -67,6 +68,8 @@ def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
     else:
         if outcome.night is not None:
             results_console().print(night_table(outcome, outcome.night))
+        if outcome.trial is not None:
+            show_trial(outcome, outcome.trial)
         if outcome.kind == "calibrate" or outcome.predicted_vce_um is not None:
             show_summary(outcome)
     if ended.error is not None:
@@ -75,7 +78,7 @@ def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
     if outcome.kind == "verify":
         if decision is Decision.OUT:
             raise fail(MeasurementFault(f"out of limits: {outcome.night.reason if outcome.night else ''}"))
-    elif decision is None or decision in (Decision.WRITTEN, Decision.RESTORED, Decision.FULL_DONE):
+    elif outcome.trial is None and decision in (None, Decision.WRITTEN, Decision.RESTORED, Decision.FULL_DONE):
         conclude(ended)
 
 

@@ -14,6 +14,7 @@ from touched_ball import TouchedBall, ended
 from agent.execution import steps as s
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
+from agent.probing.latch_delay import measure_latch_delay
 from agent.probing.preparation import PreparationResult, prepare_probe
 from agent.probing.probe_check import ProbeCheck, check_repeatability
 from agent.probing.qualification import qualify_stylus
@@ -150,3 +151,51 @@ def test_a_datum_ball_that_the_artefact_has_not_is_refused() -> None:
     chosen = settings.model_copy(update={"qualification": settings.qualification.model_copy(update={"ball": 11})})
     with pytest.raises(ConfigurationError, match="no ball 11"):
         prepare_job(chosen, CONFIG.parent)
+
+
+def delayed(delay_s: float, drift_mm: float = 0.0) -> TouchedBall:
+    """A latch that is late by a time, and a ball that moves away by a drift from touch to touch."""
+    numbers = count()
+    return TouchedBall(CENTRE, PROBING.contact_mm, lambda _, feed, __: 8e-3 + feed * delay_s + drift_mm * next(numbers))
+
+
+def test_the_delay_of_the_latch_is_the_slope_of_the_depth_over_the_feed_and_free_of_a_linear_drift() -> None:
+    """2 ms at 300 and at 75 mm/min: 10 and 2.5 µm deeper than the trip."""
+    player = delayed(2e-3, drift_mm=5e-4)
+    found = player.run(measure_latch_delay("l", CENTRE, PROBING, 4))
+    assert found.delay_ms == pytest.approx(2.0, abs=1e-6)
+    assert found.lag_um == pytest.approx(10.0, abs=1e-5)
+    assert found.feeds_mm_per_min == pytest.approx((75.0, 300.0))
+    assert (
+        sorted(step.feed_mm_per_s for step in player.steps if isinstance(step, s.TouchTowards))
+        == [1.25] * 4 + [5.0] * 4
+    )
+    # four touches at each feed: 1.2 µm of one touch √(2 / 4) over 3.75 mm/s
+    assert found.sigma_ms == pytest.approx(max(1.2, 1e3 * drift_scatter(5e-4)) * math.sqrt(0.5) / 3.75, rel=1e-6)
+    (warning,) = found.warnings
+    assert "latched 2.0 ms after the trip; at 300 mm/min the axes travel 10.0 µm" in warning
+    assert player.events[-1]["reason"] == warning
+    (decision,) = decisions(player)
+    assert decision["delay_ms"] == pytest.approx(2.0, abs=1e-6)
+    assert [len(depths) for depths in decision["depths_um"]] == [4, 4]  # type: ignore[attr-defined]
+
+
+def drift_scatter(drift_mm: float) -> float:
+    """Standard deviation of touches 0, 3, 4, 7 (or 1, 2, 5, 6) of a linear drift, pooled, in mm."""
+    slow, fast = np.array([0, 3, 4, 7]), np.array([1, 2, 5, 6])
+    return drift_mm * math.sqrt(0.5 * (np.var(slow, ddof=1) + np.var(fast, ddof=1)))
+
+
+@pytest.mark.parametrize(("delay_ms", "warned"), [(0.0, False), (0.9, False), (1.5, True), (-1.5, True)])
+def test_a_warning_is_given_only_for_a_lag_that_is_surely_beyond_its_limit(delay_ms: float, warned: bool) -> None:
+    """Five touches each: 2σ of the lag is 1.2 µm √(2/5) 2 · 5/3.75 = 2.0 µm: beyond the limit of 5 µm from 1.4 ms."""
+    found = delayed(1e-3 * delay_ms).run(measure_latch_delay("l", CENTRE, PROBING, 5))
+    assert bool(found.warnings) == warned
+    if delay_ms < 0.0:
+        assert "no delay of the latch" in found.warnings[0]
+
+
+def test_a_touch_at_the_lower_feed_that_meets_nothing_stops_the_check() -> None:
+    player = TouchedBall(CENTRE, PROBING.contact_mm, lambda _, feed, __: None if feed < 5.0 else 0.0)
+    _, end = ended(player, measure_latch_delay("l", CENTRE, PROBING, 5))
+    assert "missed the ball" in end
