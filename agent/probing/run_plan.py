@@ -25,11 +25,14 @@ from agent.probing.position import MeasuredPosition, PositionRules, PositionTask
 from agent.probing.station_change import change_station
 from agent.probing.temperature_readings import Conditions
 from agent.probing.touch import point
+from twin.artefact.artefact import Artefact
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position
 from twin.collision.locating_balls import top_mm
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import MIN_BALLS
+from twin.identification.checks.measured_shape import reversed_fit_mm
+from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,7 @@ def measure_positions(
         )
         before = [ball.conditions for ball in measured_positions[-1].balls] if measured_positions else []
         measured = yield from measure_position(task, here, rules, before, planner)
+        _refuse_reversed(key, measured, layout.artefact_at(position.station))
         mount_poses[position.station] = mount_pose.with_found_balls(nominal[measured.ball_numbers], measured.centres_mm)
         here = np.array((yield ReadPosition(f"{key}/here")))
         measured_positions.append(measured)
@@ -219,7 +223,9 @@ class _PlacedMeasurement:
             reachable=mask,
         )
         here = np.array((yield ReadPosition(f"{key}/here")))
-        return (yield from measure_position(measuring, here, rules, before, planner))
+        measured = yield from measure_position(measuring, here, rules, before, planner)
+        _refuse_reversed(key, measured, layout.artefact_at(position.station))
+        return measured
 
     def _leave(self, key: str) -> Plan[None]:
         """Move the probe to the retreat plane. The position is complete: if the artefact is gone, nothing is lost."""
@@ -228,6 +234,20 @@ class _PlacedMeasurement:
             yield MoveTo(f"{key}/leave", point(self.rules.retreat.at_retreat_plane(here)))
         except PlacementLost as error:
             yield Record(f"{key}/moved-afterwards", "event", {"reason": error.message})
+
+
+def _refuse_reversed(key: str, measured: MeasuredPosition, artefact: Artefact) -> None:
+    """Raise MeasurementFault if the balls of a position fit the artefact only from the other end: nothing that is
+    measured further would be of use."""
+    fits_mm = reversed_fit_mm(artefact, measured.ball_numbers, measured.centres_mm)
+    if fits_mm is not None:
+        as_numbered, from_other_end = (UM_PER_MM * fit for fit in fits_mm)
+        raise MeasurementFault(
+            f"the artefact is mounted end for end: its balls fit the certificate to {as_numbered:.1f} µm as numbered, "
+            f"and to {from_other_end:.1f} µm if they are numbered from the other end",
+            hint="turn the artefact round, or list its balls from the other end in the artefact file",
+            step=key,
+        )
 
 
 def placed_planner(position: Position, layout: MeasuringLayout, rules: PositionRules) -> RaisedPathPlanner:

@@ -25,6 +25,7 @@ from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.probing.run_plan import MeasuredPositions
+from agent.results.applied_correction import mistaken_correction
 from agent.results.estimation import EstimationResult
 from agent.results.observations import (
     Correction,
@@ -181,7 +182,11 @@ def prove(job: Job, estimation: EstimationResult, former: FormerBalls, after: Se
     change_um = f"{UM_PER_MM * before.rms_mm:.2f} to {UM_PER_MM * result.rms_mm:.2f} µm"
     if former.drift_mm.any():
         change_um += f" (before the table, {UM_PER_MM * undrifted.rms_mm:.2f} µm in the state to which it drifted)"
-    reason = _shortfall(predicted, undrifted.rms_mm**2 - result.rms_mm**2, change_um) or _disagreement(expected, limits)
+    reason = _shortfall(predicted, undrifted.rms_mm**2 - result.rms_mm**2, change_um)
+    if reason:
+        mistake = mistaken_correction(after, estimation.table.at, former.correction, offset, reference.artefact)
+        reason = f"{mistake}; {reason}" if mistake else reason
+    reason = reason or _disagreement(expected, limits)
     success = (
         "reduced and as predicted"
         if predicted.can_be_shown

@@ -236,15 +236,42 @@ class WrongSign:
         return None if held is None else dataclasses.replace(held, counts=-held.counts)
 
 
+class WithoutEffect:
+    """A controller that stores and activates a table, reads back what was written, and corrects nothing."""
+
+    def __init__(self, store) -> None:
+        self._store = store
+        self._held: dict[int, TableImage] = {}
+
+    def __getattr__(self, name: str):
+        return getattr(self._store, name)
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        self._held[bank] = table
+        self._store.stage(bank, dataclasses.replace(table, counts=0 * table.counts))
+
+    def read_table(self, bank: int) -> TableImage | None:
+        return self._held.get(bank, self._store.read_table(bank))
+
+
 @pytest.fixture
 def state() -> Iterator[Path]:
     with memory_directory() as directory:
         yield Path(directory) / "state"
 
 
-def test_table_applied_with_the_wrong_sign_is_noticed_and_withdrawn(monkeypatch, state: Path) -> None:
+@pytest.mark.parametrize(
+    ("store", "mistake"),
+    [
+        (WrongSign, "the correction acts the wrong way: check the sign"),
+        (WithoutEffect, "the table has no effect: the controller stores it"),
+    ],
+)
+def test_a_table_that_is_applied_by_mistake_is_withdrawn_and_the_mistake_named(
+    state: Path, store, mistake: str
+) -> None:
     def wrong(rig: Rig) -> Rig:
-        return dataclasses.replace(rig, store=WrongSign(rig.store))
+        return dataclasses.replace(rig, store=store(rig.store))
 
     night = Night(tamper=wrong)
     ended = night.run(short_document(state))
@@ -252,7 +279,8 @@ def test_table_applied_with_the_wrong_sign_is_noticed_and_withdrawn(monkeypatch,
     proof = ended.outcome.proof
     assert proof is not None
     assert not proof.accepted
-    assert proof.after_um > proof.before_um
+    assert proof.after_um > 0.9 * proof.before_um
+    assert proof.reason.startswith(mistake)
     assert night.active == 0
     assert ended.outcome.table_bank == 0
     run = stored_run(state)

@@ -8,6 +8,8 @@ said. The rigid fits compare medians over balls, so that a few wrong balls do no
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from twin.arrays import Array
@@ -55,6 +57,21 @@ def check_shape(observations: Observations, artefact: Artefact) -> None:
         _check_directions(artefact, layout, seen, local, points)
     reversed_local = artefact.balls[artefact.count - 1 - seen.ball] * (1.0 + strain[:, None])
     _check_numbering(layout, seen.position, found, _residuals(layout, reversed_local, points))
+
+
+def reversed_fit_mm(artefact: Artefact, ball: Sequence[int], points: Array) -> tuple[float, float] | None:
+    """Return the median residuals in mm of one position of the artefact, as numbered and with the balls numbered from
+    the other end, if the latter fit clearly better; None otherwise.
+
+    `ball` contains the numbers of the n measured balls, and `points` (n, 3) their centres in mm.
+    """
+    layout, numbers = RowLayout.of(np.zeros(len(ball), dtype=np.int64)), np.array(ball)
+    if artefact.members or len(ball) < _MIN_BALLS_ALONE:
+        return None
+    found, other = (
+        _median(_residuals(layout, artefact.balls[rows], points)) for rows in (numbers, artefact.count - 1 - numbers)
+    )
+    return (found, other) if found > _BETTER_ALONE * other else None
 
 
 def _check_unit(layout: RowLayout, local: Array, points: Array) -> None:
