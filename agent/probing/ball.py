@@ -17,7 +17,13 @@ from drivers.roles import Vector
 from twin.artefact.sphere_fit import SphereFit, fit_sphere
 from twin.errors import TwinError
 
-__all__ = ["FittedBall", "LostBall", "measure_ball", "point"]
+__all__ = ["NOT_FOUND_HINT", "FittedBall", "LostBall", "measure_ball", "point"]
+
+NOT_FOUND_HINT = (
+    "deflect the stylus by hand: `volcal doctor` must show it. Then check the station's location in the settings, the "
+    "mount's zero and the artefact's seat"
+)
+"""What to do if a ball whose place is not known yet was not found."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import Plan, Record
-from agent.probing.ball import FittedBall, LostBall, measure_ball
+from agent.probing.ball import NOT_FOUND_HINT, FittedBall, LostBall, measure_ball
 from agent.probing.hand_placement import HandPlacement
 from agent.probing.paths.path_planner import PathPlanner, PlainPathPlanner
 from agent.probing.paths.retreat import Retreat
@@ -195,7 +195,7 @@ class _Measuring:
         if isinstance(result, LostBall):
             raise MeasurementFault(
                 f"end ball {ball} was not found where it was expected: {result.reason}",
-                hint="check the station's location in the settings, the mount's zero and the artefact's seat",
+                hint=NOT_FOUND_HINT,
                 step=f"{self._task.key}/ball-{ball:02d}",
             )
         return result

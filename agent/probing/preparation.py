@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
-from agent.probing.ball import FittedBall, LostBall, measure_ball, point
+from agent.probing.ball import NOT_FOUND_HINT, FittedBall, LostBall, measure_ball, point
 from agent.probing.hand_placement import HandPlacement, PlacementFault, PlacementRefusal, PlacementTask, place_artefact
 from agent.probing.latch_delay import LatchDelay, measure_latch_delay
 from agent.probing.paths.shortest_path import create_path_planner
@@ -55,6 +55,14 @@ class DatumBall:
     ball: int
     expected_mm: Array
     found: FittedBall
+
+    @property
+    def text(self) -> str:
+        x, y, z = self.found.centre_mm - self.expected_mm
+        return (
+            f"ball {self.ball} at station {self.position.station}, azimuth {self.position.azimuth_deg:g}°, elevation "
+            f"{self.position.elevation_deg:g}°; found X {x:+.3f}, Y {y:+.3f}, Z {z:+.3f} mm beside its expected place"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +200,7 @@ def _locate_ball(key: str, predicted: Array, rules: PositionRules) -> Plan[Fitte
     if isinstance(result, LostBall):
         raise MeasurementFault(
             f"the ball for the probe check was not found where it was expected: {result.reason}",
-            hint="check the station's location in the settings, the mount's zero and the artefact's seat",
+            hint=NOT_FOUND_HINT,
             step=key,
         )
     yield Record(f"{key}/found", "event", {"centre_mm": result.centre_mm, "form_um": result.form_mm * 1e3})

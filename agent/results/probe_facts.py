@@ -19,16 +19,22 @@ def probe_facts(prepared: PreparationResult | None) -> ProbeFacts | None:
     """Return the results of the checks before the run; None if no check was made."""
     if prepared is None:
         return None
+    made = check_rows(prepared)
+    datum = () if prepared.datum is None else (("Datum ball", prepared.datum.text),)
+    if prepared.qualification is None:
+        return ProbeFacts((*datum, *made)) if made else None
+    return ProbeFacts((*datum, *made), _rings(prepared.qualification, prepared.rules.probing.stylus_axis))
+
+
+def check_rows(prepared: PreparationResult) -> tuple[tuple[str, str], ...]:
+    """Return the name and the result of each check that was made, as texts."""
     checks = (
         ("Repeatability", prepared.repeatability),
         ("Delay of the latch", prepared.latch),
         ("Stylus", prepared.qualification),
         ("Reversal of the axes", prepared.reversal),
     )
-    rows = tuple((name, check.text) for name, check in checks if check is not None)
-    if prepared.qualification is None:
-        return ProbeFacts(rows) if rows else None
-    return ProbeFacts(rows, _rings(prepared.qualification, prepared.rules.probing.stylus_axis))
+    return tuple((name, check.text) for name, check in checks if check is not None)
 
 
 def _rings(found: Qualification, stylus_axis: Array) -> tuple[ProbeRing, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.probing.preparation import DatumBall, PreparationResult
-from agent.results.probe_facts import probe_facts
+from agent.results.probe_facts import check_rows
 from twin.arrays import Array
 from twin.units import UM_PER_MM
 
@@ -60,7 +60,7 @@ class TrialReport:
 
 def trial_report(prepared: PreparationResult, datum: DatumBall) -> TrialReport:
     """Return the result of a trial from the checks that were made on the ball `datum`."""
-    facts, latch, position = probe_facts(prepared), prepared.latch, datum.position
+    latch, position = prepared.latch, datum.position
     warnings = [w for check in (latch, prepared.reversal) if check is not None for w in check.warnings]
     report = TrialReport(
         station=position.station,
@@ -72,7 +72,7 @@ def trial_report(prepared: PreparationResult, datum: DatumBall) -> TrialReport:
         expected_radius_mm=prepared.rules.probing.contact_mm,
         radius_mm=datum.found.radius_mm,
         form_um=datum.found.form_mm * UM_PER_MM,
-        checks=() if facts is None else facts.rows,
+        checks=check_rows(prepared),
         latch_delay_ms=None if latch is None else latch.delay_ms,
         warnings=tuple(warnings),
     )

@@ -133,7 +133,7 @@ class TestRebuilt:
         assert season.aborted.outcome.state is RunState.ABORTED
         text = page(season, season.aborted)
         assert "somebody pressed abort" in text
-        assert "did not reach an estimate" in text
+        assert "This run has no estimate" in text
 
     def test_an_unknown_run_is_refused(self, season: Season) -> None:
         with pytest.raises(InputError, match="the last ones are"):

@@ -69,7 +69,9 @@ def test_the_real_command_measures_one_ball_and_finds_a_late_latch(tmp_path: Pat
         [found - expected for found, expected in zip(trial["found_mm"], trial["expected_mm"], strict=True)]
     )
     assert max(map(abs, trial["offset_mm"])) < 2.0
-    assert "Trial of one ball" in Path(outcome["report"]).read_text()
+    page = Path(outcome["report"]).read_text()
+    assert "Trial of one ball" in page
+    assert "mm beside its expected place" in page
     for words in (
         "station 1, azimuth",
         "found beside it",

@@ -109,7 +109,7 @@ ENGLISH: Texts = {
     "parameters_note": "Legendre coefficients on the axis ranges normalised to [-1, 1]; σ is the standard uncertainty.",
     "inputs_note": "SHA-256 of the files at the start of the run.",
     "no_estimate": (
-        "The run did not reach an estimate. The measurements up to then are stored in the journal. The table that "
+        "This run has no estimate. Its measurements are stored in the journal. The table that "
         "was active before the run is still active, unless an event below states otherwise."
     ),
     "prediction_only": "No measurement was made with the table active: values after compensation are predictions.",
