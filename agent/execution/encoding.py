@@ -26,8 +26,9 @@ class LostPlacement:
 
 
 def encode_step(step: Step) -> str:
-    """Return the fields of the step, except its key, as JSON text."""
-    return to_json({f.name: getattr(step, f.name) for f in fields(step) if f.name != "key"})
+    """Return the fields of the step, except its key and the functions that it contains, as JSON text."""
+    values = {f.name: getattr(step, f.name) for f in fields(step) if f.name != "key"}
+    return to_json({name: value for name, value in values.items() if not callable(value)})
 
 
 def encode_result(result: object) -> str | None:

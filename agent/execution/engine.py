@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar
 
-from agent.errors import PlacementLost
-from agent.execution.steps import STEPS_WITH_EFFECT, Plan, Step
-from drivers.errors import VolcalError
+from agent.errors import GateRefused, PlacementLost
+from agent.execution.steps import STEPS_WITH_EFFECT, Decide, Fork, Plan, RunPlan, Step
+from drivers.errors import NotActiveYet, VolcalError
 
 T = TypeVar("T")
 
@@ -84,7 +84,7 @@ class Engine:
 
         If a step raises a `VolcalError`, the key of the step is added to the error. If the plan itself raises a
         `VolcalError`, the key of the last step whose result the plan received is added to the error. A step that raises
-        `PlacementLost` raises this error inside the plan, which may go on with other steps.
+        `PlacementLost` or `NotActiveYet` raises this error inside the plan, which may go on with other steps.
         """
         do = self._do if self._journal is None else self._do_durably
         observer = self._observer
@@ -95,8 +95,8 @@ class Engine:
             while True:
                 try:
                     result = do(step)
-                except PlacementLost as lost:
-                    step = plan.throw(lost)
+                except (PlacementLost, NotActiveYet) as expected:
+                    step = plan.throw(expected)
                     continue
                 if observer is not None:
                     observer(step, result)
@@ -110,6 +110,19 @@ class Engine:
             raise
         finally:
             plan.close()
+
+    def carry_out(self, plan: RunPlan) -> None:
+        """Run `plan` and, at each decision, the way that is chosen, to the end of the run. Errors are those of `run`;
+        ValueError is raised if a decision chooses a way that it has not declared, which is a defect of the plan."""
+        fork = self.run(plan)
+        while fork is not None:
+            fork = self.run(self._chosen(fork))
+
+    def _chosen(self, fork: Fork) -> RunPlan:
+        way = self.run(_decided(fork))
+        if way not in fork.ways:
+            raise ValueError(f"{fork.key} has chosen {way!r}, which is none of {list(fork.ways)}")
+        return fork.ways[way]()
 
     def _do(self, step: Step) -> Any:
         try:
@@ -125,8 +138,15 @@ class Engine:
             journal.begin(step)
         try:
             result = self._do(step)
+        except GateRefused:
+            raise  # a decision of the run, not a fault of the step
         except BaseException as error:
             journal.fail(step, error)
             raise
         journal.finish(step, result, begun=begun)
         return result
+
+
+def _decided(fork: Fork) -> Plan[str]:
+    way: str = yield Decide(fork.key, tuple(fork.ways), fork.choose)
+    return way

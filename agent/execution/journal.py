@@ -24,7 +24,7 @@ from agent.execution.journal_reader import JournalReader
 from agent.execution.journal_schema import FILE_NAME, prepare
 from agent.execution.replay_log import ReplayLog, comparable_estimate, read_replay_log
 from agent.execution.states import RunState
-from agent.execution.steps import ReadTemperatures, Record, Step
+from agent.execution.steps import Conclude, Enter, ReadTemperatures, Record, Step
 from drivers.clock import Clock, utc_timestamp
 from drivers.errors import ConfigurationError
 from drivers.roles import TableImage
@@ -179,6 +179,8 @@ class RunJournal:
         )
 
     def finish(self, step: Step, result: object, *, begun: bool) -> None:
+        if isinstance(step, (Enter, Conclude)):
+            return  # the state and the entries of the conclusion are written by the step itself
         if begun:
             self._execute(
                 "UPDATE steps SET finished = ?, result = ? WHERE run = ? AND ordinal = ?",

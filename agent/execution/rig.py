@@ -179,7 +179,7 @@ class Rig:
             s.Record: lambda _: None,
             s.ReadActiveBank: lambda _: self.store.active_bank(),
             s.AwaitActive: self._await_active,
-            s.ReadTable: lambda step: self.store.read_table(step.bank),
+            s.ReadTable: lambda step: self.store.read_table(step.bank) if step.bank else None,
             s.StageTable: lambda step: self.store.stage(step.bank, step.table),
             s.ActivateBank: lambda step: self.store.activate(step.bank),
         }

@@ -1,6 +1,14 @@
 """Steps that a plan can yield. A step is an immutable value that asks for one action and has a key; the engine carries
 it out.
 
+A kind of run is one plan. It yields not only motions and readings but everything that happens in a run: the states that
+it enters (`Enter`), the values that it computes (`Conclude`) and the plans that it proves before it carries them out
+(`ProvePlan`). A decision ends a plan: the plan returns a `Fork`, which names every way on. The preflight walks each of
+them; on the machine, the engine chooses one and carries it out.
+
+All that depends on measured values stands in functions (`compute`, `choose`, `reason`) that only the run on the machine
+calls. The preflight continues with stand-ins, and the plan must not look into them.
+
 The key names the place of the step in the procedure (``station-1/az090-el045/ball-03/touch-2``) and is unique in a run.
 A plan that is rebuilt from the same settings and the same results has the same keys. A resumed run can therefore find
 its recorded steps by their keys.
@@ -11,10 +19,11 @@ journal unchanged.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
+from agent.execution.states import RunState
 from drivers.roles import OperatorRequest, TableImage
 
 Point: TypeAlias = tuple[float, float, float]
@@ -180,7 +189,7 @@ class AwaitActive:
 @dataclass(frozen=True, slots=True)
 class ReadTable:
     """Step: reading of the compensation table in `bank`, a table memory of the controller. The result is a `TableImage`
-    (the grid and its corrections), or None if the bank is empty.
+    (the grid and its corrections), or None if the bank is empty or is bank 0, which means no compensation.
     """
 
     key: str
@@ -198,6 +207,57 @@ class StageTable:
 class ActivateBank:
     key: str
     bank: int
+
+
+def record_nothing(_: Any, __: Any) -> None:
+    """Write no entry to the journal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Enter:
+    """Step: change of the state of the run to `state`. `reason` returns the explanation shown with the state."""
+
+    key: str
+    state: RunState
+    reason: Callable[[], str] = str
+
+
+@dataclass(frozen=True, slots=True)
+class Conclude:
+    """Step: computation of a value from what was measured. The result is the value that `compute` returns.
+
+    `record` receives the journal of the run (`RunJournal`) and the result, and writes the entries of the conclusion. A
+    resumed run computes the value again from the journaled measurements, and its entries are compared with those
+    already written. In a preflight, the result is `stand_in`, and nothing is computed or recorded.
+    """
+
+    key: str
+    compute: Callable[[], Any]
+    stand_in: Any = None
+    record: Callable[[Any, Any], None] = record_nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Decide:
+    """Step: choice of one of `outcomes`, the names of the ways of a `Fork`. The result is the name that `choose`
+    returns. A resumed run takes it from the journal."""
+
+    key: str
+    outcomes: tuple[str, ...]
+    choose: Callable[[], str]
+
+
+@dataclass(frozen=True, slots=True)
+class ProvePlan:
+    """Step: preflight of a plan that was chosen during the run, from where the machine stands.
+
+    `prove` receives the axis positions in mm and a function that it calls repeatedly, which may raise an error to
+    interrupt it. It returns the machine time of the plan in min, which is the result of the step, and raises
+    PlanRefused if the plan cannot be carried out. In a preflight, the result is 0.0.
+    """
+
+    key: str
+    prove: Callable[[Point, Callable[[], None]], float]
 
 
 Step: TypeAlias = (
@@ -220,12 +280,41 @@ Step: TypeAlias = (
     | ReadTable
     | StageTable
     | ActivateBank
+    | Enter
+    | Conclude
+    | Decide
+    | ProvePlan
 )
 
 T = TypeVar("T")
 
 Plan: TypeAlias = Generator[Step, Any, T]
 """Generator that yields steps, is sent their results, and returns its conclusion."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fork:
+    """Decision that ends a plan. `ways` maps the name of each outcome to a function that returns the plan that goes on
+    from there, to the end of the run.
+
+    A decision can only be the last thing that a plan does, because a generator cannot be copied: the preflight walks
+    each way as a plan of its own, from a copy of the simulated machine. `choose` returns the name of the outcome;
+    `expected` is the outcome from which the machine time of the run is predicted. `key` is the key of the step
+    `Decide`.
+    """
+
+    key: str
+    choose: Callable[[], str]
+    ways: Mapping[str, Callable[[], RunPlan]]
+    expected: str
+
+
+RunPlan: TypeAlias = Generator[Step, Any, Fork | None]
+"""Plan of a run or of a part of it that reaches the end of the run, by way of decisions if it returns a `Fork`."""
+
+UNKEYED = (Record, Enter, Conclude)
+"""Types of steps that the journal does not list by their keys: it holds their content as events, decisions, states and
+results instead."""
 
 STEPS_WITH_EFFECT = (
     MoveTo,

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from agent.execution.engine import Engine
-from agent.execution.steps import AskOperator, MoveTo, OrientTo, Plan, Step, TouchTowards
+from agent.execution.steps import AskOperator, MoveTo, OrientTo, Plan, RunPlan, Step, TouchTowards
 from agent.planning.ideal_machine import IdealMachine
 from agent.planning.job import Job
 from agent.planning.time_model import time_model
@@ -140,6 +140,13 @@ def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
             station[_MOTION[type(timed.step)]] += timed.motion_s / S_PER_MIN
             station[WAITING] += timed.overhead_s / S_PER_MIN
     return {station: dict(minutes[station]) for station in sorted(minutes)}
+
+
+def expected_plan(plan: RunPlan) -> Plan[None]:
+    """Return a plan that yields the steps of `plan` and, at each decision, those of the way that is expected."""
+    fork = yield from plan
+    while fork is not None:
+        fork = yield from fork.ways[fork.expected]()
 
 
 def walk_plan(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from agent.execution import steps as s
 from agent.execution.engine import Action
+from agent.planning.stand_ins import MemoryStore, stand_in_answers
 from agent.planning.time_model import TimeModel
 from drivers.roles import Miss, Orientation, PlacementRequest, Touch
 from twin.artefact.position_set import Position
@@ -55,6 +56,9 @@ class IdealMachine:
             s.CheckProbe: lambda _: None,
             s.AskOperator: self._ask,
             s.Record: lambda _: None,
+            s.ResetFault: lambda _: None,
+            **MemoryStore().actions(),
+            **stand_in_answers(),
         }
 
     def _move(self, step: s.MoveTo) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from agent.execution.steps import Plan
+from agent.execution.steps import Plan, RunPlan
 from agent.planning.measuring_order import OrderOptimiser
 from agent.planning.time_model import time_model
 from agent.probing.position import MeasuredBall, PositionRules
@@ -164,3 +165,7 @@ class Job:
             for ball in (position.all_balls if again else position.balls)
             if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
         ]
+
+
+Planner = Callable[[Job], RunPlan]
+"""Function that takes a job and returns the plan of a run."""

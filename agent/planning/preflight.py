@@ -1,53 +1,82 @@
 """Preflight, which executes the complete plan of a run on a simulated machine before the real machine moves.
 
-The simulation runs in virtual time. The simulated machine moves like the real machine, and the time model of the run
+The plan is the one that the run will carry out, walked in every branch (`agent.planning.branch_walk`). The simulation
+runs in virtual time. The simulated machine moves like the real machine, and the time model of the run
 (`agent.planning.time_model`) adds the latencies of the commands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 from agent.errors import Aborted, Interrupted, MeasurementFault, PlanRefused
-from agent.execution.engine import Engine
-from agent.execution.steps import Plan, Point, Step
+from agent.execution.steps import Point
+from agent.planning.branch_walk import Branch, BranchWalk
 from agent.planning.cycle_time import TimedStep
-from agent.planning.job import Job
+from agent.planning.job import Job, Planner
 from agent.planning.preflight_rig import assemble_preflight_rig
-from agent.planning.safety_rules import checked_plan
-from agent.planning.time_model import TimeModel, time_model
-from agent.probing.repeated_positions import measure_with_repeats
-from agent.probing.run_plan import MeasuredPositions, measure_positions, position_key
+from agent.planning.safety_rules import safety_rules
+from agent.planning.time_model import time_model
+from agent.probing.run_plan import MEASURED, VERIFIED, MeasuredPositions, position_key
 from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError
+from twin.units import S_PER_MIN
 
-Procedure = Callable[[Job], Plan[tuple[MeasuredPositions, MeasuredPositions]]]
-"""Function that takes a job and returns the plan of a whole run. The plan returns the measurements for the estimate,
-and the measurements that verify the new table."""
+NOTHING_MEASURED = MeasuredPositions((), (), 0, None, {})
 
 
 @dataclass(frozen=True)
 class PreflightResult:
     """Result of a preflight, the simulated execution of a whole plan.
 
-    `measured` contains the simulated measurements for the estimate, and `verified` those that verify the new table.
-    `timeline` maps the key of each step to the machine time in s at the end of the step. `steps` contains the steps
-    that take time, in order. `machine_seconds` is the simulated time of the whole plan, `wall_seconds` is the time that
-    the computation took, and `commands` is the number of steps.
+    `branches` contains the walked branches, the expected one first, and then those in which the run is stopped and the
+    probe withdrawn. If only the expected branch was asked for, it is the only one. `wall_seconds` is the time that the
+    computation took. All other figures are those of the expected branch: the simulated measurements for the estimate
+    and those that verify the new table, the machine time in s at the end of each step, the steps that take time, the
+    machine time and the number of steps.
     """
 
-    measured: MeasuredPositions
-    verified: MeasuredPositions
-    timeline: Mapping[str, float]
-    steps: Sequence[TimedStep]
-    machine_seconds: float
+    branches: tuple[Branch, ...]
     wall_seconds: float
-    commands: int
+
+    @property
+    def expected(self) -> Branch:
+        return self.branches[0]
+
+    @property
+    def measured(self) -> MeasuredPositions:
+        return self.expected.concluded.get(MEASURED, NOTHING_MEASURED)
+
+    @property
+    def verified(self) -> MeasuredPositions:
+        return self.expected.concluded.get(VERIFIED, self.measured)
+
+    @property
+    def timeline(self) -> Mapping[str, float]:
+        return self.expected.timeline
+
+    @property
+    def steps(self) -> Sequence[TimedStep]:
+        return self.expected.steps
+
+    @property
+    def machine_seconds(self) -> float:
+        return self.expected.machine_seconds
 
     @property
     def machine_minutes(self) -> float:
-        return self.machine_seconds / 60.0
+        return self.machine_seconds / S_PER_MIN
+
+    @property
+    def commands(self) -> int:
+        return len(self.timeline)
+
+    @property
+    def ends(self) -> tuple[Branch, ...]:
+        """Branches in which the run reaches an end of its own, without those in which it is stopped."""
+        return tuple(branch for branch in self.branches if not branch.is_withdrawal)
 
 
 def never_interrupted() -> None:
@@ -56,44 +85,50 @@ def never_interrupted() -> None:
 
 def run_preflight(
     job: Job,
+    plan_of: Planner,
     start_mm: Point | None = None,
-    procedure: Procedure | None = None,
     watch: Callable[[], None] = never_interrupted,
     *,
-    with_proof: bool = True,
+    every_branch: bool = True,
 ) -> PreflightResult:
     """Execute the plan of a whole run on a simulated machine without errors.
 
-    `start_mm` contains the axis positions of the real machine in mm. If `start_mm` is None, the simulated machine
-    starts at its own initial positions. `procedure` is a function that returns the plan; by default, this is the plan
-    of a calibration. `watch` is called after every step and may raise an error to interrupt the preflight. `with_proof`
-    is False if the plan measures no held-out positions.
+    `plan_of` returns the plan of the run of `job`. `start_mm` contains the axis positions of the real machine in mm. If
+    it is None, the simulated machine starts at its own initial positions. `watch` is called after every step and may
+    raise an error to interrupt the preflight. If `every_branch` is False, only the expected branch is executed, which
+    suffices to compare the machine times of several plans.
 
     Raises PlanRefused if a step breaks a safety rule or fails; the error names the step and, for a collision, the two
-    bodies that collide. Raises ConfigurationError if no held-out position can be measured although `with_proof`
-    is True. Errors raised by `watch` are passed on.
+    bodies that collide. Raises ConfigurationError if the plan measures positions or verifies a table, but no position
+    can be measured. Errors raised by `watch` are passed on.
     """
-    plan = (procedure or whole_procedure)(job)
-    began = wall_seconds()
-    clock = VirtualClock()
+    began, clock = wall_seconds(), VirtualClock()
     rig = assemble_preflight_rig(job, clock, start_mm)
-    times = _Times(clock, time_model(job.machine, job.settings.timing), watch)
+    rules = safety_rules(job.settings.procedure, job.settings.stations, carried=not job.rules.change.own_mounts)
+    model = time_model(job.machine, job.settings.timing)
     rig.open()
     try:
-        engine, carried = Engine(rig.actions(), observer=times.note), not job.rules.change.own_mounts
-        checked = checked_plan(plan, job.settings.procedure, job.settings.stations, carried=carried)
-        measured, verified = engine.run(checked)
+        with _refused_as_plan(job):
+            withdrawn_by = job.rules if every_branch else None
+            walk = BranchWalk(rig, clock, rules, model, watch, withdrawn_by, _last_s=clock.now())
+            plan = plan_of(job)
+            ends = list(walk.branches(plan)) if every_branch else [walk.expected(plan)]
+    finally:
+        rig.close()
+    for branch in ends:
+        _require_measured(branch)
+    return PreflightResult((*ends, *walk.withdrawals), wall_seconds() - began)
+
+
+@contextmanager
+def _refused_as_plan(job: Job) -> Iterator[None]:
+    try:
+        yield
     except (Aborted, Interrupted) as end:  # belongs to no step of the machine
         raise type(end)(end.message, hint=end.hint) from end
     except (DeviceError, MeasurementFault) as error:
         hint = _what_to_do(job, error.where.get("step", ""))
         raise PlanRefused(f"preflight: {error.message}", hint=hint, **error.where) from error
-    finally:
-        rig.close()
-    if with_proof:
-        _require_proof(verified)
-    wall_s = wall_seconds() - began
-    return PreflightResult(measured, verified, times.timeline, times.steps, clock.now(), wall_s, len(times.timeline))
 
 
 def _what_to_do(job: Job, step: str) -> str:
@@ -106,47 +141,13 @@ def _what_to_do(job: Job, step: str) -> str:
     return "nothing was moved; the plan must change"
 
 
-class _Times:
-    """Recorder of the times of the steps. Motion of the simulated machine advances the clock; latencies are added
-    here."""
-
-    def __init__(self, clock: VirtualClock, model: TimeModel, watch: Callable[[], None]) -> None:
-        self._clock = clock
-        self._model = model
-        self._watch = watch
-        self._last_s = clock.now()
-        self.timeline: dict[str, float] = {}
-        self.steps: list[TimedStep] = []
-
-    def note(self, step: Step, _: object) -> None:
-        self._watch()
-        motion_s, overhead_s = self._clock.now() - self._last_s, self._model.overhead_s(step)
-        self._clock.sleep(overhead_s)
-        self._last_s = self.timeline[step.key] = self._clock.now()
-        if motion_s or overhead_s:
-            self.steps.append(TimedStep(step, motion_s, overhead_s))
-
-
-def _require_proof(verified: MeasuredPositions) -> None:
-    """Raise ConfigurationError if no held-out position was measured, because the new table could not be verified."""
-    if not verified.positions:
+def _require_measured(branch: Branch) -> None:
+    """Raise ConfigurationError if a branch measures or verifies, but no position was measured: a new table could not be
+    verified, or a machine could not be compared."""
+    noted = [branch.concluded[role] for role in (VERIFIED, MEASURED) if role in branch.concluded]
+    if noted and not noted[0].positions:
         raise ConfigurationError(
             "no held-out position has three balls within reach, so a new table could not be proved",
             key="verification.positions_deg",
             hint="choose orientations that the machine reaches at the stations of `verification`",
         )
-
-
-def whole_procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-    """Return the plan of the calibration `job`, which has three parts.
-
-    The plan first prepares the probe (probe check, stylus qualification and reversal test). It then measures the
-    position set and the held-out positions. Finally, it measures the held-out positions again, as a run does to verify
-    the new compensation table.
-    """
-    prepared = yield from job.preparation_plan()
-    order = replace(job.measuring_order, standing_at=prepared.standing_at, placed=prepared.placed)
-    measured = yield from measure_with_repeats(order, job.layout, prepared.rules, job.repeat_rules)
-    order = job.verification_order(measured.standing_at, measured.placed)
-    verified = yield from measure_positions(order, job.layout, prepared.rules, measured.mount_poses)
-    return measured, verified

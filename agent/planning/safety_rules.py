@@ -9,38 +9,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from agent.errors import PlanRefused
+from agent.errors import PlacementLost, PlanRefused
 from agent.execution import steps as s
+from agent.execution.states import RunState
 from agent.settings.schema import ProcedureSettings, StationSettings
+from drivers.errors import NotActiveYet, VolcalError
 from drivers.roles import OperatorTask
 
 T = TypeVar("T")
 
 SECONDS_A_MINUTE = 60.0
+WRITING_STATES = frozenset({RunState.STAGING, RunState.ACTIVATING, RunState.RESTORING})
+"""States of a run in which it writes or activates compensation tables."""
 
 
-def checked_plan(
-    plan: s.Plan[T], procedure: ProcedureSettings, stations: StationSettings, *, carried: bool
-) -> s.Plan[T]:
-    """Return a plan that yields the steps of `plan` and checks each step before it is executed.
+def checked_plan(plan: s.Plan[T], rules: SafetyRules) -> s.Plan[T]:
+    """Return a plan that yields the steps of `plan` and checks each step against `rules` before it is executed.
 
     The result of the returned plan is the result of `plan`. If a step breaks a safety rule, the returned plan raises
-    PlanRefused with the key of the step. `carried` is True if one mount and its artefact are carried from station to
-    station.
+    PlanRefused with the key of the step. A step that raises an error which `plan` expects raises it inside `plan`.
     """
-    fastest = max(procedure.touch_feed_mm_per_min, procedure.first_touch_feed_mm_per_min) / SECONDS_A_MINUTE
-    if stations.placed_by_hand:
-        # The search for an artefact is a touch at the feed of guarded moves, at which the tip stops in its overtravel.
-        fastest = max(fastest, procedure.guarded_feed_mm_per_min / SECONDS_A_MINUTE)
-    rules = _Rules(fastest, len(stations.places_mm), carried, stations.standing_at)
     result: Any = None
+    lost: VolcalError | None = None
     try:
         while True:
             try:
-                step = plan.send(result)
+                step = plan.send(result) if lost is None else plan.throw(lost)
             except StopIteration as stop:
                 conclusion: T = stop.value
                 return conclusion
@@ -48,13 +45,27 @@ def checked_plan(
                 raise PlanRefused(
                     f"preflight: {complaint}", hint="nothing was moved; the plan must change", step=step.key
                 )
-            result = yield step
+            result, lost = None, None
+            try:
+                result = yield step
+            except (PlacementLost, NotActiveYet) as expected:
+                lost = expected
     finally:
         plan.close()
 
 
+def safety_rules(procedure: ProcedureSettings, stations: StationSettings, *, carried: bool) -> SafetyRules:
+    """Return the rules at the start of a plan. `carried` is True if one mount and its artefact are carried from station
+    to station."""
+    fastest = max(procedure.touch_feed_mm_per_min, procedure.first_touch_feed_mm_per_min) / SECONDS_A_MINUTE
+    if stations.placed_by_hand:
+        # The search for an artefact is a touch at the feed of guarded moves, at which the tip stops in its overtravel.
+        fastest = max(fastest, procedure.guarded_feed_mm_per_min / SECONDS_A_MINUTE)
+    return SafetyRules(fastest, len(stations.places_mm), carried, stations.standing_at)
+
+
 @dataclass
-class _Rules:
+class SafetyRules:
     """Rules, and the state of a plan after the steps that were checked so far. `stands_at` is the station of the
     carried artefact, or None if it is not known."""
 
@@ -65,12 +76,20 @@ class _Rules:
     _keys: set[str] = field(default_factory=set)
     _permitted: bool = False
     _probe_seen: bool = False
+    _state: RunState = RunState.MEASURING
+
+    def copy(self) -> SafetyRules:
+        """Return a copy for a plan that goes on from here."""
+        return replace(self, _keys=set(self._keys))
 
     def broken_by(self, step: s.Step) -> Iterator[str]:
-        if step.key in self._keys:
-            yield "two steps have the same key, so a run could not be resumed"
-        self._keys.add(step.key)
+        if not isinstance(step, (s.Enter, s.Conclude)):
+            if step.key in self._keys:
+                yield "two steps have the same key, so a run could not be resumed"
+            self._keys.add(step.key)
         match step:
+            case s.Enter():
+                self._state = step.state
             case s.MoveTo():
                 yield from self._moved(step)
             case s.TouchTowards():
@@ -85,7 +104,7 @@ class _Rules:
                 yield from self._turned(step.station)
             case s.Dwell() if not 0.0 <= step.duration_s < math.inf:
                 yield f"a wait of {step.duration_s} s"
-            case s.StageTable() | s.ActivateBank():
+            case s.StageTable() | s.ActivateBank() if self._state not in WRITING_STATES:
                 yield "a plan that measures must not write or activate a compensation table"
 
     def _moved(self, step: s.MoveTo) -> Iterator[str]:

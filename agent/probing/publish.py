@@ -31,9 +31,12 @@ class ActiveCompensation:
 
 def read_state(prefix: str) -> Plan[ActiveCompensation]:
     """Read the number of the controller's active bank and the compensation table in it. Both are needed to restore the
-    compensation after a fault. Raises StoreError if the active bank contains no table."""
+    compensation after a fault. Raises StoreError if the active bank contains no table.
+
+    Bank 0 is read as empty, so that the steps are the same with and without compensation.
+    """
     bank = yield ReadActiveBank(f"{prefix}/active-bank")
-    table = (yield ReadTable(f"{prefix}/active-table", bank)) if bank else None
+    table = yield ReadTable(f"{prefix}/active-table", bank)
     if bank and table is None:
         raise StoreError(f"bank {bank} is active but holds no table", hint="check the banks on the controller")
     return ActiveCompensation(bank, table)

@@ -11,10 +11,10 @@ the repeated position.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
-from agent.execution.steps import Plan, Record
+from agent.execution.steps import Fork, Record, RunPlan
 from agent.probing.position import MeasuredBall, MeasuredPosition, PositionRules
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
 from agent.probing.temperature_readings import Conditions
@@ -22,6 +22,7 @@ from twin.artefact.position_set import Position
 from twin.collision.measuring_layout import MeasuringLayout
 
 REPEAT_PREFIX = "close"
+ONCE, REPEATED = "measured once", "first positions repeated"
 
 
 @dataclass(frozen=True)
@@ -40,19 +41,42 @@ class RepeatRules:
 
 
 def measure_with_repeats(
-    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, repeats: RepeatRules
-) -> Plan[MeasuredPositions]:
+    order: MeasuringOrder,
+    layout: MeasuringLayout,
+    rules: PositionRules,
+    repeats: RepeatRules,
+    then: Callable[[MeasuredPositions], RunPlan],
+) -> RunPlan:
     """Measure the positions of `order`. If the machine's temperature has changed by `repeats.threshold_k` or more
-    during the measurement, measure the first positions again according to `repeats`."""
+    during the measurement, measure the first positions again according to `repeats`. The run goes on with the plan that
+    `then` returns for the measurements."""
     measured = yield from measure_positions(order, layout, rules)
-    change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
     first = _first(measured, repeats)
-    if not first or change_k < repeats.threshold_k:
-        return measured
+    if not first:
+        return (yield from then(measured))
+    change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], repeats.declared_k)
+    choice = REPEATED if change_k >= repeats.threshold_k else ONCE
+    return Fork(
+        f"{order.prefix}/repeat",
+        lambda: choice,
+        {ONCE: lambda: then(measured), REPEATED: lambda: _repeated(measured, first, change_k, layout, rules, then)},
+        expected=choice,
+    )
+
+
+def _repeated(
+    measured: MeasuredPositions,
+    first: tuple[Position, ...],
+    change_k: float,
+    layout: MeasuringLayout,
+    rules: PositionRules,
+    then: Callable[[MeasuredPositions], RunPlan],
+) -> RunPlan:
     note = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
     yield Record(f"{REPEAT_PREFIX}/machine", "event", {"note": note})
     again = MeasuringOrder(REPEAT_PREFIX, first, measured.standing_at, measured.placed)
-    return join_measured(measured, (yield from measure_positions(again, layout, rules, measured.mount_poses)))
+    more = yield from measure_positions(again, layout, rules, measured.mount_poses)
+    return (yield from then(join_measured(measured, more)))
 
 
 def machine_change_k(conditions: Collection[Conditions], declared_k: float) -> float:

@@ -12,6 +12,7 @@ from agent.errors import MeasurementFault, PlacementLost
 from agent.execution.steps import (
     CheckPermissions,
     CheckProbe,
+    Conclude,
     MoveTo,
     Plan,
     ReadPosition,
@@ -33,6 +34,10 @@ from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import MIN_BALLS
 from twin.identification.checks.measured_shape import reversed_fit_mm
 from twin.units import UM_PER_MM
+
+MEASURED, VERIFIED = "measured", "verified"
+"""Keys of the conclusions that hold the measurements of a run: those for its estimate, and those that verify its new
+table."""
 
 
 @dataclass(frozen=True)
@@ -265,6 +270,11 @@ def gap_above_mm(position: Position, layout: MeasuringLayout, rules: PositionRul
 def _top_axis_mm(position: Position, layout: MeasuringLayout) -> float:
     up, axis = -layout.frame.stylus_axis, layout.frame.axis
     return float(up[axis]) * top_mm(layout, position) - float(layout.tool_offset_mm[axis])
+
+
+def note_measured(role: str, measured: MeasuredPositions) -> Plan[None]:
+    """Make `measured` known to whoever observes the run, under the key `role`, `MEASURED` or `VERIFIED`."""
+    yield Conclude(role, lambda: measured, stand_in=measured)
 
 
 def position_key(position: Position) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
-from agent.execution.steps import AskOperator, Plan
 from agent.results.gates import CHANGE, Gate
 from drivers.roles import OperatorRequest, OperatorTask
 
@@ -25,15 +24,8 @@ def opens_by_consent(gate: Gate, consent: Consent) -> bool:
     return gate.name == CHANGE and not gate.passed and consent is Consent.GIVEN
 
 
-def ask_consent(gates: Sequence[Gate]) -> Plan[bool]:
-    """Ask the operator for consent to a changed machine if `CHANGE` (limit of the machine's change) is the only one of
-    `gates` that did not pass. Return True if the operator consents.
-
-    In all other cases, the operator is not asked and the result is False. Raises Aborted if the operator answers no.
-    """
-    closed = [gate for gate in gates if not gate.passed]
-    if [gate.name for gate in closed] != [CHANGE]:
-        return False
-    text = f"The machine is not what it was: {closed[0].text}. Write the new compensation table?"
-    yield AskOperator("consent/change", OperatorRequest(OperatorTask.CONSENT, text))
-    return True
+def consent_request(gates: Sequence[Gate]) -> OperatorRequest:
+    """Return the request for consent to a changed machine, which names the closed gate among `gates`."""
+    closed = "; ".join(gate.text for gate in gates if not gate.passed)
+    text = f"The machine is not what it was: {closed}. Write the new compensation table?"
+    return OperatorRequest(OperatorTask.CONSENT, text)

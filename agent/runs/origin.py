@@ -22,6 +22,10 @@ from agent.runs.planned_run import Kind, StartConditions
 from agent.settings.load import POSITION_FILES, current_settings_document
 from agent.settings.schema import Settings
 from drivers.errors import InputError
+from drivers.roles import Activation, StoreLimits
+
+PLAN_VERSION = 2
+"""Version of the steps of which the plans of runs consist. A run with another one cannot be resumed."""
 
 KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night, OneBallTrial)}
 
@@ -65,6 +69,8 @@ def origin_record(settings: Settings, kind: Kind, base: Path, start: StartCondit
         "base": str(base),
         "at": start.at,
         "start_mm": list(start.start_mm),
+        "store": {**vars(start.store), "activation": start.store.activation.value},
+        "plan": PLAN_VERSION,
         "files": digests(settings, base),
     }
 
@@ -82,7 +88,7 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
         settings=Settings.model_validate(current_settings_document(json.loads(row.settings_text))),
         kind=_kind(record["kind"], record["options"]),
         base=Path(record["base"]),
-        start=StartConditions(run, record["at"], (x, y, z)),
+        start=StartConditions(run, record["at"], (x, y, z), _store(record["store"])),
         files=record["files"],
         begun_s=row.begun_s,
         begun_at=row.begun_at,
@@ -99,6 +105,12 @@ def digests(settings: Settings, base: Path) -> dict[str, str]:
     if settings.procedure.position_set.endswith(POSITION_FILES):
         paths.append(base / settings.procedure.position_set)
     return {str(path): sha256_of(path) for path in paths}
+
+
+def _store(record: Mapping[str, Any]) -> StoreLimits:
+    x, y, z = record["max_nodes"]
+    banks, activation = tuple(record["banks"]), Activation(record["activation"])
+    return StoreLimits(**{**record, "banks": banks, "max_nodes": (x, y, z), "activation": activation})
 
 
 def _kind(name: str, options: Mapping[str, Any]) -> Kind:

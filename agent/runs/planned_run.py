@@ -1,17 +1,18 @@
-"""Planned run. It contains the job (machine, artefact, settings and positions to measure), the start conditions, and
-the result of the preflight (simulated execution of the run). The machine has not moved yet."""
+"""Planned run. It contains the job, the start conditions, the plan, and the result of its preflight. The machine has
+not moved yet."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
-from agent.execution.steps import Point
+from agent.errors import PlanRefused
+from agent.execution.steps import Point, RunPlan, Step
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult
-from agent.runs.guarded_run import GuardedRun
-from agent.runs.run_context import RunContext
+from agent.planning.stand_ins import USUAL_STORE
+from drivers.roles import StoreLimits
 
 
 @dataclass(frozen=True)
@@ -22,24 +23,37 @@ class StartConditions:
     resumed run therefore makes the same decisions as the interrupted run.
 
     `run` is the number of the run in the journal; only runs with lower numbers count as earlier. `at` is the UTC time
-    in ISO 8601. `start_mm` contains the axis positions in mm.
+    in ISO 8601. `start_mm` contains the axis positions in mm. `store` contains the limits of the compensation store of
+    the controller.
     """
 
     run: int
     at: str
     start_mm: Point
+    store: StoreLimits = field(default=USUAL_STORE)
+
+
+def never_too_late(_: Step, __: float) -> PlanRefused | None:
+    """Return None: a run without a slot can be resumed at any time."""
+    return None
 
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """Run that has passed its preflight (simulated execution). `job` holds the machine, the artefact, the settings and
-    the positions that will be measured. `begin` is the function that creates the run object."""
+    """Run that has passed its preflight. `job` holds the machine, the artefact, the settings and the positions that
+    will be measured. `procedure` returns the plan that was walked by the preflight.
+
+    `too_late` decides whether an interrupted run may still be resumed. It receives the first step of the resumed run
+    that moves the machine, and the machine time in min since the run began, and returns an error if too little time is
+    left.
+    """
 
     job: Job
     kind: Kind
     start: StartConditions
     preflight: PreflightResult
-    begin: Callable[[RunContext], GuardedRun]
+    procedure: Callable[[], RunPlan]
+    too_late: Callable[[Step, float], PlanRefused | None] = never_too_late
 
 
 class Kind(Protocol):

@@ -13,7 +13,7 @@ from agent.results.artefact_calibration import calibration_texts
 from agent.results.estimation import EstimationResult, estimate_text, provenance
 from agent.results.gates import Gate, names_of_failed
 from agent.results.run_outcome import Outcome
-from agent.runs.guarded_run import RunProgress
+from agent.runs.run_results import RunResults
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import format_side_file, format_table
 from twin.formats.ball_file import format_balls
@@ -21,7 +21,7 @@ from twin.formats.ball_file import format_balls
 REPORT = "report.html"
 
 
-def write_results(job: Job, outcome: Outcome, progress: RunProgress, report: Mapping[str, str | bytes]) -> Outcome:
+def write_results(job: Job, outcome: Outcome, progress: RunResults, report: Mapping[str, str | bytes]) -> Outcome:
     """Write the available result files of a run to the directory ``STATE_DIRECTORY/RUN_ID``. Return a copy of the run's
     `outcome` that also contains the path of the run's report.
 

@@ -7,14 +7,15 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+from agent.execution import steps as s
 from agent.execution.device_assembly import Devices
-from agent.execution.engine import Engine, Observer
+from agent.execution.engine import Action, Engine, Observer
 from agent.execution.journal import RunJournal
 from agent.execution.rig import Rig
 from agent.execution.run_lock import run_lock
 from agent.execution.run_state import Announcement, Listener, RunStateTracker
-from agent.execution.steps import Step
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult
@@ -28,7 +29,7 @@ def _ignore_announcement(_: Announcement) -> None: ...
 def _ignore_supervisor(_: Supervisor) -> None: ...
 
 
-def _ignore_step(_: Step, __: object) -> None: ...
+def _ignore_step(_: s.Step, __: object) -> None: ...
 
 
 def _permit(_: Job, __: PreflightResult) -> None: ...
@@ -69,3 +70,24 @@ class RunContext:
     supervisor: Supervisor
     clock: Clock
     hooks: RunHooks
+
+
+def run_actions(rig: Rig, journal: RunJournal, tracker: RunStateTracker, supervisor: Supervisor) -> dict[type, Action]:
+    """Return the actions of the steps of a run that belong to no device: states, conclusions, decisions, and proofs of
+    plans that are chosen during the run."""
+
+    def conclude(step: s.Conclude) -> Any:
+        result = step.compute()
+        step.record(journal, result)
+        return result
+
+    def prove(step: s.ProvePlan) -> float:
+        x, y, z = rig.machine.position().tolist()
+        return step.prove((x, y, z), supervisor.check_stop_request)
+
+    return {
+        s.Enter: lambda step: tracker.enter(step.state, step.reason()),
+        s.Conclude: conclude,
+        s.Decide: lambda step: step.choose(),
+        s.ProvePlan: prove,
+    }

@@ -25,12 +25,13 @@ from agent.planning.job import Job
 from agent.results.estimation import thermometer_facts
 from agent.results.journal_entries import record_outcome
 from agent.results.run_outcome import Outcome
-from agent.runs.guarded_run import RunProgress, attempt
+from agent.runs.guard import attempt, carry_out_guarded
 from agent.runs.origin import origin_record
 from agent.runs.planned_run import Kind, PlannedRun, StartConditions
 from agent.runs.reference_state import write_copy
 from agent.runs.result_files import write_results
-from agent.runs.run_context import RunContext, RunHooks
+from agent.runs.run_context import RunContext, RunHooks, run_actions
+from agent.runs.run_results import RunResults
 from agent.runs.run_start import enter_in_journal, read_start_conditions
 from agent.runs.step_progress import StepProgress
 from agent.settings.schema import ClockSettings
@@ -80,7 +81,8 @@ def carry_out(
         journal = enter_in_journal(resources.journal, run_id, job, kind, clock, asked or {})
         tracker = RunStateTracker(journal, hooks.announce)
         steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
-        engine = Engine(rig.actions(journal.run), journal, steps.observe)
+        actions = {**rig.actions(journal.run), **run_actions(rig, journal, tracker, resources.supervisor)}
+        engine = Engine(actions, journal, steps.observe)
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
         session = RunSession(context, steps, job, kind, resources.began_s)
         with session.ended_by_errors():
@@ -88,10 +90,10 @@ def carry_out(
             with open_rig(context):
                 start = read_start_conditions(rig, journal, settings.state_directory)
                 journal.origin(origin_record(settings, kind, base, start))
-                run = session.plan(start).begin(context)
+                planned = session.plan(start)
                 journal.begun()
                 resources.journal.close_unresumable(journal.run, f"interrupted, followed by run {run_id}")
-                session.progress = run.carry_out()
+                session.carry_out(planned)
         return session.result()
 
 
@@ -168,7 +170,8 @@ class RunSession:
         self._began_s = began_s
         self._started_s = context.clock.now()
         self._planned: PlannedRun | None = None
-        self.progress = RunProgress()
+        self.progress = RunResults()
+        steps.results = self.progress
 
     def plan(self, start: StartConditions) -> PlannedRun:
         """Plan the run from the start conditions `start`, and call the caller's hook `preflight_passed` after the
@@ -185,6 +188,10 @@ class RunSession:
         )
         return planned
 
+    def carry_out(self, planned: PlannedRun) -> None:
+        """Carry out the plan of the run until it reaches a final state."""
+        carry_out_guarded(planned.procedure(), planned.job, self._context, self.progress)
+
     @contextmanager
     def ended_by_errors(self) -> Iterator[None]:
         """End the run if the `with` block raises a `VolcalError`.
@@ -195,7 +202,7 @@ class RunSession:
         try:
             yield
         except VolcalError as error:
-            self.progress = RunProgress(error=error)
+            self.progress.error = error
             self._enter_end(error)
 
     def _enter_end(self, error: VolcalError) -> None:

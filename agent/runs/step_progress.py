@@ -8,6 +8,7 @@ from agent.execution.engine import Observer
 from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import Record, Step, TouchTowards
 from agent.planning.preflight import PreflightResult
+from agent.runs.run_results import RunResults
 from twin.units import S_PER_MIN
 
 
@@ -28,10 +29,12 @@ class StepProgress:
         self._noted: Mapping[str, int] = {}
         self._further = further
         self.preflight: PreflightResult | None = None
+        self.results = RunResults()
         self.touches = 0
         self.balls = 0
 
     def observe(self, step: Step, result: object) -> None:
+        self.results.observe(step, result)
         self._further(step, result)
         self._note_interruptions()
         if isinstance(step, TouchTowards):

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, PURPLE, from_zero
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.design_problem import DesignProblem
-from agent.planning.design.design_result import find_design
+from agent.planning.design.design_result import Prove, find_design
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import Variant, variants_of
 from agent.planning.job import Job
@@ -108,15 +108,13 @@ def run(case: StudyCase) -> StudyResult:
     goals.append((TARGET_KIND, TargetErrorGoal(1e-3 * reference.criterion_um)))
     problem = DesignProblem(base.jobs, GRID_DEG)
     designs = [
-        evaluator.evaluate_design(base, problem, goal, kind=kind, with_preflight=True)
+        evaluator.evaluate_design(base, problem, goal, kind=kind, prove=case.prove)
         for kind, goal in _counted(case, goals, "designs")
     ]
     slot = TimeSlotGoal(VARIANT_SHARE * reference.minutes)
     options = _counted(case, _options(case.job), "artefacts and touches")
     variants = [
-        evaluator.evaluate_design(
-            variant, DesignProblem(variant.jobs, GRID_DEG), slot, kind="variant", with_preflight=False
-        )
+        evaluator.evaluate_design(variant, DesignProblem(variant.jobs, GRID_DEG), slot, kind="variant", prove=None)
         for variant in options
     ]
     evaluated = [*named, *designs, *variants]
@@ -152,9 +150,9 @@ class SetEvaluator:
         return self._evaluated(name, "named", variant, positions, minutes, published=True)
 
     def evaluate_design(
-        self, variant: Variant, problem: DesignProblem, goal: Goal, *, kind: str, with_preflight: bool
+        self, variant: Variant, problem: DesignProblem, goal: Goal, *, kind: str, prove: Prove | None
     ) -> EvaluatedSet:
-        found = find_design(problem, goal, verify=False, with_preflight=with_preflight, say=lambda _: None)
+        found = find_design(problem, goal, verify=False, prove=prove, say=lambda _: None)
         return self._evaluated(
             f"{len(found.positions)} designed", kind, variant, found.positions, found.minutes, published=False
         )

@@ -11,6 +11,7 @@ from typing import TypeVar
 from agent.figures.heading import subject
 from agent.figures.study_style import Draw, headed
 from agent.model_files import load_positions
+from agent.planning.design.design_result import Prove
 from agent.planning.job import Job
 from agent.settings.load import POSITION_FILES
 from agent.studies import STUDIES
@@ -36,7 +37,8 @@ class StudyCase:
     """Input of a study.
 
     `options` contains the identification options, and `machines` is the number of random machines to simulate.
-    `position_set` is the value of the command-line option `--set`, or None if the position set of the settings is used.
+    `prove` carries out the preflight of a calibration of a designed position set. `position_set` is the value of the
+    command-line option `--set`, or None if the position set of the settings is used.
     """
 
     job: Job
@@ -45,6 +47,7 @@ class StudyCase:
     machines: int
     workers: Workers
     progress: Progress
+    prove: Prove
     position_set: str | None = None
 
     @property

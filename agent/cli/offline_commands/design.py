@@ -27,6 +27,7 @@ from agent.planning.design.pareto_figure import ReferenceSet
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import variants_of
 from agent.planning.job import Job
+from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.load import naming
 from drivers.clock import wall_seconds
 from drivers.errors import InputError, UserError
@@ -106,7 +107,12 @@ def design_command(
         console = Console(stderr=True)
         with console.status("") as status:
             choices = compare_variants(
-                variants, goal, grid_deg, verify=verify_set, say=lambda what: status.update(f"{what} …")
+                variants,
+                goal,
+                grid_deg,
+                verify=verify_set,
+                prove=preflight_of,
+                say=lambda what: status.update(f"{what} …"),
             )
     best = next(choice for choice in choices if choice.best)
     rivals = _rivals(job)

@@ -23,6 +23,7 @@ from agent.cli.printing import facts_table, results_console
 from agent.figures.heading import subject
 from agent.files import check_folder, translated
 from agent.planning.case_file import load_case
+from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.load import naming
 from agent.settings.schema import IdentificationSettings
 from agent.studies import STUDIES
@@ -135,6 +136,7 @@ def study_command(
             machines=machines,
             workers=team,
             progress=progress,
+            prove=preflight_of,
             position_set=position_set,
         )
         result = run_study(name, case)

@@ -17,16 +17,18 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.options import case_options, procedure_options
 from agent.cli.printing import columns_table, facts_table, gates_table, results_console
+from agent.cli.run_commands.plan_steps import steps_option, write_branch_steps
 from agent.errors import PlanRefused
 from agent.files import check_folder
-from agent.planning.cycle_time import PARTS, minutes_by_part, walk_plan, without_optimisation
+from agent.planning.cycle_time import PARTS, expected_plan, minutes_by_part, walk_plan, without_optimisation
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
+from agent.planning.preflight import PreflightResult
 from agent.probing.run_plan import position_key
 from agent.results.gate_forecast import GateForecast, forecast_gates, require_forecast
 from agent.results.predicted_accuracy import PredictedAccuracy, predict_accuracy
+from agent.runs.kinds.calibrate import calibration_of, preflight_of
 from agent.settings.load import load_settings, naming, with_overrides
 from twin.design.valuation import Valuation
 from twin.units import S_PER_MIN
@@ -35,7 +37,7 @@ from twin.units import S_PER_MIN
 @click.command("plan")
 @case_options
 @procedure_options
-@click.option("--steps", is_flag=True, help="List every step with its machine time.")
+@steps_option
 @click.option(
     "--preview",
     type=click.Path(path_type=Path),
@@ -51,7 +53,7 @@ def plan_command(
     position_set: str | None,
     stations: list[int] | None,
     formulation: str | None,
-    steps: bool,
+    steps: Path | None,
     preview: Path | None,
     as_json: bool,
 ) -> None:
@@ -64,16 +66,20 @@ def plan_command(
         gates = forecast_gates(job)
     draw = _drawing(job, preview) if preview else None
     try:
-        preflight = run_preflight(job)
+        preflight = preflight_of(job, every_branch=True)
     except PlanRefused as refused:
         for path in draw(refused) if draw else ():
             click.echo(f"preview: {path}", err=True)
         raise
     listed = without_optimisation(job)
-    before_minutes = sum(timed.seconds for timed in walk_plan(listed, whole_procedure(listed))[1]) / S_PER_MIN
+    before_minutes = (
+        sum(timed.seconds for timed in walk_plan(listed, expected_plan(calibration_of(listed)))[1]) / S_PER_MIN
+    )
     expectation = predict_accuracy(job, preflight.measured)
     valuation = valuation_of(job, job.positions)
     files = draw(None) if draw else []
+    if steps:
+        write_branch_steps(preflight.branches, steps)
     if as_json:
         click.echo(
             json.dumps(_document(job, preflight, before_minutes, expectation, valuation, gates, files), allow_nan=False)
@@ -81,11 +87,9 @@ def plan_command(
         require_forecast(gates)
         return
     console = results_console()
-    if steps:
-        for key, seconds in preflight.timeline.items():
-            click.echo(f"{seconds:10.2f} s  {key}")
     console.print(_table(job, preflight, before_minutes, expectation, valuation))
     console.print(_minutes_table(minutes_by_part(preflight.steps)))
+    console.print(_branches_table(preflight))
     console.print(gates_table(gates))
     for path in files:
         click.echo(str(path))
@@ -101,7 +105,7 @@ def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path
     from agent.planning.preview.preview_files import write_preview  # noqa: PLC0415  plotting is slow to import
 
     check_folder(folder)
-    return partial(write_preview, job, folder)
+    return partial(write_preview, job, calibration_of, folder)
 
 
 def _document(
@@ -134,6 +138,11 @@ def _document(
             str(station): {part: round(minutes, 3) for part, minutes in parts.items()}
             for station, parts in minutes_by_part(preflight.steps).items()
         },
+        "branches": [
+            {"ways": list(branch.ways), "machine_minutes": round(branch.machine_minutes, 3)}
+            for branch in preflight.ends
+        ],
+        "withdrawals": len(preflight.branches) - len(preflight.ends),
         "steps": preflight.commands,
         "rank": expectation.rank,
         "parameters": expectation.parameters,
@@ -184,6 +193,16 @@ def _minutes_table(minutes: Mapping[int, Mapping[str, float]]) -> Table:
     everywhere = {part: sum(parts[part] for parts in minutes.values()) for part in PARTS}
     for name, parts in [*((str(station), parts) for station, parts in minutes.items()), ("all", everywhere)]:
         table.add_row(name, *(f"{parts[part]:.2f}" for part in PARTS), f"{sum(parts.values()):.2f}")
+    return table
+
+
+def _branches_table(preflight: PreflightResult) -> Table:
+    """Return a table of the machine time of each branch of the run. All of them were walked."""
+    table = columns_table(("branch of the run", "min"), title="branches", numbers=("min",))
+    for branch in preflight.ends:
+        table.add_row(branch.name, f"{branch.machine_minutes:.1f}")
+    withdrawn = len(preflight.branches) - len(preflight.ends)
+    table.add_row(f"stopped at the first touch of a position and withdrawn ({withdrawn} places)", "")
     return table
 
 

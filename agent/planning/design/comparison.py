@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from agent.planning.design.design_problem import DesignProblem
-from agent.planning.design.design_result import DesignResult, Say, find_design
+from agent.planning.design.design_result import DesignResult, Prove, Say, find_design
 from agent.planning.design.variants import Variant
 from drivers.errors import UserError
 from twin.design.goals import Goal, TargetErrorGoal
@@ -36,9 +36,10 @@ class VariantDesign:
 
 
 def compare_variants(
-    variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say
+    variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, prove: Prove, say: Say
 ) -> list[VariantDesign]:
-    """Return a designed position set for each variant, and mark the best design.
+    """Return a designed position set for each variant, and mark the best design. `prove` carries out the preflight of
+    a design.
 
     If `goal` is a target error, the best design is the one that takes the least machine time. For any other goal, the
     best design is the one with the smallest expected volumetric error after compensation (VCE). If no variant reaches
@@ -49,7 +50,7 @@ def compare_variants(
     for variant in variants:
         try:
             problem = DesignProblem(variant.jobs, grid_deg)
-            found = find_design(problem, goal, verify=verify, with_preflight=not variant.made_up, say=say)
+            found = find_design(problem, goal, verify=verify, prove=None if variant.made_up else prove, say=say)
             choices.append(VariantDesign(variant, found))
         except UserError as error:
             errors.append(error)

@@ -15,8 +15,7 @@ from agent.files import translated
 from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.pareto_front import FrontPoint, front_of
 from agent.planning.held_out_positions import held_out_positions
-from agent.planning.job import KnownHeldOut
-from agent.planning.preflight import run_preflight
+from agent.planning.job import Job, KnownHeldOut
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position
@@ -27,6 +26,8 @@ from twin.design.search import ExchangeSearch
 from twin.design.valuation import Valuation
 
 Say = Callable[[str], None]
+Prove = Callable[[Job], object]
+"""Function that carries out the preflight of a calibration of a job. Raises PlanRefused if it refuses the plan."""
 
 _MAX_ATTEMPTS = 12
 _SLACK_MIN = 0.01
@@ -66,11 +67,11 @@ class DesignResult:
         return self.balls * self.problem.job.settings.procedure.touches_per_ball
 
 
-def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> DesignResult:
+def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, prove: Prove | None, say: Say) -> DesignResult:
     """Return the best position set found for the goal `goal` among the candidates of `problem`.
 
-    If `with_preflight` is True, the plan of the set found is executed on a simulated machine (preflight). If the
-    preflight refuses a position, the position is excluded and the search is repeated. If `verify` is True, held-out
+    `prove` carries out the preflight of the set found; if it is None, there is none. If the preflight refuses a
+    position, the position is excluded and the search is repeated. If `verify` is True, held-out
     positions for the verification are selected too. `say` is called with the name of the current activity.
 
     Raises InputError if the goal cannot be reached. Raises ConfigurationError if no position is within reach or if the
@@ -87,9 +88,9 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_prefli
         chosen = _within(problem, search, goal)
         held_out = _held_out(problem, candidates, chosen) if verify else ()
         positions = problem.in_order([candidates.positions[index] for index in chosen])
-        if with_preflight:
+        if prove is not None:
             say("preflight")
-            refused = _refused(problem, positions, held_out)
+            refused = _refused(problem, positions, held_out, prove)
             if refused is not None:
                 problem = problem.refusing(refused)
                 continue
@@ -101,7 +102,7 @@ def find_design(problem: DesignProblem, goal: Goal, *, verify: bool, with_prefli
             valuation=Valuation(candidates.vce([]), candidates.vce(chosen)),
             balls=int(sum(candidates.balls[list(chosen)])),
             held_out=held_out,
-            preflight_passed=with_preflight,
+            preflight_passed=prove is not None,
         )
     raise ConfigurationError(
         f"the preflight refused a position of each of {_MAX_ATTEMPTS} designs",
@@ -144,13 +145,15 @@ def _held_out(problem: DesignProblem, candidates: CandidatePositions, chosen: Se
     return tuple(candidates.positions[index] for group in telling for index in group)
 
 
-def _refused(problem: DesignProblem, positions: Sequence[Position], held_out: Sequence[Position]) -> Position | None:
+def _refused(
+    problem: DesignProblem, positions: Sequence[Position], held_out: Sequence[Position], prove: Prove
+) -> Position | None:
     """Return the position in `positions` at which the preflight refuses the plan, or None if the preflight passes.
     Raises PlanRefused if the preflight refuses a step that belongs to none of them."""
     for job, own in problem.by_tool(positions):
         proof = tuple(held_out) or held_out_positions(job, own)
         try:
-            run_preflight(replace(job, positions=own, held_out_choice=KnownHeldOut(proof)))
+            prove(replace(job, positions=own, held_out_choice=KnownHeldOut(proof)))
         except PlanRefused as error:
             step = error.where.get("step", "")
             for position in positions:

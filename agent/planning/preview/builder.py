@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import groupby
 
 from agent.errors import PlanRefused
-from agent.planning.job import Job
+from agent.planning.job import Job, Planner
 from agent.planning.preview.artefact_placement import artefact_placement_of, bodies_at
 from agent.planning.preview.refusal import refusal_of
 from agent.planning.preview.scene import ArtefactPlacement, PathPoint, Preview, Refusal, Visit
@@ -24,15 +24,13 @@ MARGIN_MM = 200.0
 """Margin of the drawn part of the table around the bodies on it."""
 
 
-def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
+def preview_of(job: Job, plan: Planner | Sequence[Waypoint], refused: PlanRefused | None = None) -> Preview:
     """Return the preview of the plan of `job`.
 
     `refused` is the error with which the preflight (simulated execution) refused the plan, or None if the plan passed.
-    `waypoints` is a path of the stylus tip that has already been computed. If `waypoints` is None, the path of the
-    whole calibration is computed.
+    `plan` is the function that returns the plan, or the path of the stylus tip if it has already been computed.
     """
-    if waypoints is None:
-        waypoints = walk_waypoints(job, refused)
+    waypoints = walk_waypoints(job, plan, refused) if callable(plan) else plan
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))
     held_out = set(job.held_out)
     placements = tuple(artefact_placement_of(job, position, held_out=position in held_out) for position in positions)

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from agent.errors import PlanRefused
 from agent.files import write_all_atomically
-from agent.planning.job import Job
+from agent.planning.job import Job, Planner
 from agent.planning.preview.blob import embedded
 from agent.planning.preview.builder import preview_of
 from agent.planning.preview.figure import draw_png
@@ -24,12 +24,12 @@ PROGRAM = ("camera.js", "model.js", "shapes.js", "painting.js", "controls.js", "
 """Scripts of the page in loading order, because each uses definitions of the scripts before it."""
 
 
-def write_preview(job: Job, folder: Path, refused: PlanRefused | None = None) -> list[Path]:
-    """Write the preview of the plan of `job` into `folder` and return the paths of the files.
+def write_preview(job: Job, plan_of: Planner, folder: Path, refused: PlanRefused | None = None) -> list[Path]:
+    """Write the preview of the plan that `plan_of` returns for `job` into `folder` and return the paths of the files.
 
     `refused` is the error with which the preflight (simulated execution) refused the plan, or None if the plan passed.
     """
-    preview = preview_of(job, refused)
+    preview = preview_of(job, plan_of, refused)
     write_all_atomically(folder, {PICTURE: draw_png(preview), PAGE: render_page(preview)})
     return [folder / PICTURE, folder / PAGE]
 

@@ -13,9 +13,9 @@ from typing import Any
 from agent.errors import PlanRefused
 from agent.execution.engine import Engine
 from agent.execution.steps import STEPS_WITH_EFFECT, AskOperator, OrientTo, ReadPosition, Step, TouchTowards
+from agent.planning.cycle_time import expected_plan
 from agent.planning.ideal_machine import IdealMachine
-from agent.planning.job import Job
-from agent.planning.preflight import whole_procedure
+from agent.planning.job import Job, Planner
 from agent.planning.time_model import time_model
 from drivers.errors import VolcalError
 from drivers.roles import OperatorRequest, PlacementRequest
@@ -49,9 +49,9 @@ class Waypoint:
         return int(named.group(1)) if named else None
 
 
-def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
+def walk_waypoints(job: Job, plan_of: Planner, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
     """Return a waypoint (state after the step) for every step of the plan of `job` that moves or changes something, in
-    the order of the steps.
+    the order of the steps. `plan_of` returns this plan.
 
     If the preflight refused the plan with the error `refused`, the waypoints end at the refused step. They end earlier
     if the ideal machine cannot carry out the plan up to that step.
@@ -59,7 +59,7 @@ def walk_waypoints(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoi
     walker = _Walker(job)
     last = refused.where.get("step") if refused else None
     with suppress(VolcalError) if refused else nullcontext():
-        Engine(walker.actions, observer=walker.note).run(_up_to(whole_procedure(job), last))
+        Engine(walker.actions, observer=walker.note).run(_up_to(expected_plan(plan_of(job)), last))
     return tuple(walker.waypoints)
 
 

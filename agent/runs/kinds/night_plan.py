@@ -11,11 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from agent.errors import PlanRefused
-from agent.execution.steps import Plan, Point
-from agent.planning.job import Job, KnownHeldOut
-from agent.planning.preflight import PreflightResult, Procedure, run_preflight
-from agent.probing.repeated_positions import join_measured
-from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
+from agent.execution.steps import Point
+from agent.planning.job import Job, KnownHeldOut, Planner
+from agent.planning.preflight import PreflightResult, run_preflight
+from agent.probing.run_plan import MeasuredPositions, MeasuringOrder
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.position_choice import PositionChooser
 from drivers.errors import ConfigurationError
@@ -105,10 +104,16 @@ def verification_plan(chooser: PositionChooser, judge: Judge) -> NightPlan:
 
 
 def night_plan(
-    chooser: PositionChooser, judge: Judge, slot_minutes: float, start_mm: Point, watch: Callable[[], None]
+    chooser: PositionChooser,
+    judge: Judge,
+    slot_minutes: float,
+    start_mm: Point,
+    watch: Callable[[], None],
+    planner: Callable[[NightPlan], Planner],
 ) -> tuple[NightPlan, PreflightResult]:
     """Plan as many positions as fit into the slot (machine time available for a night) minus its reserve. Return the
-    plan and its preflight (simulated execution of the run), from which the duration is taken.
+    plan and its preflight, from which the duration is taken. `planner` returns the function that makes the plan of a
+    night with the given positions. Only the chosen one is walked in every branch.
 
     Raises PlanRefused if the slot is too short.
     """
@@ -129,58 +134,15 @@ def night_plan(
             chooser.station, held_out, offered[: chosen.check_positions], offered[chosen.check_positions : count]
         )
         own = plan.job(chooser.job)
-        tried[count] = plan, run_preflight(own, start_mm, whole_night(plan), watch)
+        tried[count] = plan, run_preflight(own, planner(plan), start_mm, watch, every_branch=False)
         left = room - tried[count][1].machine_minutes
         more = offered[count : count + 1]
         count += 1 if more and left > chooser.minutes(more) else -1 if left < 0.0 else 0
     fits = [number for number, (_, preflight) in tried.items() if preflight.machine_minutes <= room]
     if not fits:
         raise _too_short(slot_minutes, chosen.reserve_minutes, tried)
-    return tried[max(fits)]
-
-
-def whole_night(plan: NightPlan) -> Procedure:
-    """Return the measuring procedure of a whole night for the preflight (simulated run): verification of the machine,
-    further positions and proof of the new table."""
-
-    def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-        prepared = yield from job.preparation_plan()
-        measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
-        if plan.further:
-            order = plan.order(FURTHER, plan.further)
-            more = yield from measure_positions(order, job.layout, prepared.rules, measured.mount_poses)
-            measured = join_measured(measured, more)
-        again = job.verification_order(plan.station)
-        verified = yield from measure_positions(again, job.layout, prepared.rules, measured.mount_poses)
-        return measured, verified
-
-    return procedure
-
-
-def verification_only(plan: NightPlan) -> Procedure:
-    """Return the measuring procedure of a verification for the preflight (simulated run).
-
-    A procedure returns the measurements of the run and of the proof of its table. A verification has no proof; this
-    procedure returns its only measurement twice.
-    """
-
-    def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-        prepared = yield from job.preparation_plan()
-        measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
-        return measured, measured
-
-    return procedure
-
-
-def additional_positions(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
-    """Return the measuring procedure that measures `positions` in addition to the positions of a nightly run, without
-    another check of the probe."""
-
-    def procedure(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-        measured = yield from measure_positions(plan.order(prefix, positions), job.layout, job.rules)
-        return measured, measured
-
-    return procedure
+    plan, _ = tried[max(fits)]
+    return plan, run_preflight(plan.job(chooser.job), planner(plan), start_mm, watch)
 
 
 def positions_in(measured: MeasuredPositions) -> tuple[Position, ...]:

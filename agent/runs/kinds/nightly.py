@@ -1,48 +1,67 @@
 """Kind of run `nightly`.
 
 The run verifies the machine and measures the positions that reduce the uncertainty most. It then combines the result
-with the estimate of earlier nights.
+with the estimate of earlier nights. A machine that is out of limits is calibrated in full if the slot permits it;
+otherwise the change is diagnosed, and a full calibration is requested.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-from agent.errors import MeasurementFault, PlanRefused
+from agent.errors import MeasurementFault
+from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import Step
+from agent.execution.steps import Conclude, Enter, Fork, Plan, Point, ProvePlan, RunPlan
 from agent.files import translated
 from agent.planning.job import Job
-from agent.planning.preflight import PreflightResult, Procedure, run_preflight
-from agent.probing.position import MeasuredBall
+from agent.planning.preflight import PreflightResult, run_preflight
+from agent.probing.publish import ActiveCompensation
 from agent.probing.repeated_positions import join_measured
-from agent.probing.run_plan import MeasuredPositions
+from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
 from agent.results.estimation import EstimationResult, estimate_with_table
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.results.observations import positions_named
 from agent.results.run_outcome import Decision, NightReport, Proof
 from agent.results.table_replacement import ExpectedGain
 from agent.results.thermal_drift import balls_for_estimate, fusion_options, observations_with_drift
-from agent.runs.calibration import CalibrationRun
 from agent.runs.change_since_reference import change_since, fit_of_night
 from agent.runs.consent import Consent
 from agent.runs.kinds.calibrate import nights_since
-from agent.runs.kinds.check_measurement import judge_measurement, measure, require_table_of
+from agent.runs.kinds.calibration import (
+    REFUSE,
+    WRITE,
+    CalibrationTask,
+    calibrated,
+    checked_gates,
+    estimated,
+    gates_refused,
+    way_through,
+    written,
+)
 from agent.runs.kinds.drift_check import Judge, Judgement, with_fit
-from agent.runs.kinds.full_calibration import PendingCalibration, Slot, calibrate_in_full, refusal_until_full
+from agent.runs.kinds.full_calibration import (
+    PendingCalibration,
+    calibrated_in_full,
+    record_night,
+    refuse_until_full,
+)
 from agent.runs.kinds.night_plan import (
     FURTHER,
     MIN_FUSED_POSITIONS,
     VERIFICATION,
     NightPlan,
-    additional_positions,
     job_at_station,
     night_plan,
     positions_in,
     station_of,
 )
 from agent.runs.kinds.position_choice import PositionChooser
+from agent.runs.kinds.run_parts import PreparedRun, complete, refused
+from agent.runs.kinds.slot import RunningSlot, Slot, begin_slot, too_late
+from agent.runs.kinds.verify import check_measurement, judge_measurement, with_table_of
 from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.runs.reference_state import (
     full_calibration_need,
@@ -50,25 +69,29 @@ from agent.runs.reference_state import (
     record_full_calibration_need,
     require_reference,
 )
-from agent.runs.run_context import RunContext
+from drivers.roles import StoreLimits
 from twin.artefact.position_set import Position
 from twin.monitoring.night_fit import NightFit
-from twin.units import S_PER_MIN
 
 DIAGNOSIS = "diagnosis"
 SUSPECTS = 8
 """Largest number of suspected errors between which a diagnosis discriminates."""
+
+ALL_FURTHER, FEWER, NO_FURTHER, OUT = "all further positions", "fewer further positions", "check only", "out of limits"
+WITHIN = "within limits"
+FULL, DIAGNOSE = "full calibration", "diagnosis"
+FUSE_KEPT, TOO_FEW = "fused, table kept", "too few positions"
 
 
 @dataclass(frozen=True)
 class Night:
     """Kind of run that verifies the machine and improves the estimate.
 
-    `slot_minutes` is the length of the slot (machine time available for a night). `full_allowed` is True if, in this
-    night, a person moves the artefact between stations and consents to a table for a changed machine. If `slot_minutes`
-    or `full_allowed` is None, it is taken from the settings. `station` is the station of the artefact; if it is None,
-    the station is taken from the settings. `nights` is the number of nights since the last accepted night; if it is
-    None, the number is computed from the date.
+    `slot_minutes` is the length of the slot. `full_allowed` is True if, in this night, a person moves the artefact
+    between stations and consents to a table for a changed machine. If `slot_minutes` or `full_allowed` is None, it is
+    taken from the settings. `station` is the station of the artefact; if it is None, the station is taken from the
+    settings. `nights` is the number of nights since the last accepted night; if it is None, the number is computed from
+    the date.
     """
 
     slot_minutes: float | None = None
@@ -92,218 +115,333 @@ class Night:
         if pending is not None:
             return PendingCalibration(self, here, station, judge, slot, pending).plan(start, watch)
         chooser = PositionChooser(here, station)
-        plan, preflight = night_plan(chooser, judge, slot.minutes, start.start_mm, watch)
+
+        def planner(plan: NightPlan) -> Callable[[Job], RunPlan]:
+            return lambda own: night(NightTask(own, judge, plan, chooser, slot, start.store), _no_timetable)
+
+        plan, preflight = night_plan(chooser, judge, slot.minutes, start.start_mm, watch, planner)
         own = plan.job(job)
+        task = NightTask(own, judge, plan, chooser, slot, start.store)
         return PlannedRun(
-            own,
-            self,
-            start,
-            preflight,
-            lambda context: NightlyRun(own, context, judge, plan, chooser, preflight, slot),
+            own, self, start, preflight, lambda: night(task, lambda: preflight), partial(too_late, slot, preflight)
         )
 
 
-class NightlyRun(CalibrationRun):
-    """Run of a night. It verifies the machine, measures further positions in the rest of the slot (machine time
-    available for a night), and combines the measurements with the earlier estimate. If the expected gain in accuracy is
-    large enough, it also writes an updated compensation table and proves it."""
+def _no_timetable() -> PreflightResult:
+    raise AssertionError("the timetable of a night is known only after its preflight")
 
-    def __init__(
-        self,
-        job: Job,
-        context: RunContext,
-        judge: Judge,
-        plan: NightPlan,
-        chooser: PositionChooser,
-        preflight: PreflightResult,
-        slot: Slot,
-    ) -> None:
-        super().__init__(job, context, judge.reference, judge.nights, Consent.REFUSED)
-        self._context = context
-        self._judge = judge
-        self._plan = plan
-        self._chooser = chooser
-        self._preflight_result = preflight
-        self._slot = slot
-        self._began_s = self._clock.now()
-        self._fit: NightFit | None = None
 
-    # ------------------------------------------------------------------ measuring
+@dataclass(frozen=True, eq=False)
+class NightTask:
+    """What a night has to do: the job with the positions of the night, the judge of the machine, the positions in their
+    order, the choice of positions for a diagnosis, the slot, and the limits of the compensation store."""
 
-    def _work(self) -> None:
-        plan = self._plan
-        require_table_of(self._judge.reference, self._begin())
-        self._prepare_probe()
-        measured = self._measure(VERIFICATION, plan.first)
-        judgement = self._judged(measured)
-        if judgement.within:
-            measured, judgement = self._use_rest(measured, judgement)
-        if not judgement.within:
-            self._out_of_limits(measured, judgement)
-            return
-        self._tracker.enter(RunState.IDENTIFYING)
-        self._fuse(measured, judgement.report)
+    job: Job
+    judge: Judge
+    plan: NightPlan
+    chooser: PositionChooser
+    slot: Slot
+    store: StoreLimits
 
-    def _use_rest(self, measured: MeasuredPositions, judgement: Judgement) -> tuple[MeasuredPositions, Judgement]:
-        further = self._still_fitting()
-        if not further:
-            return measured, judgement
-        measured = join_measured(measured, self._measure(FURTHER, further, measured))
-        return measured, self._judged(measured)
 
-    def _still_fitting(self) -> tuple[Position, ...]:
-        """Return the further positions for which time is left after reserving the time of the proof."""
-        further = list(self._plan.further)
-        needed = self._planned_minutes_after(VERIFICATION)
-        while further and needed > self._left_minutes:
-            needed -= self._chooser.minutes([further.pop()])
-        return tuple(further)
+@dataclass(frozen=True, eq=False)
+class _Night:
+    """Night in progress: its task, the prepared probe, and the slot that has begun."""
 
-    def too_late(self, following: Step) -> PlanRefused | None:
-        """Return an error if too little of the slot (machine time available for a night) is left to resume the run, and
-        None otherwise. The time of an interruption counts as part of the slot.
-
-        The time left must suffice for the rest of the verification at the beginning of the run, because an incomplete
-        verification is useless. `following` is the first step of the resumed run that moves the machine.
-        """
-        at_s = self._preflight_result.timeline.get(following.key)
-        needed = 0.0 if at_s is None else (self._preflight_result.machine_seconds - at_s) / S_PER_MIN
-        needed -= self._planned_minutes_after(VERIFICATION)
-        if max(needed, 0.0) > self._left_minutes or self._left_minutes <= 0.0:
-            return PlanRefused(
-                f"the night cannot be resumed: {self._left_minutes:.1f} min are left of its slot of "
-                f"{self._slot.minutes:g} min, the verification alone needs {max(needed, 0.0):.1f} min more",
-                hint="wait for the next night; what was measured stays in the journal",
-            )
-        return None
-
-    def _planned_minutes_after(self, prefix: str) -> float:
-        """Return the minutes from the last ball whose keys begin with `prefix` to the end of the night.
-
-        The times are those of the preflight.
-        """
-        done = [seconds for key, seconds in self._preflight_result.timeline.items() if key.startswith(f"{prefix}/")]
-        return (self._preflight_result.machine_seconds - max(done, default=0.0)) / S_PER_MIN
+    task: NightTask
+    ready: PreparedRun
+    slot: RunningSlot
 
     @property
-    def _left_minutes(self) -> float:
-        passed = (self._clock.now() - self._began_s) / S_PER_MIN
-        return self._slot.minutes - self._slot.reserve - passed
+    def job(self) -> Job:
+        return self.task.job
 
-    def _measure(
-        self, prefix: str, positions: Sequence[Position], before: MeasuredPositions | None = None
-    ) -> MeasuredPositions:
-        mount_poses = None if before is None else before.mount_poses
-        return measure(self._engine, self._plan, prefix, positions, self._job, self.rules, mount_poses)
+    def measure(self, prefix: str, positions: Sequence[Position], before: MeasuredPositions) -> Plan[MeasuredPositions]:
+        """Measure `positions` after those in `before`, and return both together."""
+        order = self.task.plan.order(prefix, positions)
+        more = yield from measure_positions(order, self.job.layout, self.ready.rules, before.mount_poses)
+        return join_measured(before, more)
 
-    def _judged(self, measured: MeasuredPositions) -> Judgement:
-        self.progress.measured = measured
-        judgement = judge_measurement(self._judge, self._plan, self._job, measured, self._correction)
-        self.progress.night = judgement.report
+    def judged(self, key: str, measured: MeasuredPositions) -> Plan[Judgement]:
+        """Compare what was measured with the last accepted night."""
+        yield from note_measured(MEASURED, measured)
+        task = self.task
+        judgement: Judgement = yield Conclude(
+            key, lambda: judge_measurement(task.judge, task.plan, task.job, measured, self.ready.correction)
+        )
+        yield Conclude(f"{key}/report", lambda: judgement.report)
         return judgement
 
-    # ------------------------------------------------------------------ out of limits
 
-    def _out_of_limits(self, measured: MeasuredPositions, judgement: Judgement) -> None:
-        """Calibrate in full if this is permitted and time is left.
+def night(task: NightTask, timetable: Callable[[], PreflightResult]) -> RunPlan:
+    """Return the plan of a night. `timetable` returns its preflight; it is called on the machine only."""
+    slot = yield from begin_slot(task.slot, timetable)
+    return (yield from with_table_of(task.judge.reference, lambda found: _checked(task, slot, found)))
 
-        Otherwise diagnose the change and request a calibration.
-        """
-        full = job_at_station(self._judge.job, self._plan.station)
-        if self._slot.full_allowed and self._minutes_of(full) <= self._left_minutes:
-            report = replace(judgement.report, decision=Decision.FULL_DONE)
-            calibrate_in_full(self, full, self._context, self._judge, report)
-            return
-        report = self._diagnosed(measured, judgement)
-        self._tracker.enter(RunState.IDENTIFYING)
-        self.progress.night = replace(report, decision=Decision.FULL_NEEDED)
-        self._journal.decision("night", self.progress.night.as_json())
-        record_full_calibration_need(self._journal, report.reason)
-        raise refusal_until_full(report.reason)
 
-    def _diagnosed(self, measured: MeasuredPositions, judgement: Judgement) -> NightReport:
-        """Use the rest of the slot for positions that discriminate between the suspected errors; return the report."""
-        done, report = positions_in(measured), judgement.report
-        chosen = list(
-            self._chooser.discriminating(
-                self._judge.prior,
-                judgement.found.suspects()[:SUSPECTS],
-                minutes=self._left_minutes,
-                measured=done,
-            )
+def _checked(task: NightTask, slot: RunningSlot, found: ActiveCompensation) -> RunPlan:
+    ready, measured = yield from check_measurement(task.job, task.plan, found)
+    running = _Night(task, ready, slot)
+    judgement = yield from running.judged("night/check", measured)
+    left = yield from slot.left_minutes("night/checked")
+    further = task.plan.further
+    counts = {ALL_FURTHER: len(further), FEWER: len(further) - 1, NO_FURTHER: 0}
+    ways: dict[str, Callable[[], RunPlan]] = {
+        name: partial(_further, running, measured, count, left) for name, count in counts.items() if count > 0
+    }
+    ways[NO_FURTHER] = lambda: _fused(running, measured, lambda: judgement)
+    ways[OUT] = lambda: _out_of_limits(running, measured, lambda: judgement)
+
+    def choose() -> str:
+        if not judgement.within:
+            return OUT
+        fitting = _fitting(running, left)
+        return ALL_FURTHER if fitting == len(further) > 0 else FEWER if fitting else NO_FURTHER
+
+    return Fork("night/way", choose, ways, expected=ALL_FURTHER if further else NO_FURTHER)
+
+
+def _fitting(running: _Night, left_minutes: float) -> int:
+    """Return the number of further positions for which time is left after reserving the time of the proof."""
+    further = list(running.task.plan.further)
+    needed = running.slot.needed_after(VERIFICATION)
+    while further and needed > left_minutes:
+        needed -= running.task.chooser.minutes([further.pop()])
+    return len(further)
+
+
+def _further(running: _Night, measured: MeasuredPositions, count: int, left: float) -> RunPlan:
+    """Use the rest of the slot for further positions. If not all of them fit, their number is decided on the machine,
+    and the shorter plan is proved before it begins."""
+    further = running.task.plan.further
+    if count < len(further):
+        count = yield Conclude("night/fitting", lambda: _fitting(running, left), count)
+        yield ProvePlan(
+            "night/fewer",
+            partial(_minutes_of, running.job, partial(_only, running, measured, FURTHER, further[:count])),
         )
-        while chosen:
-            if self._minutes_of(self._job, additional_positions(self._plan, DIAGNOSIS, chosen)) <= self._left_minutes:
-                break
-            chosen.pop()
-        if not chosen:
-            return report
-        self._job = replace(self._job, positions=(*self._job.positions, *chosen))
-        again = self._judged(join_measured(measured, self._measure(DIAGNOSIS, chosen, measured)))
-        return again.report if not again.within else replace(again.report, reason=report.reason)
+    measured = yield from running.measure(FURTHER, further[:count], measured)
+    judgement = yield from running.judged("night/further", measured)
+    return Fork(
+        "night/after-further",
+        lambda: WITHIN if judgement.within else OUT,
+        {
+            WITHIN: lambda: _fused(running, measured, lambda: judgement),
+            OUT: lambda: _out_of_limits(running, measured, lambda: judgement),
+        },
+        expected=WITHIN,
+    )
 
-    def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
-        """Return the machine minutes of a procedure, computed by a preflight.
 
-        An abort request interrupts the preflight.
-        """
-        return run_preflight(job, procedure=procedure, watch=self._supervisor.check_stop_request).machine_minutes
+def _only(running: _Night, measured: MeasuredPositions, prefix: str, positions: Sequence[Position], _: Job) -> RunPlan:
+    """Return the plan that measures only `positions`, which were chosen during the night."""
+    yield from running.measure(prefix, positions, measured)
+    return None
 
-    # ------------------------------------------------------------------ fusion
 
-    def _fuse(self, measured: MeasuredPositions, report: NightReport) -> None:
-        job, judge = self._job, self._judge
-        balls = balls_for_estimate(job, measured)
-        if len({ball.position for ball in balls}) < MIN_FUSED_POSITIONS:
-            self._end(replace(report, reason="too little time was left to fuse anything"))
-            return
-        chosen = job.settings
-        with translated(MeasurementFault):
-            observations = observations_with_drift(job, balls, self._correction)
-            options = fusion_options(chosen.temperature, observations, judge.prior)
-            fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
-            options = replace(options, carried_over=fit.prior)
-            order = chosen.identification.order
-            with positions_named(balls):
-                estimation = estimate_with_table(
-                    job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order
-                )
-        self._fit = fit
-        report = with_fit(report, fit)
-        self.progress.night = report
-        self._store_estimate(estimation, balls)
-        limits = self._rig.store.store_limits()
-        self._pass_gates((*self._estimate_gates(estimation), *shape_gates(estimation.table, limits, job.gate_limits)))
-        written = judge.reference.table.written
-        now_um = judge.expected_ve_um(estimation.estimate, written)
-        after_um = judge.expected_ve_um(estimation.estimate, estimation.estimate.parameters)
-        report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
-        worthwhile = ExpectedGain(now_um, after_um).reaches(chosen.nightly.min_gain)
-        last_part = FURTHER if self._plan.further else VERIFICATION
-        if not worthwhile or self._planned_minutes_after(last_part) > self._left_minutes:
-            record_accepted(self._journal, judge.reference.table)
-            self._end(replace(report, decision=Decision.FUSED))
-            return
-        self.progress.night = report
-        self._write_and_prove(estimation, measured)
+def _minutes_of(job: Job, plan_of: Callable[[Job], RunPlan], at_mm: Point, watch: Callable[[], None]) -> float:
+    """Return the machine minutes of a plan from the axis positions `at_mm`, computed by a preflight."""
+    return run_preflight(job, plan_of, at_mm, watch, every_branch=False).machine_minutes
 
-    def _estimate_gates(self, estimation: EstimationResult) -> tuple[Gate, ...]:
-        limits = self._job.gate_limits
-        gates = estimate_gates(estimation.estimate, limits)
-        prior = self._judge.prior if self._fit is None else self._fit.prior
-        change = change_since(self._job, self._judge.reference, self._nights, estimation.estimate, prior)
-        return (*gates, change_gate(change.found_um, change.expected_um, limits))
 
-    def _proof(self, estimation: EstimationResult, measured: MeasuredPositions, after: Sequence[MeasuredBall]) -> Proof:
-        proof = super()._proof(estimation, measured, after)
-        report = self.progress.night
-        assert report is not None  # noqa: S101  judged before anything was fused
-        decision = Decision.WRITTEN if proof.accepted else Decision.RESTORED
-        self.progress.night = replace(report, decision=decision, reason="" if proof.accepted else proof.reason)
-        self._journal.decision("night", self.progress.night.as_json())
-        return proof
+# ---------------------------------------------------------------------- out of limits
 
-    def _end(self, report: NightReport) -> None:
-        self.progress.night = report
-        self._journal.decision("night", report.as_json())
-        self._tracker.enter(RunState.COMPLETE, report.reason or report.decision.value)
+
+def _out_of_limits(running: _Night, measured: MeasuredPositions, judgement: Callable[[], Judgement]) -> RunPlan:
+    """Calibrate in full if this is permitted and time is left.
+
+    Otherwise diagnose the change and request a calibration.
+    """
+    task = running.task
+    ways: dict[str, Callable[[], RunPlan]] = {DIAGNOSE: lambda: _diagnosed(running, measured, judgement)}
+    if not task.slot.full_allowed:
+        return (yield from ways[DIAGNOSE]())
+    full = job_at_station(task.judge.job, task.plan.station)
+    calibration = CalibrationTask(full, task.store, task.judge.reference, task.judge.nights, Consent.GIVEN, True)
+    ready = replace(running.ready, job=full)
+    needed = yield ProvePlan(
+        "night/full-minutes",
+        partial(_minutes_of, full, lambda _: calibrated(calibration, ready, task.plan.station)),
+    )
+    left = yield from running.slot.left_minutes("night/full-left")
+    ways[FULL] = lambda: calibrated_in_full(
+        full,
+        running.ready,
+        task.store,
+        task.judge,
+        task.plan.station,
+        lambda: replace(judgement().report, decision=Decision.FULL_DONE),
+    )
+    return Fork("night/out", lambda: FULL if needed <= left else DIAGNOSE, ways, expected=DIAGNOSE)
+
+
+def _diagnosed(running: _Night, measured: MeasuredPositions, judgement: Callable[[], Judgement]) -> RunPlan:
+    """Use the rest of the slot for positions that discriminate between the suspected errors; request a full
+    calibration."""
+    task = running.task
+    report: Callable[[], NightReport] = lambda: judgement().report  # noqa: E731  replaced by a second look
+    left = yield from running.slot.left_minutes("night/diagnosis-left")
+    chosen: tuple[Position, ...] = yield Conclude(
+        "night/diagnosis-choice",
+        lambda: task.chooser.discriminating(
+            task.judge.prior, judgement().found.suspects()[:SUSPECTS], minutes=left, measured=positions_in(measured)
+        ),
+        (),
+    )
+    while chosen:
+        proved = partial(_minutes_of, running.job, partial(_only, running, measured, DIAGNOSIS, chosen))
+        needed = yield ProvePlan(f"night/diagnosis-{len(chosen)}", proved)
+        if needed <= left:
+            break
+        chosen = chosen[:-1]
+    if chosen:
+        own = replace(running.job, positions=(*running.job.positions, *chosen))
+        running = replace(running, task=replace(task, job=own))
+        yield Conclude("night/job", lambda: own, own)
+        measured = yield from running.measure(DIAGNOSIS, chosen, measured)
+        again = yield from running.judged("night/diagnosis", measured)
+        report = partial(_again, lambda: again, judgement)
+    yield Enter("state/identifying", RunState.IDENTIFYING)
+
+    def record(journal: RunJournal, made: NightReport) -> None:
+        record_night(journal, made)
+        record_full_calibration_need(journal, made.reason)
+
+    needs = yield Conclude("night/report", lambda: replace(report(), decision=Decision.FULL_NEEDED), None, record)
+    return (yield from refused(lambda: refuse_until_full(needs.reason)))
+
+
+def _again(again: Callable[[], Judgement], first: Callable[[], Judgement]) -> NightReport:
+    """Return the report after a diagnosis. The reason of the first look stays if the second finds nothing."""
+    report = again().report
+    return replace(report, reason=first().report.reason) if again().within else report
+
+
+# ---------------------------------------------------------------------- fusion
+
+
+@dataclass(frozen=True, eq=False)
+class _Fused:
+    """Estimate of a night, fused with that of the nights before, with the comparison between the two."""
+
+    estimation: EstimationResult
+    fit: NightFit
+
+
+def _fused(running: _Night, measured: MeasuredPositions, judgement: Callable[[], Judgement]) -> RunPlan:
+    yield Enter("state/identifying", RunState.IDENTIFYING)
+    return Fork(
+        "night/fusion",
+        lambda: TOO_FEW if _positions(running.job, measured) < MIN_FUSED_POSITIONS else WITHIN,
+        {
+            WITHIN: lambda: _estimated(running, measured, judgement),
+            TOO_FEW: lambda: _ended(
+                lambda: replace(judgement().report, reason="too little time was left to fuse anything")
+            ),
+        },
+        expected=WITHIN,
+    )
+
+
+def _positions(job: Job, measured: MeasuredPositions) -> int:
+    return len({ball.position for ball in balls_for_estimate(job, measured)})
+
+
+def _estimated(running: _Night, measured: MeasuredPositions, judgement: Callable[[], Judgement]) -> RunPlan:
+    task, job = running.task, running.job
+    fused = yield Conclude("night/fused", lambda: _fuse(running, measured))
+    estimation = yield from estimated(job, lambda: fused.estimation, lambda: balls_for_estimate(job, measured))
+    report = yield Conclude("night/fit", lambda: with_fit(judgement().report, fused.fit))
+    gates = yield Conclude("night/gates", lambda: _gates(running, fused))
+    expected = yield Conclude("night/expected", lambda: _expected(task.judge, estimation, report))
+    last_part = FURTHER if task.plan.further else VERIFICATION
+    left = yield from running.slot.left_minutes("night/proof-left")
+
+    def choose() -> str:
+        if way_through(gates, Consent.REFUSED) == REFUSE:
+            return REFUSE
+        gain = ExpectedGain(expected.ve_now_um, expected.ve_after_um)
+        worthwhile = gain.reaches(job.settings.nightly.min_gain)
+        return WRITE if worthwhile and running.slot.needed_after(last_part) <= left else FUSE_KEPT
+
+    return Fork(
+        "night/choice",
+        choose,
+        {
+            WRITE: lambda: _written(running, estimation, measured, lambda: gates, lambda: expected),
+            FUSE_KEPT: lambda: _kept(running, lambda: gates, lambda: expected),
+            REFUSE: lambda: gates_refused(lambda: gates),
+        },
+        expected=WRITE,
+    )
+
+
+def _fuse(running: _Night, measured: MeasuredPositions) -> _Fused:
+    job, judge, chosen = running.job, running.task.judge, running.job.settings
+    balls = balls_for_estimate(job, measured)
+    with translated(MeasurementFault):
+        observations = observations_with_drift(job, balls, running.ready.correction)
+        options = fusion_options(chosen.temperature, observations, judge.prior)
+        fit = fit_of_night(job, judge.reference, judge.nights, observations, options)
+        options = replace(options, carried_over=fit.prior)
+        order = chosen.identification.order
+        with positions_named(balls):
+            estimation = estimate_with_table(
+                job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order
+            )
+    return _Fused(estimation, fit)
+
+
+def _gates(running: _Night, fused: _Fused) -> tuple[Gate, ...]:
+    job, judge, estimate = running.job, running.task.judge, fused.estimation.estimate
+    limits = job.gate_limits
+    change = change_since(job, judge.reference, judge.nights, estimate, fused.fit.prior)
+    return (
+        *estimate_gates(estimate, limits),
+        change_gate(change.found_um, change.expected_um, limits),
+        *shape_gates(fused.estimation.table, running.task.store, limits),
+    )
+
+
+def _expected(judge: Judge, estimation: EstimationResult, report: NightReport) -> NightReport:
+    """Return `report` with the volumetric errors that are expected now and with a new table."""
+    estimate = estimation.estimate
+    now_um = judge.expected_ve_um(estimate, judge.reference.table.written)
+    after_um = judge.expected_ve_um(estimate, estimate.parameters)
+    return replace(report, ve_now_um=now_um, ve_after_um=after_um)
+
+
+def _kept(running: _Night, gates: Callable[[], Sequence[Gate]], report: Callable[[], NightReport]) -> RunPlan:
+    """Accept the fused estimate; the active table stays."""
+    yield from checked_gates(gates)
+    table = running.task.judge.reference.table
+    yield Conclude("night/kept", lambda: None, None, lambda journal, _: record_accepted(journal, table))
+    return (yield from _ended(lambda: replace(report(), decision=Decision.FUSED)))
+
+
+def _written(
+    running: _Night,
+    estimation: EstimationResult,
+    measured: MeasuredPositions,
+    gates: Callable[[], Sequence[Gate]],
+    report: Callable[[], NightReport],
+) -> RunPlan:
+    yield from checked_gates(gates)
+    task = running.task
+    calibration = CalibrationTask(task.job, task.store, task.judge.reference, task.judge.nights, Consent.REFUSED)
+
+    def reported(proof: Callable[[], Proof]) -> Plan[None]:
+        yield Conclude("night/proved", lambda: _decided(report(), proof()), None, record_night)
+
+    return (yield from written(calibration, running.ready, estimation, measured, reported))
+
+
+def _decided(report: NightReport, proof: Proof) -> NightReport:
+    decision = Decision.WRITTEN if proof.accepted else Decision.RESTORED
+    return replace(report, decision=decision, reason="" if proof.accepted else proof.reason)
+
+
+def _ended(report: Callable[[], NightReport]) -> RunPlan:
+    ended = yield Conclude("night/ended", report, None, record_night)
+    yield from complete(lambda: ended.reason or ended.decision.value)
+    return None

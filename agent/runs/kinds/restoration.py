@@ -9,24 +9,26 @@ from pathlib import Path
 from typing import Literal
 
 from agent.execution.encoding import table_digest
+from agent.execution.journal import RunJournal
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.states import RunState
+from agent.execution.steps import Conclude, Enter, Fork, RunPlan
 from agent.planning.job import Job
-from agent.planning.preflight import PreflightResult
+from agent.planning.preflight import run_preflight
 from agent.probing import publish
-from agent.probing.run_plan import MeasuredPositions
-from agent.runs.guarded_run import GuardedRun
+from agent.probing.publish import ActiveCompensation
+from agent.runs.kinds.run_parts import complete, found_compensation, record_table
 from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.runs.reference_state import TABLE_RESTORED
-from agent.runs.run_context import RunContext
+from agent.runs.run_results import BankInUse
 from drivers.errors import InputError, NotActiveYet
-from drivers.roles import TableImage
+from drivers.roles import StoreLimits, TableImage
 
 TableRole = Literal["backup", "staged", "restored"]
 TABLE_ROLES: tuple[TableRole, ...] = ("backup", "staged", "restored")
 
-_NOTHING = MeasuredPositions((), (), 0, None, {})
+ALREADY, WRITTEN_AGAIN = "already active", "table activated"
 
 
 @dataclass(frozen=True)
@@ -39,53 +41,57 @@ class Restoration:
     role: TableRole = "backup"
     name: str = "restore"
 
-    def plan(self, job: Job, start: StartConditions, _: Callable[[], None]) -> PlannedRun:
+    def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         """Return the planned run. Raises InputError if the journal does not contain the table to be restored."""
         image = stored_table(job.settings.state_directory, self.run_id, self.role)
-        preflight = PreflightResult(_NOTHING, _NOTHING, {}, (), 0.0, 0.0, 0)
-        return PlannedRun(job, self, start, preflight, lambda context: RestorationRun(job, context, image, self))
+        preflight = run_preflight(job, lambda _: restoration(self, image, start.store), start.start_mm, watch)
+        return PlannedRun(job, self, start, preflight, lambda: restoration(self, image, start.store))
 
 
-class RestorationRun(GuardedRun):
-    """Run that writes a compensation table stored in the journal to an inactive bank (memory of the controller for one
-    table), activates this bank and checks that it is active.
+def restoration(asked: Restoration, image: TableImage | None, limits: StoreLimits) -> RunPlan:
+    """Return the plan that writes `image` to an inactive bank, activates this bank and checks that it is active.
 
-    If one of these steps fails, the table active before the run is reactivated. If the stored state is without
-    compensation, no table is written and bank 0 is activated.
+    If the stored state is without compensation, `image` is None, no table is written and bank 0 is activated.
     """
+    found = yield from found_compensation()
+    yield Enter("state/restoring", RunState.RESTORING)
+    return Fork(
+        "restore-table/needed",
+        lambda: ALREADY if _same(found.table, image) else WRITTEN_AGAIN,
+        {
+            WRITTEN_AGAIN: lambda: _written_again(asked, image, limits, found),
+            ALREADY: lambda: _already(found),
+        },
+        expected=WRITTEN_AGAIN,
+    )
 
-    def __init__(self, job: Job, context: RunContext, image: TableImage | None, kind: Restoration) -> None:
-        super().__init__(job, context)
-        self._image = image
-        self._kind = kind
 
-    def _work(self) -> None:
-        found = self._begin()
-        self._tracker.enter(RunState.RESTORING)
-        if _same(found.table, self._image):
-            self._tracker.enter(RunState.COMPLETE, f"bank {found.bank} already held that table and was active")
-            return
-        bank = self._staged(found.bank)
-        self._journal.table("staged", bank, self._image)
-        self.progress.active_bank = bank
-        late = ""
-        try:
-            self._engine.run(publish.activate("restore-table", bank, self.activation))
-        except NotActiveYet as waits:
-            late = f". {waits.message}. {waits.hint}"
-        crc32 = None if self._image is None else table_digest(self._image)
-        record = {"of_run": self._kind.run_id, "role": self._kind.role, "bank": bank, "crc32": crc32}
-        self._journal.decision(TABLE_RESTORED, record)
-        text = f"bank {bank} holds the {self._kind.role} table of run {self._kind.run_id}{late}"
-        self._tracker.enter(RunState.COMPLETE, text)
+def _already(found: ActiveCompensation) -> RunPlan:
+    yield from complete(lambda: f"bank {found.bank} already held that table and was active")
+    return None
 
-    def _staged(self, active: int) -> int:
-        """Stage the table and return its bank; return bank 0 if the restored state is without compensation."""
-        if self._image is None:
-            return 0
-        bank = publish.choose_bank(self._rig.store.store_limits().banks, active)
-        self._engine.run(publish.stage_table(bank, self._image))
-        return bank
+
+def _written_again(
+    asked: Restoration, image: TableImage | None, limits: StoreLimits, found: ActiveCompensation
+) -> RunPlan:
+    bank = 0 if image is None else publish.choose_bank(limits.banks, found.bank)
+    if image is not None:
+        yield from publish.stage_table(bank, image)
+    yield from record_table("staged", bank, lambda: image)
+    in_use = BankInUse(bank)
+    yield Conclude("restore-table/bank", lambda: in_use, in_use)
+    late = ""
+    try:
+        yield from publish.activate("restore-table", bank, limits.activation)
+    except NotActiveYet as waits:
+        late = f". {waits.message}. {waits.hint}"
+    crc32 = None if image is None else table_digest(image)
+    record = {"of_run": asked.run_id, "role": asked.role, "bank": bank, "crc32": crc32}
+    yield Conclude(
+        "restore-table/done", lambda: None, None, lambda journal, _: journal.decision(TABLE_RESTORED, record)
+    )
+    yield from complete(lambda: f"bank {bank} holds the {asked.role} table of run {asked.run_id}{late}")
+    return None
 
 
 def stored_table(directory: Path, run_id: str, role: str) -> TableImage | None:

@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import Plan
+from agent.execution.steps import Conclude, Enter, RunPlan
 from agent.planning.job import Job
 from agent.planning.preflight import run_preflight
-from agent.probing.run_plan import MeasuredPositions
-from agent.results.trial_report import trial_report
-from agent.runs.guarded_run import GuardedRun
+from agent.results.trial_report import TrialReport, trial_report
+from agent.runs.kinds.run_parts import complete, found_compensation, prepared_run
 from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.settings.schema import Settings
 
@@ -33,25 +33,23 @@ class OneBallTrial:
     name: str = "try"
 
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
-        preflight = run_preflight(job, start.start_mm, _checks_only, watch, with_proof=False)
-        return PlannedRun(job, self, start, preflight, lambda context: TrialRun(job, context))
+        preflight = run_preflight(job, trial, start.start_mm, watch)
+        return PlannedRun(job, self, start, preflight, lambda: trial(job))
 
 
-class TrialRun(GuardedRun):
-    """Run that measures one ball and reports what the checks on it say. It does not change the compensation."""
+def trial(job: Job) -> RunPlan:
+    """Return the plan that measures one ball and reports what the checks on it say."""
+    found = yield from found_compensation()
+    prepared = (yield from prepared_run(job, found)).prepared
+    yield Enter("state/identifying", RunState.IDENTIFYING)
 
-    def _work(self) -> None:
-        self._begin()
-        prepared = self._prepare_probe()
-        self._tracker.enter(RunState.IDENTIFYING)
+    def report_of() -> TrialReport:
         assert prepared.datum is not None  # noqa: S101  the checks are not empty
-        report = self.progress.trial = trial_report(prepared, prepared.datum)
-        self._journal.decision("try", report.as_json())
-        self._tracker.enter(RunState.COMPLETE, "; ".join(report.warnings))
+        return trial_report(prepared, prepared.datum)
 
+    def record(journal: RunJournal, made: TrialReport) -> None:
+        journal.decision("try", made.as_json())
 
-def _checks_only(job: Job) -> Plan[tuple[MeasuredPositions, MeasuredPositions]]:
-    """Return the procedure of a trial for the preflight. It measures no positions."""
-    prepared = yield from job.preparation_plan()
-    nothing = MeasuredPositions((), (), 0, prepared.standing_at, {}, prepared.placed)
-    return nothing, nothing
+    report = yield Conclude("try/report", report_of, None, record)
+    yield from complete(lambda: "; ".join(report.warnings))
+    return None

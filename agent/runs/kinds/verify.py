@@ -1,7 +1,7 @@
 """Kind of run `verify`.
 
-A few positions are measured with active compensation and compared with the last accepted night (the last run whose
-estimate was accepted as the reference). The run writes no compensation table.
+A few positions are measured with active compensation and compared with the last accepted night. The run writes no
+compensation table. A nightly run begins with the same measurement.
 """
 
 from __future__ import annotations
@@ -9,25 +9,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from agent.errors import GateRefused
+from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
+from agent.execution.steps import Conclude, Enter, Fork, Plan, RunPlan
 from agent.planning.job import Job
 from agent.planning.preflight import run_preflight
-from agent.runs.guarded_run import GuardedRun
+from agent.probing.publish import ActiveCompensation
+from agent.probing.run_plan import MEASURED, MeasuredPositions, measure_positions, note_measured
+from agent.results.observations import Correction
+from agent.results.run_outcome import NightReport
 from agent.runs.kinds.calibrate import nights_since
-from agent.runs.kinds.check_measurement import judge_measurement, measure, require_table_of
-from agent.runs.kinds.drift_check import Judge
-from agent.runs.kinds.night_plan import (
-    VERIFICATION,
-    NightPlan,
-    job_at_station,
-    station_of,
-    verification_only,
-    verification_plan,
-)
+from agent.runs.kinds.drift_check import Judge, Judgement
+from agent.runs.kinds.night_plan import VERIFICATION, NightPlan, job_at_station, station_of, verification_plan
 from agent.runs.kinds.position_choice import PositionChooser
+from agent.runs.kinds.run_parts import PreparedRun, complete, found_compensation, prepared_run, refused
 from agent.runs.planned_run import PlannedRun, StartConditions
-from agent.runs.reference_state import require_reference
-from agent.runs.run_context import RunContext
+from agent.runs.reference_state import ReferenceState, active_digest, require_reference
+
+ITS_TABLE, OTHER_TABLE = "accepted table active", "another table active"
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,7 @@ class Verification:
     """Kind of run that only verifies the machine.
 
     `station` is the station of the artefact; if it is None, the station is taken from the settings. `nights` is the
-    number of nights since the last accepted night (the last run whose estimate was accepted as the reference); if it is
-    None, the number is computed from the date.
+    number of nights since the last accepted night; if it is None, the number is computed from the date.
     """
 
     station: int | None = None
@@ -49,26 +48,67 @@ class Verification:
         judge = Judge(job, reference, nights_since(reference, self.nights, start.at))
         plan = verification_plan(PositionChooser(job_at_station(job, station), station), judge)
         own = plan.job(job)
-        preflight = run_preflight(own, start.start_mm, verification_only(plan), watch)
-        return PlannedRun(own, self, start, preflight, lambda context: VerifyRun(own, context, judge, plan))
+        preflight = run_preflight(own, lambda _: verification(own, plan, judge), start.start_mm, watch)
+        return PlannedRun(own, self, start, preflight, lambda: verification(own, plan, judge))
 
 
-class VerifyRun(GuardedRun):
-    """Run that measures a few positions and compares them with their prediction from the last accepted night. It does
-    not change the compensation."""
+def verification(job: Job, plan: NightPlan, judge: Judge) -> RunPlan:
+    """Return the plan that measures a few positions and compares them with their prediction from the last accepted
+    night. It does not change the compensation."""
+    return (yield from with_table_of(judge.reference, lambda found: _verified(job, plan, judge, found)))
 
-    def __init__(self, job: Job, context: RunContext, judge: Judge, plan: NightPlan) -> None:
-        super().__init__(job, context)
-        self._judge = judge
-        self._plan = plan
 
-    def _work(self) -> None:
-        require_table_of(self._judge.reference, self._begin())
-        self._prepare_probe()
-        job, plan = self._job, self._plan
-        measured = measure(self._engine, plan, VERIFICATION, plan.first, job, self.rules)
-        self.progress.measured = measured
-        self._tracker.enter(RunState.IDENTIFYING)
-        report = self.progress.night = judge_measurement(self._judge, plan, job, measured, self._correction).report
-        self._journal.decision("verify", report.as_json())
-        self._tracker.enter(RunState.COMPLETE, report.reason or report.decision.value)
+def _verified(job: Job, plan: NightPlan, judge: Judge, found: ActiveCompensation) -> RunPlan:
+    ready, measured = yield from check_measurement(job, plan, found)
+    yield from note_measured(MEASURED, measured)
+    yield Enter("state/identifying", RunState.IDENTIFYING)
+
+    def record(journal: RunJournal, made: NightReport) -> None:
+        journal.decision("verify", made.as_json())
+
+    report = yield Conclude(
+        "verify/report",
+        lambda: judge_measurement(judge, plan, job, measured, ready.correction).report,
+        None,
+        record,
+    )
+    yield from complete(lambda: report.reason or report.decision.value)
+    return None
+
+
+def with_table_of(reference: ReferenceState, then: Callable[[ActiveCompensation], RunPlan]) -> RunPlan:
+    """Read the active compensation, and go on with the plan that `then` returns if it is the last accepted table; end
+    with a refusal otherwise."""
+    found = yield from found_compensation()
+    return Fork(
+        "before/table",
+        lambda: ITS_TABLE if active_digest(found.table) == reference.table.crc32 else OTHER_TABLE,
+        {ITS_TABLE: lambda: then(found), OTHER_TABLE: lambda: refused(lambda: _refuse_other(reference, found))},
+        expected=ITS_TABLE,
+    )
+
+
+def _refuse_other(reference: ReferenceState, found: ActiveCompensation) -> None:
+    raise GateRefused(
+        f"bank {found.bank} is active, and it does not hold the table accepted in run {reference.run_id}",
+        hint="activate that table again, or run `volcal calibrate`",
+    )
+
+
+def check_measurement(
+    job: Job, plan: NightPlan, found: ActiveCompensation
+) -> Plan[tuple[PreparedRun, MeasuredPositions]]:
+    """Prepare the probe and measure the positions of the check at the beginning of a night."""
+    ready = yield from prepared_run(job, found)
+    order = plan.order(VERIFICATION, plan.first)
+    measured = yield from measure_positions(order, job.layout, ready.rules)
+    return ready, measured
+
+
+def judge_measurement(
+    judge: Judge, plan: NightPlan, job: Job, measured: MeasuredPositions, correction: Correction
+) -> Judgement:
+    """Compare all measured balls, including those of held-out positions, with the prediction from the last accepted
+    night, the reference of `judge`."""
+    held_out = job.balls_of(measured, held_out=True)
+    return judge.judge_balls(plan.station, [*held_out, *job.balls_of(measured, held_out=False)], held_out, correction)

@@ -11,10 +11,10 @@ from agent.errors import PlanRefused
 from agent.files import write_all_atomically
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job
-from agent.planning.preflight import run_preflight
 from agent.planning.setup_files.new_setup import POSITIONS_FILE, SETTINGS_FILE, NewSetup
 from agent.results.gate_forecast import GateForecast
 from agent.results.sufficient_effort import ChosenFiles, choose_effort
+from agent.runs.kinds.calibrate import calibration_of, preflight_of
 from agent.runs.new_machine.answers import SetupAnswers
 from drivers.errors import ConfigurationError, InputError
 from twin.units import S_PER_MIN
@@ -55,7 +55,7 @@ class NewFiles:
         """Write the preview of the plan into `folder`, and return the paths of its files."""
         from agent.planning.preview.preview_files import write_preview  # noqa: PLC0415  plotting is slow to import
 
-        return write_preview(self.chosen.job, folder, self.refused)
+        return write_preview(self.chosen.job, calibration_of, folder, self.refused)
 
     def document(self, directory: Path) -> dict[str, Any]:
         """Return the result of the set-up in `directory` as `volcal init --json` prints it, without the preview."""
@@ -113,7 +113,7 @@ def _prepared(setup: NewSetup, scratch: Path) -> NewFiles:
 def _plan(job: Job) -> tuple[PlanRefused | None, dict[str, object]]:
     """Run the preflight. Return the error if it refuses the plan, and the figures of the plan."""
     try:
-        preflight = run_preflight(job)
+        preflight = preflight_of(job)
     except PlanRefused as refused:
         return refused, {"positions": len(job.positions)}
     return None, {

@@ -13,7 +13,7 @@ from agent.execution.encoding import LostPlacement, encode_step, table_digest
 from agent.execution.engine import Action, Engine, Observer
 from agent.execution.journal import RunJournal
 from agent.execution.replay_log import RecordedStep, ReplayLog
-from agent.execution.steps import ReadTable, Record, Step
+from agent.execution.steps import UNKEYED, ReadTable, Step
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.step_trace import StepTrace
 from drivers.roles import TableImage
@@ -111,8 +111,8 @@ class ReplayingEngine(Engine):
         return result
 
     def _replay_or_do(self, step: Step) -> Any:
-        if isinstance(step, Record):
-            # A conclusion of the plan costs nothing; the journal knows which of them it has already.
+        if isinstance(step, UNKEYED):
+            # Conclusions are computed again from the journaled measurements; the journal compares their entries.
             return super()._do_durably(step)
         if not self._replay.over:
             return self._recorded(step)

@@ -24,7 +24,7 @@ from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.replay_engine import Replay, ReplayingEngine, require_crc
 from agent.runs.resume.return_to_position import ReturnToPosition
 from agent.runs.resume.step_trace import StepTrace
-from agent.runs.run_context import RunContext, RunHooks
+from agent.runs.run_context import RunContext, RunHooks, run_actions
 from agent.runs.run_start import record_asked
 from agent.runs.session import RunResult, RunSession, open_rig, run_resources
 from agent.runs.step_progress import StepProgress
@@ -75,18 +75,21 @@ def _resume_once(
         tracker = RunStateTracker(journal, hooks.announce, recorded.states)
         steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
         replay = Replay(recorded, run_clock, StepTrace())
-        engine = ReplayingEngine(rig.actions(journal.run), journal, steps.observe, replay, stored_tables(journal, rig))
+        actions = {**rig.actions(journal.run), **run_actions(rig, journal, tracker, resources.supervisor)}
+        engine = ReplayingEngine(actions, journal, steps.observe, replay, stored_tables(journal, rig))
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
         session = RunSession(context, steps, job, origin.kind, resources.began_s)
         with session.ended_by_errors():
             tracker.enter(RunState.RESUMING)
             with open_rig(context):
-                run = session.plan(origin.start).begin(context)
+                planned, ahead_s = session.plan(origin.start), continuation_time_s(origin)
                 prefix = f"resume-{recorded.resumptions + 1}"
                 engine.set_return(
-                    ReturnToPosition(prefix, run, context, replay.trace, run_clock, continuation_time_s(origin))
+                    ReturnToPosition(
+                        prefix, planned, session.progress, context, replay.trace, run_clock, origin.begun_s, ahead_s
+                    )
                 )
-                session.progress = run.carry_out()
+                session.carry_out(planned)
                 if session.progress.error is not None:
                     _note_compensation(rig, origin, tracker.note)
         moved = isinstance(session.progress.error, ArtefactMoved)

@@ -8,6 +8,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.steps import (
     ActivateBank,
     AwaitActive,
+    Decide,
     MoveTo,
     Plan,
     ReadActiveBank,
@@ -17,16 +18,18 @@ from agent.execution.steps import (
     TouchTowards,
 )
 from agent.probing import publish
-from agent.runs.guarded_run import GuardedRun
+from agent.runs.planned_run import PlannedRun
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.return_path import ReturnPath
 from agent.runs.resume.step_trace import StepTrace
 from agent.runs.run_context import RunContext
+from agent.runs.run_results import RunResults
 from drivers.errors import CommandRejected, MotionFault
 from drivers.roles import Activation, MotionState
+from twin.units import S_PER_MIN
 
-WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
-"""Types of steps that use only the compensation store, so that the machine need not return for them."""
+WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank, Decide)
+"""Types of steps that use only the compensation store or no device, so that the machine need not return for them."""
 
 
 class ReturnToPosition:
@@ -40,18 +43,22 @@ class ReturnToPosition:
     def __init__(
         self,
         prefix: str,
-        run: GuardedRun,
+        planned: PlannedRun,
+        results: RunResults,
         context: RunContext,
         trace: StepTrace,
         clock: ResumedClock,
+        begun_s: float,
         time_s: float,
     ) -> None:
         """`prefix` is the beginning of the keys of all steps.
 
-        `time_s` is the machine time in s at which the run continues.
+        `begun_s` is the machine time in s at which the run began, and `time_s` the one at which it continues.
         """
         self._prefix = prefix
-        self._run = run
+        self._planned = planned
+        self._results = results
+        self._begun_s = begun_s
         self._rig = context.rig
         self._tracker = context.tracker
         self._aside = context.engine.aside()
@@ -59,7 +66,7 @@ class ReturnToPosition:
         self._trace = trace
         self._clock = clock
         self._time_s = time_s
-        self._activation = run.activation
+        self._activation = planned.start.store.activation
         self._compensated = False
         self.complete = False
 
@@ -83,13 +90,14 @@ class ReturnToPosition:
     def _return_machine(self, following: Step) -> None:
         """Withdraw the probe, and return to the position at which `following` begins."""
         self._await_rest()
-        refusal = self._run.too_late(following)
+        refusal = self._planned.too_late(following, (self._clock.now() - self._begun_s) / S_PER_MIN)
         if refusal is not None:
             raise refusal
         if isinstance(following, (MoveTo, TouchTowards)):
             self._trace.last_motion.begin(following.target_mm, touch=isinstance(following, TouchTowards))
         self._rig.last_motion = self._trace.last_motion
-        rules = self._run.rules
+        prepared = self._results.prepared
+        rules = self._planned.job.rules if prepared is None else prepared.rules
         path = ReturnPath(self._prefix, self._trace, rules, rules.drift.fault_mm)
         try:
             self._aside.run(path.plan(following))

@@ -19,6 +19,7 @@ from agent.planning.preflight import PreflightResult
 from agent.planning.preview.blob import document
 from agent.planning.preview.builder import preview_of
 from agent.planning.preview.tip_path import Waypoint, standing_after
+from agent.runs.kinds.calibrate import calibration_of
 from agent.settings.schema import Settings
 from twin.artefact.position_set import Position
 from twin.collision.geometry import point, translate_point
@@ -53,7 +54,9 @@ class LiveView:
             if self._cached is None or self._cached[0] != key:
                 self._cached = (
                     key,
-                    _document_of_run(*current[1:]) if current else document(preview_of(prepare_job(settings, base))),
+                    _document_of_run(*current[1:])
+                    if current
+                    else document(preview_of(prepare_job(settings, base), calibration_of)),
                 )
             return {"run_id": run_id, **self._cached[1]}
 
@@ -81,9 +84,13 @@ def machine_facts(job: Job) -> Document:
     }
 
 
+def _document_of_next(settings: Settings, base: Path) -> Document:
+    return document(preview_of(prepare_job(settings, base), calibration_of))
+
+
 def _document_of_run(job: Job, preflight: PreflightResult) -> Document:
     waypoints = tuple(_waypoints(job, preflight.steps, preflight.timeline))
-    return document(preview_of(job, waypoints=waypoints))
+    return document(preview_of(job, waypoints))
 
 
 def _waypoints(job: Job, steps: Sequence[TimedStep], timeline: Mapping[str, float]) -> Iterator[Waypoint]:

@@ -1,0 +1,124 @@
+"""Guard of a run. If a run does not succeed, its guard leaves the machine as it was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from agent.errors import Aborted, GateRefused, JournalFailed, PlanDiverged
+from agent.execution.engine import Engine
+from agent.execution.journal import RunJournal
+from agent.execution.states import RunState
+from agent.execution.steps import RunPlan
+from agent.planning.job import Job
+from agent.probing import publish
+from agent.probing.recovery import withdraw
+from agent.runs.run_context import RunContext
+from agent.runs.run_results import RunResults
+from drivers.errors import LinkError, VolcalError
+
+
+def carry_out_guarded(plan: RunPlan, job: Job, context: RunContext, results: RunResults) -> None:
+    """Carry out `plan`, the plan of a run of `job`, until the run has reached a final state.
+
+    A `VolcalError` (base class of the program's own errors) is not raised but stored in `results.error`. Unless it is
+    the refusal of a gate, the machine is stopped, the probe is withdrawn, and the compensation that was active at the
+    start of the run is restored and checked.
+    """
+    try:
+        context.engine.carry_out(plan)
+    except GateRefused as refusal:
+        results.error = refusal
+        _Guard(job, context, results).end_refused(refusal)
+    except VolcalError as error:
+        results.error = error
+        _Guard(job, context, results).leave_safely(error)
+    except BaseException as defect:
+        # A defect of the agent must become visible, but only once the machine is as it was found.
+        told = VolcalError(f"defect in the agent: {defect!r}", hint="please report it")
+        _Guard(job, context, results).leave_safely(told)
+        raise
+
+
+class _Guard:
+    """Actions at the end of a run that did not succeed. The steps are journaled aside from its procedure, or not at all
+    if the journal fails."""
+
+    def __init__(self, job: Job, context: RunContext, results: RunResults) -> None:
+        self._job = job
+        self._context = context
+        self._results = results
+        self._engine: Engine = context.engine
+        self._journal: RunJournal = context.journal
+
+    def end_refused(self, refusal: GateRefused) -> None:
+        try:
+            self._journal.decision("refused", {"reason": str(refusal)})
+            self._context.tracker.enter(RunState.REFUSED, str(refusal))
+        except VolcalError as error:
+            self._results.error = error
+            self.leave_safely(error)
+
+    def leave_safely(self, error: VolcalError) -> None:
+        """Stop the machine, withdraw the probe and restore the compensation.
+
+        Failures of these actions are added to the reason of the final state, after `error`.
+        """
+        context, aborted = self._context, isinstance(error, Aborted)
+        context.supervisor.shield()
+        self._engine, self._journal = self._engine.aside(), self._journal.aside()
+        if isinstance(error, JournalFailed):
+            self._engine = self._engine.without_journal()
+        complaints = attempt("record the state", lambda: context.tracker.enter(RunState.ABORTING, str(error)))
+        complaints += context.rig.stop()
+        complaints += attempt("bring the axes to a standstill", context.rig.await_standstill)
+        if not isinstance(error, (LinkError, PlanDiverged)):
+            complaints += attempt("withdraw the probe", self._withdraw)
+        not_restored = self._attempt_restore()
+        complaints += not_restored
+        reason = "; ".join([str(error), *complaints])
+        end = RunState.ABORTED if aborted and not not_restored else RunState.FAULTED
+        attempt("record the end", lambda: context.tracker.enter(end, reason))
+
+    def _withdraw(self) -> None:
+        rules = self._job.rules
+        axis, last_motion = np.asarray(rules.probing.stylus_axis), self._context.rig.last_motion
+        self._engine.run(withdraw(rules.retreat, axis, rules.probing.retract_mm, last_motion))
+
+    def _attempt_restore(self) -> list[str]:
+        """Activate the former bank.
+
+        If the journal fails, this is done without the journal. Return error texts, empty on success.
+        """
+        found = self._results.found
+        if found is None or self._results.active_bank == found.bank:
+            return []
+        try:
+            self._restore(found)
+        except JournalFailed:
+            self._engine = self._engine.without_journal()
+            return self._attempt_restore()
+        except VolcalError as failure:
+            return [f"bank {found.bank} could not be made active again: {failure}"]
+        return []
+
+    def _restore(self, found: publish.ActiveCompensation) -> None:
+        activation = self._context.rig.store.store_limits().activation
+        self._engine.run(publish.restore(found.bank, after_fault=True, activation=activation))
+        self._results.active_bank = found.bank
+        attempt("record what was restored", lambda: self._journal.table("restored", found.bank, found.table))
+
+
+def attempt(what: str, action: Callable[[], None]) -> list[str]:
+    """Carry out `action`. Return an empty list if it succeeds, and a list with its error text if it raises
+    `VolcalError`.
+
+    The error is not raised, because it would replace an earlier error that is being handled. `what` completes the text
+    "could not …".
+    """
+    try:
+        action()
+    except VolcalError as failure:
+        return [f"could not {what}: {failure}"]
+    return []
