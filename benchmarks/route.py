@@ -11,10 +11,10 @@ import sys
 from time import process_time
 
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.planning.cycle_time import walk_plan, without_optimisation
+from agent.planning.cycle_time import expected_plan, walk_plan, without_optimisation
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import whole_procedure
+from agent.runs.kinds.calibrate import calibration_of
 from agent.settings.load import load_settings, with_overrides
 from twin.units import S_PER_MIN
 
@@ -22,7 +22,7 @@ SETS = ("S3", "S1+S2+S3")
 
 
 def minutes(job: Job) -> float:
-    return sum(timed.seconds for timed in walk_plan(job, whole_procedure(job))[1]) / S_PER_MIN
+    return sum(timed.seconds for timed in walk_plan(job, expected_plan(calibration_of(job)))[1]) / S_PER_MIN
 
 
 def run() -> dict[str, float]:

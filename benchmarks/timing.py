@@ -12,8 +12,8 @@ from collections.abc import Callable
 from time import perf_counter
 
 from agent.planning.case_file import CASE_STUDY, load_case
-from agent.planning.cycle_time import machine_minutes, position_minutes, walk_plan
-from agent.planning.preflight import run_preflight, whole_procedure
+from agent.planning.cycle_time import expected_plan, machine_minutes, position_minutes, walk_plan
+from agent.runs.kinds.calibrate import calibration_of, preflight_of
 
 REPEATS = 5
 
@@ -30,9 +30,9 @@ def median_s(action: Callable[[], object]) -> float:
 
 def run() -> dict[str, float]:
     job = load_case(CASE_STUDY)
-    walk_s = median_s(lambda: walk_plan(job, whole_procedure(job)))
-    preflight_s = median_s(lambda: run_preflight(job))
-    _, steps = walk_plan(job, whole_procedure(job))
+    walk_s = median_s(lambda: walk_plan(job, expected_plan(calibration_of(job))))
+    preflight_s = median_s(lambda: preflight_of(job))
+    _, steps = walk_plan(job, expected_plan(calibration_of(job)))
     return {
         "positions": float(len(job.positions)),
         "set_ms": median_s(lambda: machine_minutes(job, job.positions)) * 1e3,
@@ -40,7 +40,7 @@ def run() -> dict[str, float]:
         "walk_ms": walk_s * 1e3,
         "rehearsal_ms": preflight_s * 1e3,
         "rehearsal_in_walks": preflight_s / walk_s,
-        "apart": abs(sum(timed.seconds for timed in steps) / run_preflight(job).machine_seconds - 1.0),
+        "apart": abs(sum(timed.seconds for timed in steps) / preflight_of(job).machine_seconds - 1.0),
     }
 
 

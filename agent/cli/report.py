@@ -13,6 +13,7 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.options import config_option
+from agent.cli.step_lists import steps_option, write_run_steps
 from agent.execution.run_record import run_ids
 from agent.files import write_all_atomically
 from agent.reports.render_from_journal import render_from_journal
@@ -29,13 +30,17 @@ LAST = "last"
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to [default: the folder of the run]."
 )
+@steps_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
-def report_command(run: str, config: Path, pdf: bool, out: Path | None, as_json: bool) -> None:
+def report_command(run: str, config: Path, pdf: bool, out: Path | None, steps: Path | None, as_json: bool) -> None:
     """Write the report of RUN (its identity, or `last`) from the journal alone, whatever the outcome of the run."""
     with naming(config):
         directory = read_settings(config).state_directory
     run_id = _identity(run, directory)
+    if steps is not None:
+        write_run_steps(directory, run_id, steps)
+        return
     folder = out or directory / run_id
     files = render_from_journal(directory, run_id, pdf=pdf)
     write_all_atomically(folder, files)

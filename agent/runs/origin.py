@@ -24,9 +24,6 @@ from agent.settings.schema import Settings
 from drivers.errors import InputError
 from drivers.roles import Activation, StoreLimits
 
-PLAN_VERSION = 2
-"""Version of the steps of which the plans of runs consist. A run with another one cannot be resumed."""
-
 KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night, OneBallTrial)}
 
 
@@ -70,7 +67,6 @@ def origin_record(settings: Settings, kind: Kind, base: Path, start: StartCondit
         "at": start.at,
         "start_mm": list(start.start_mm),
         "store": {**vars(start.store), "activation": start.store.activation.value},
-        "plan": PLAN_VERSION,
         "files": digests(settings, base),
     }
 

@@ -3,7 +3,7 @@ of the run has passed to it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,6 +35,10 @@ def _ignore_step(_: s.Step, __: object) -> None: ...
 def _permit(_: Job, __: PreflightResult) -> None: ...
 
 
+def _no_answers(_: RunStateTracker) -> Mapping[type, Action]:
+    return {}
+
+
 @dataclass(frozen=True)
 class RunHooks:
     """Functions and objects that the caller passes to a run; the defaults are for a run that is not observed.
@@ -44,7 +48,9 @@ class RunHooks:
     job that will be measured and the result of its preflight (simulated execution); it may raise an error to refuse the
     run. `lock` prevents other processes from using the machine. `devices` creates the clock and the rig (all devices of
     the machine). `reports` renders the report of the run. If `write_files` is True, the results are also written to
-    files; they are in the journal in any case.
+    files; they are in the journal in any case. `answers` receives the tracker of the run's state and returns actions
+    that replace those of the run, by type of step. Campaigns use it to choose the way of a run, and to carry out the
+    motions of a run without its computations.
     """
 
     announce: Listener = _ignore_announcement
@@ -55,6 +61,7 @@ class RunHooks:
     devices: Devices = field(default_factory=Devices)
     reports: ReportRenderer = render_in_process
     write_files: bool = True
+    answers: Callable[[RunStateTracker], Mapping[type, Action]] = _no_answers
 
 
 @dataclass(frozen=True)
@@ -72,9 +79,11 @@ class RunContext:
     hooks: RunHooks
 
 
-def run_actions(rig: Rig, journal: RunJournal, tracker: RunStateTracker, supervisor: Supervisor) -> dict[type, Action]:
-    """Return the actions of the steps of a run that belong to no device: states, conclusions, decisions, and proofs of
-    plans that are chosen during the run."""
+def run_actions(
+    rig: Rig, journal: RunJournal, tracker: RunStateTracker, supervisor: Supervisor, hooks: RunHooks
+) -> dict[type, Action]:
+    """Return the actions of all steps of a run: those of the devices in `rig`, and those of states, conclusions,
+    decisions and proofs of plans that are chosen during the run. `hooks.answers` may replace them."""
 
     def conclude(step: s.Conclude) -> Any:
         result = step.compute()
@@ -86,8 +95,10 @@ def run_actions(rig: Rig, journal: RunJournal, tracker: RunStateTracker, supervi
         return step.prove((x, y, z), supervisor.check_stop_request)
 
     return {
+        **rig.actions(journal.run),
         s.Enter: lambda step: tracker.enter(step.state, step.reason()),
         s.Conclude: conclude,
         s.Decide: lambda step: step.choose(),
         s.ProvePlan: prove,
+        **hooks.answers(tracker),
     }

@@ -81,7 +81,7 @@ def carry_out(
         journal = enter_in_journal(resources.journal, run_id, job, kind, clock, asked or {})
         tracker = RunStateTracker(journal, hooks.announce)
         steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
-        actions = {**rig.actions(journal.run), **run_actions(rig, journal, tracker, resources.supervisor)}
+        actions = run_actions(rig, journal, tracker, resources.supervisor, hooks)
         engine = Engine(actions, journal, steps.observe)
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
         session = RunSession(context, steps, job, kind, resources.began_s)

@@ -27,10 +27,10 @@ def plan(*more: str | Path) -> Result:
 
 
 def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
-    def run_preflight(_: object) -> None:
+    def preflight_of(_: object, **__: object) -> None:
         raise PlanRefused("preflight: collision: ram with post 4", hint="the plan must change", step=REFUSED_STEP)
 
-    monkeypatch.setattr("agent.cli.run_commands.plan.run_preflight", run_preflight)
+    monkeypatch.setattr("agent.cli.run_commands.plan.preflight_of", preflight_of)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,9 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_preflight(
 ) -> None:
     (tmp_path / "taken").write_text("")
     folder = {"a file": tmp_path / "taken", "below a file": tmp_path / "taken" / "x", "not writable": Path("/proc/x")}
-    monkeypatch.setattr("agent.cli.run_commands.plan.run_preflight", lambda _: pytest.fail("preflight run in vain"))
+    monkeypatch.setattr(
+        "agent.cli.run_commands.plan.preflight_of", lambda *_, **__: pytest.fail("preflight run in vain")
+    )
     done = plan("--preview", folder[where])
     assert done.exit_code == 2
     assert done.stdout == ""

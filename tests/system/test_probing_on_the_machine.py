@@ -22,9 +22,9 @@ from agent.execution.rig import Rig
 from agent.planning.cycle_time import walk_plan
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import run_preflight
 from agent.probing.preparation import PreparationResult
 from agent.probing.run_plan import MeasuredPositions, MeasuringOrder, measure_positions
+from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.roles import Miss, Touch
@@ -143,7 +143,7 @@ def test_dry_run_walk_and_machine_agree_on_what_two_stages_of_nine_touches_take(
     machine = bench(
         state, trigger, procedure=procedure, verification={"stations": [1], "positions_deg": [[30.0, 30.0]]}
     )
-    preflight = run_preflight(machine.job)
+    preflight = preflight_of(machine.job)
     began = machine.rig.clock.now()
     prepared = machine.prepared()
     order = dataclasses.replace(machine.job.measuring_order, standing_at=prepared.standing_at)

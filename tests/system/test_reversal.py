@@ -19,8 +19,8 @@ from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import run_preflight
 from agent.probing.reversal import Reversal
+from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 
@@ -100,7 +100,7 @@ def test_the_touches_are_those_that_the_plan_says_and_its_time_is_foreseen(state
     assert len(touches) == 3 * 2 * 2 * job.settings.reversal.touches
     keys = [x.key for x in seen]
     assert len(set(keys)) == len(keys)
-    assert any("/reversal/" in key for key in run_preflight(job).timeline)
+    assert any("/reversal/" in key for key in preflight_of(job).timeline)
 
 
 def test_preloading_moves_one_axis_alone_right_before_the_touch(state: Path) -> None:

@@ -17,7 +17,7 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.options import case_options, procedure_options
 from agent.cli.printing import columns_table, facts_table, gates_table, results_console
-from agent.cli.run_commands.plan_steps import steps_option, write_branch_steps
+from agent.cli.step_lists import steps_option, write_branch_steps
 from agent.errors import PlanRefused
 from agent.files import check_folder
 from agent.planning.cycle_time import PARTS, expected_plan, minutes_by_part, walk_plan, without_optimisation
@@ -88,8 +88,8 @@ def plan_command(
         return
     console = results_console()
     console.print(_table(job, preflight, before_minutes, expectation, valuation))
-    console.print(_minutes_table(minutes_by_part(preflight.steps)))
     console.print(_branches_table(preflight))
+    console.print(_minutes_table(minutes_by_part(preflight.steps)))
     console.print(gates_table(gates))
     for path in files:
         click.echo(str(path))

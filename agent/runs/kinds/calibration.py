@@ -74,7 +74,7 @@ ACCEPT, RESTORE = "accepted", "former table restored"
 
 @dataclass(frozen=True, eq=False)
 class CalibrationTask:
-    """What a calibration of `job` has to do, and what it is judged by.
+    """Task of a calibration: the job, and the limits and the reference by which its result is judged.
 
     `store` contains the limits of the controller's compensation store. `reference` is the last accepted night of this
     machine, against which the change of the machine is judged; it is None if there is none. `nights` is the number of

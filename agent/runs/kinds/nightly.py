@@ -133,8 +133,8 @@ def _no_timetable() -> PreflightResult:
 
 @dataclass(frozen=True, eq=False)
 class NightTask:
-    """What a night has to do: the job with the positions of the night, the judge of the machine, the positions in their
-    order, the choice of positions for a diagnosis, the slot, and the limits of the compensation store."""
+    """Task of a night: the job with the positions of the night, the judge of the machine, the positions in their order,
+    the choice of positions for a diagnosis, the slot, and the limits of the compensation store."""
 
     job: Job
     judge: Judge

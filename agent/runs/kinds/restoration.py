@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 from agent.execution.encoding import table_digest
-from agent.execution.journal import RunJournal
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.states import RunState

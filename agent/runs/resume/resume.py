@@ -75,7 +75,7 @@ def _resume_once(
         tracker = RunStateTracker(journal, hooks.announce, recorded.states)
         steps = StepProgress(tracker, hooks.observe, rig.link_interruptions)
         replay = Replay(recorded, run_clock, StepTrace())
-        actions = {**rig.actions(journal.run), **run_actions(rig, journal, tracker, resources.supervisor)}
+        actions = run_actions(rig, journal, tracker, resources.supervisor, hooks)
         engine = ReplayingEngine(actions, journal, steps.observe, replay, stored_tables(journal, rig))
         context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
         session = RunSession(context, steps, job, origin.kind, resources.began_s)

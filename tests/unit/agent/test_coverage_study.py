@@ -32,6 +32,7 @@ def case(machines: int, options: Options | None = None) -> StudyCase:
         machines=machines,
         workers=LocalWorkers(1),
         progress=lambda what, done, total: None,
+        prove=lambda _: None,
     )
 
 

@@ -16,8 +16,8 @@ from agent.planning.design.feasibility import FeasibilityCheck
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import variants_of
 from agent.planning.job import Job, KnownHeldOut
-from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
+from agent.runs.kinds.calibrate import preflight_of
 from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position, parse_position_set
 from twin.design.candidates import CandidatePositions, build_candidates
@@ -127,7 +127,7 @@ def test_ways_that_are_proved_pass_where_plain_ones_would_hit():
 
 def _passes_preflight(job: Job, position: Position) -> bool:
     try:
-        run_preflight(replace(job, positions=(position,), held_out_choice=KnownHeldOut((Position(1, 30.0, 30.0),))))
+        preflight_of(replace(job, positions=(position,), held_out_choice=KnownHeldOut((Position(1, 30.0, 30.0),))))
     except PlanRefused:
         return False
     return True
@@ -138,7 +138,7 @@ def test_a_slot_holds_for_the_plan_as_a_whole_and_carries_cost_time():
     timing = settings.timing.model_copy(update={"relocation_minutes": 4.0})
     job = replace(case(), settings=settings.model_copy(update={"timing": timing}))
     found = find_design(
-        DesignProblem({"probe": job}, 45.0), TimeSlotGoal(22.0), verify=True, with_preflight=False, say=lambda _: None
+        DesignProblem({"probe": job}, 45.0), TimeSlotGoal(22.0), verify=True, prove=None, say=lambda _: None
     )
     assert found.minutes == pytest.approx(machine_minutes(job, found.positions).total)
     assert found.minutes <= 22.0
@@ -148,7 +148,7 @@ def test_a_slot_holds_for_the_plan_as_a_whole_and_carries_cost_time():
         DesignProblem({"probe": case()}, 45.0),
         TimeSlotGoal(22.0),
         verify=False,
-        with_preflight=False,
+        prove=None,
         say=lambda _: None,
     )
     assert len(set(stations)) <= len({position.station for position in free.positions})
@@ -166,7 +166,7 @@ def _assert_held_out(job: Job, positions: tuple[Position, ...], held_out: tuple[
         assert all(Position(station, azimuth, elevation) in held_out for station in job.verified_stations)
 
 
-def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on(monkeypatch):
+def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on():
     seen: list[tuple[Position, ...]] = []
 
     def refusing_once(job: Job) -> None:
@@ -174,12 +174,11 @@ def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on(monkeypatch
         if len(seen) == 1:
             raise PlanRefused("preflight: collision", step=f"measure/{position_key(job.positions[1])}/ball-03/approach")
 
-    monkeypatch.setattr("agent.planning.design.design_result.run_preflight", refusing_once)
     found = find_design(
         DesignProblem({"probe": case()}, 90.0),
         PositionCountGoal(3),
         verify=False,
-        with_preflight=True,
+        prove=refusing_once,
         say=lambda _: None,
     )
     assert len(seen) == 2
@@ -230,6 +229,6 @@ def test_an_unreachable_goal_is_the_users_error():
             DesignProblem({"probe": case()}, 90.0),
             TimeSlotGoal(1.0),
             verify=False,
-            with_preflight=False,
+            prove=None,
             say=lambda _: None,
         )

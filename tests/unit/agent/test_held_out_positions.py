@@ -19,8 +19,8 @@ from agent.planning.held_out_positions import (
 )
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job, reached_balls
-from agent.planning.preflight import run_preflight
 from agent.results.predicted_accuracy import predict_accuracy
+from agent.runs.kinds.calibrate import preflight_of
 from agent.runs.kinds.position_choice import PositionChooser
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
@@ -72,7 +72,7 @@ def test_the_proof_looks_beyond_what_the_set_reaches() -> None:
 
 def test_chosen_positions_are_expected_to_be_worse_than_those_in_the_middle() -> None:
     chosen, listed = (
-        predict_accuracy(job, run_preflight(job).measured).held_out_um
+        predict_accuracy(job, preflight_of(job).measured).held_out_um
         for job in (case(), prepared(positions_deg=IN_THE_MIDDLE))
     )
     assert list(chosen) == list(case().held_out)
@@ -100,7 +100,7 @@ def test_the_choice_is_made_when_it_is_first_read_and_copies_share_it(monkeypatc
         patch.setattr(module, "least_known", refuse)
         job = prepared()
         with pytest.raises(ConfigurationError, match="nothing can be held out"):
-            run_preflight(job)
+            preflight_of(job)
     assert choices == [1]
     fewer = replace(job, positions=job.positions[:3])
     assert fewer.held_out is job.held_out
@@ -125,7 +125,7 @@ def test_with_plain_paths_no_chosen_position_rises_above_the_retreat_plane_of_a_
     offered = [Position(station, *angles) for angles in held_out_grid(job.settings)]
     assert any(feasibility.hit(position) for position in offered if reached_balls(job, position) >= MIN_BALLS)
     flat = next(position for position in job.positions if position.station == station and position.elevation_deg == 0.0)
-    preflight = run_preflight(replace(job, positions=(flat,)))
+    preflight = preflight_of(replace(job, positions=(flat,)))
     assert len(preflight.verified.positions) == len(job.held_out)
 
 

@@ -10,7 +10,7 @@ from agent.errors import PlanRefused
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import run_preflight
+from agent.runs.kinds.calibrate import preflight_of
 from agent.settings.load import load_settings
 
 TOO_NEAR_MM = 12.0
@@ -25,10 +25,10 @@ def job(**procedure: Any) -> Job:
 
 def test_plain_ways_that_are_not_free_are_refused_with_the_way_out() -> None:
     with pytest.raises(PlanRefused, match=r"collision: tip with ball \d+") as refused:
-        run_preflight(job(paths="plain", retract_mm=TOO_NEAR_MM))
+        preflight_of(job(paths="plain", retract_mm=TOO_NEAR_MM))
     assert "step" in refused.value.where
     assert '`procedure.paths = "shortest"`' in refused.value.hint
 
 
 def test_the_ways_that_the_hint_promises_are_free() -> None:
-    assert run_preflight(job(retract_mm=TOO_NEAR_MM)).measured.positions
+    assert preflight_of(job(retract_mm=TOO_NEAR_MM)).measured.positions

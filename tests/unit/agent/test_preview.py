@@ -16,7 +16,6 @@ from agent.execution.steps import MoveTo, OrientTo
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import run_preflight, whole_procedure
 from agent.planning.preview.artefact_placement import bodies_at
 from agent.planning.preview.blob import document, embedded
 from agent.planning.preview.builder import preview_of
@@ -25,6 +24,7 @@ from agent.planning.preview.preview_files import render_page
 from agent.planning.preview.refusal import named_in, refusal_of
 from agent.planning.preview.scene import Preview
 from agent.planning.preview.tip_path import Waypoint, walk_waypoints
+from agent.runs.kinds.calibrate import calibration_of, preflight_of
 from agent.settings.load import load_settings, with_overrides
 from twin.artefact.position_set import Position
 from twin.collision.bodies import Body
@@ -43,14 +43,14 @@ def at_two_stations() -> Job:
 
 @pytest.fixture(scope="module")
 def preview(at_two_stations: Job) -> Preview:
-    return preview_of(at_two_stations)
+    return preview_of(at_two_stations, calibration_of)
 
 
 # ------------------------------------------------------------------ what it holds
 
 
 def test_it_is_the_plan_of_the_preflight(at_two_stations: Job, preview: Preview) -> None:
-    preflight = run_preflight(at_two_stations)
+    preflight = preflight_of(at_two_stations)
     assert preview.minutes == pytest.approx(preflight.machine_minutes, rel=1e-6)
     assert preview.unreachable == preflight.measured.unreachable_balls
     measuring = [visit for visit in preview.visits if visit.phase in ("measure", "verify")]
@@ -130,8 +130,8 @@ def refused_at(step: str, message: str = "preflight: collision: ram with bar") -
 
 
 def test_a_refused_plan_ends_at_its_step(at_two_stations: Job) -> None:
-    key = next(w.step.key for w in walk_waypoints(at_two_stations)[300:] if isinstance(w.step, MoveTo))
-    preview = preview_of(at_two_stations, refused_at(key))
+    key = next(w.step.key for w in walk_waypoints(at_two_stations, calibration_of)[300:] if isinstance(w.step, MoveTo))
+    preview = preview_of(at_two_stations, calibration_of, refused_at(key))
     refusal = preview.refusal
     assert refusal is not None
     assert refusal.step == key
@@ -161,7 +161,7 @@ def test_the_tip_stops_where_the_bodies_meet(at_two_stations: Job) -> None:
 
 
 def test_a_refusal_without_a_step_shows_as_much_as_can_be_walked(at_two_stations: Job) -> None:
-    preview = preview_of(at_two_stations, PlanRefused("preflight: the stylus cannot be qualified"))
+    preview = preview_of(at_two_stations, calibration_of, PlanRefused("preflight: the stylus cannot be qualified"))
     assert preview.refusal is not None
     assert (preview.refusal.step, preview.refusal.bodies) == ("", ())
     assert preview.path
@@ -179,7 +179,7 @@ def test_bodies_are_those_that_the_message_names(at_two_stations: Job) -> None:
 
 
 def test_a_refusal_before_the_first_step_still_shows_the_positions(at_two_stations: Job) -> None:
-    preview = preview_of(at_two_stations, refused_at(next(whole_procedure(at_two_stations)).key, "no permission"))
+    preview = preview_of(at_two_stations, calibration_of, refused_at("measure/permissions", "no permission"))
     assert (preview.path, preview.minutes) == ((), 0.0)
     assert preview.refusal is not None
     assert preview.refusal.bodies == ()
@@ -219,7 +219,7 @@ def test_no_name_can_break_out_of_the_page(preview: Preview) -> None:
 
 
 def test_the_page_is_one_file_without_network_even_for_the_largest_sets() -> None:
-    page = render_page(preview_of(job("S1+S2+S3", (1, 2, 3, 4))))
+    page = render_page(preview_of(job("S1+S2+S3", (1, 2, 3, 4)), calibration_of))
     assert len(page.encode()) < 2_000_000
     assert re.findall(r"(?:src|href)\s*=|url\(|@import|https?://|fetch\(|XMLHttpRequest|import\(", page) == []
     assert "default-src 'none'" in page
@@ -227,7 +227,9 @@ def test_the_page_is_one_file_without_network_even_for_the_largest_sets() -> Non
 
 
 def test_the_picture_shows_a_refusal(at_two_stations: Job, preview: Preview) -> None:
-    refused = preview_of(at_two_stations, refused_at(walk_waypoints(at_two_stations)[40].step.key))
+    refused = preview_of(
+        at_two_stations, calibration_of, refused_at(walk_waypoints(at_two_stations, calibration_of)[40].step.key)
+    )
     passed, shown = draw_png(preview), draw_png(refused)
     for png in (passed, shown):
         width, height = np.frombuffer(png[16:24], dtype=">u4")

@@ -52,6 +52,7 @@ def case(stations: int | None = 2, **changes: object) -> StudyCase:
         "machines": 4,
         "workers": LocalWorkers(1),
         "progress": lambda *_: None,
+        "prove": lambda _: None,
     }
     return StudyCase(**{**made, **changes})  # type: ignore[arg-type]
 

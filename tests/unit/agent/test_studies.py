@@ -65,6 +65,7 @@ def case(**changes: object) -> StudyCase:
         "machines": 4,
         "workers": LocalWorkers(1),
         "progress": lambda *_: None,
+        "prove": lambda _: None,
     }
     return StudyCase(**{**made, **changes})  # type: ignore[arg-type]
 

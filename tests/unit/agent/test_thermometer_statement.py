@@ -13,12 +13,12 @@ from agent.planning.design.design_problem import DesignProblem
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.identifiability import RankRequest, rank
 from agent.planning.job import Job
-from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import MeasuredPositions
 from agent.results.observations import no_correction, observations_of
 from agent.results.predicted_accuracy import preflight_estimate
 from agent.results.thermal_drift import identification_options
 from agent.results.thermometer import ThermometerFacts, ThermometerStatement
+from agent.runs.kinds.calibrate import preflight_of
 from twin.artefact.position_set import parse_position_set
 from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.thermometer_effect import ThermometerEffect
@@ -34,7 +34,7 @@ def job_with(uncertainty_k: float | None) -> Job:
 
 @cache
 def measured() -> MeasuredPositions:
-    return run_preflight(load_case(CASE_STUDY)).measured
+    return preflight_of(load_case(CASE_STUDY)).measured
 
 
 @pytest.mark.parametrize(("stated_k", "used_k"), STATED)

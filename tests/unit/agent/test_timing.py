@@ -13,12 +13,20 @@ from agent.cli.main import main
 from agent.errors import Aborted
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, Step, TouchTowards
 from agent.planning.case_file import CASE_STUDY
-from agent.planning.cycle_time import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walk_plan
+from agent.planning.cycle_time import (
+    CARRYING,
+    PARTS,
+    expected_plan,
+    machine_minutes,
+    minutes_by_part,
+    position_minutes,
+    walk_plan,
+)
 from agent.planning.job import Job
 from agent.planning.job_preparation import prepare_job
-from agent.planning.preflight import run_preflight, whole_procedure
 from agent.planning.time_model import TimeModel
 from agent.probing.run_plan import MeasuringOrder, measure_positions
+from agent.runs.kinds.calibrate import calibration_of, preflight_of
 from agent.settings.load import load_settings, with_overrides
 from drivers.roles import OperatorRequest, OperatorTask
 from twin.artefact.position_set import Position
@@ -92,9 +100,10 @@ def at_two_stations() -> Job:
 
 
 def test_the_walk_agrees_with_the_dry_run_step_by_step(at_two_stations: Job) -> None:
-    preflight = run_preflight(at_two_stations)
-    (measured, verified), steps = walk_plan(at_two_stations, whole_procedure(at_two_stations))
-    assert measured.touches + verified.touches == preflight.measured.touches + preflight.verified.touches
+    preflight = preflight_of(at_two_stations)
+    _, steps = walk_plan(at_two_stations, expected_plan(calibration_of(at_two_stations)))
+    touches = [sum(isinstance(timed.step, TouchTowards) for timed in walked) for walked in (steps, preflight.steps)]
+    assert touches[0] == touches[1] > 300
     walked_s = np.array([timed.seconds for timed in steps if timed.seconds > 0.0])
     assert walked_s == pytest.approx(np.array([timed.seconds for timed in preflight.steps]), rel=1e-2, abs=1e-3)
     assert walked_s.sum() == pytest.approx(preflight.machine_seconds, rel=1e-6)
@@ -118,7 +127,7 @@ def test_the_minutes_of_a_set_add_up(at_two_stations: Job) -> None:
 
 
 def test_the_parts_of_the_time_are_the_time(at_two_stations: Job) -> None:
-    _, steps = walk_plan(at_two_stations, whole_procedure(at_two_stations))
+    _, steps = walk_plan(at_two_stations, expected_plan(calibration_of(at_two_stations)))
     by_station = minutes_by_part(steps)
     assert sum(sum(parts.values()) for parts in by_station.values()) == pytest.approx(
         sum(s.seconds for s in steps) / 60
@@ -130,15 +139,17 @@ def test_the_parts_of_the_time_are_the_time(at_two_stations: Job) -> None:
 
 def test_a_latency_costs_as_many_times_as_its_command_is_given() -> None:
     quick, slow = job([1]), job([1], touch_latency_s=1.079)
-    touches = sum(1 for timed in walk_plan(quick, whole_procedure(quick))[1] if isinstance(timed.step, TouchTowards))
+    touches = sum(
+        1 for timed in walk_plan(quick, expected_plan(calibration_of(quick)))[1] if isinstance(timed.step, TouchTowards)
+    )
     more = machine_total(slow) - machine_total(quick)
     assert touches > 300
     assert more == pytest.approx(touches / 60.0)
-    assert run_preflight(slow).machine_minutes - run_preflight(quick).machine_minutes == pytest.approx(touches / 60.0)
+    assert preflight_of(slow).machine_minutes - preflight_of(quick).machine_minutes == pytest.approx(touches / 60.0)
 
 
 def machine_total(of: Job) -> float:
-    return sum(timed.seconds for timed in walk_plan(of, whole_procedure(of))[1]) / 60.0
+    return sum(timed.seconds for timed in walk_plan(of, expected_plan(calibration_of(of)))[1]) / 60.0
 
 
 def test_one_position_costs_about_what_it_costs_in_a_set(at_two_stations: Job) -> None:
@@ -195,6 +206,6 @@ def test_a_preflight_is_interrupted_at_its_next_step(at_two_stations: Job) -> No
             raise Aborted("aborted: a test")
 
     with pytest.raises(Aborted, match="a test") as ended:
-        run_preflight(at_two_stations, watch=watch)
+        preflight_of(at_two_stations, watch=watch)
     assert len(looked) == 20
     assert "step" not in ended.value.where

@@ -74,7 +74,7 @@ def test_every_image_is_shown_somewhere() -> None:
 def test_the_checks_see_what_is_wrong(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(
-        "# One thing\n[a](nowhere.md) [b](#one-thing) [c](#another) `agent/nothing.py` `agent/runs/calibration.py`\n"
+        "# One thing\n[a](nowhere.md) [b](#one-thing) [c](#another) `agent/nothing.py` `agent/runs/guard.py`\n"
     )
     assert list(dead_links(page)) == ["nowhere.md", "#another"]
     assert list(missing_paths(page)) == ["agent/nothing.py"]

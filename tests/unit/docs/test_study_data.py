@@ -14,6 +14,7 @@ from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.bar_variants import Bar
 from agent.planning.design.variants import variants_of
+from agent.runs.kinds.calibrate import preflight_of
 from agent.studies import ball_count, design, misalignment, strategy
 from agent.studies.identification_variants import identification_variants
 from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant
@@ -34,7 +35,7 @@ def table(name: str) -> list[dict[str, str]]:
 
 @cache
 def case() -> StudyCase:
-    return StudyCase(load_case(CASE_STUDY), Options(), 1, 2, LocalWorkers(1), lambda *_: None)
+    return StudyCase(load_case(CASE_STUDY), Options(), 1, 2, LocalWorkers(1), lambda *_: None, preflight_of)
 
 
 @cache
