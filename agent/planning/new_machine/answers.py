@@ -9,41 +9,10 @@ from pathlib import Path
 
 from agent.files import read_text, translated
 from agent.model_files import load_artefact
+from agent.planning.new_machine import fields
 from agent.planning.new_machine.artefact_setup import LENGTH, ArtefactSetup, Calibration, nominal_artefact, smaller_size
 from agent.planning.new_machine.controller_setup import MODBUS, SERIAL, ControllerSetup
 from agent.planning.new_machine.field import Answers
-from agent.planning.new_machine.fields import (
-    ACCELERATION,
-    ADDRESS,
-    ARTEFACT,
-    BALL_DIAMETER,
-    BALLS,
-    CALIBRATION,
-    CERTIFIED_LENGTH,
-    CHAIN,
-    CONTROLLER_KIND,
-    FEED,
-    HOLDER,
-    LENGTH_UNCERTAINTY,
-    MACHINE_CLASS,
-    MOUNT_AT,
-    NAME,
-    POSITION_SET,
-    PROBE_DIAMETER,
-    RAPID,
-    SHAFT,
-    SIZE,
-    SPINDLE,
-    STATIONS,
-    STEM,
-    STYLUS,
-    TABLE_Z,
-    TILT,
-    TIP_DIAMETER,
-    TOUCHES,
-    TRAVEL,
-    stated_artefact,
-)
 from agent.planning.new_machine.machine_setup import STATED, MachineSetup
 from agent.planning.new_machine.new_setup import ARTEFACT_FILE, NewSetup
 from agent.planning.new_machine.station_setup import StationSetup, propose_stations
@@ -62,34 +31,58 @@ class SetupAnswers(Answers):
     def collect(self) -> NewSetup:
         """Return the set-up of the machine, and ask what is not stated in the order of the steps. Raises InputError,
         which names the option, if an answer is missing or impossible."""
-        kind = self[MACHINE_CLASS]
-        needed = self[CONTROLLER_KIND] in (MODBUS, SERIAL)
+        kind = self[fields.MACHINE_CLASS]
+        needed = self[fields.CONTROLLER_KIND] in (MODBUS, SERIAL)
         with translated(InputError):
-            controller = ControllerSetup.of(self[CONTROLLER_KIND], self[ADDRESS] if needed else self.stated(ADDRESS))
+            controller = ControllerSetup.of(
+                self[fields.CONTROLLER_KIND], self[fields.ADDRESS] if needed else self.stated(fields.ADDRESS)
+            )
         self.limits = self._reported_limits(controller)
-        limits, spindle, chain, stylus, name = self[TRAVEL], self[SPINDLE], self[CHAIN], self[STYLUS], self[NAME]
+        limits, spindle, chain = self[fields.TRAVEL], self[fields.SPINDLE], self[fields.CHAIN]
+        stylus, name = self[fields.STYLUS], self[fields.NAME]
         with translated(InputError):
-            probe = {one.key: self[one] for one in (TIP_DIAMETER, STEM, PROBE_DIAMETER) if self.states(one)}
+            probe = {
+                one.key: self[one]
+                for one in (fields.TIP_DIAMETER, fields.STEM, fields.PROBE_DIAMETER)
+                if self.states(one)
+            }
             machine = MachineSetup(
-                name, kind, limits, spindle, chain, stylus, self[RAPID], self[FEED], self[ACCELERATION], self.origins,
-                probe,
-            )  # fmt: skip
+                name=name,
+                kind=kind,
+                limits_mm=limits,
+                spindle=spindle,
+                chain=chain,
+                stylus_mm=stylus,
+                rapid_mm_per_min=self[fields.RAPID],
+                feed_mm_per_min=self[fields.FEED],
+                acceleration_mm_per_s2=self[fields.ACCELERATION],
+                origins=self.origins,
+                stated_probe=probe,
+            )
         artefact, files = self._artefact()
         stations = self._stations(machine, artefact)
-        return NewSetup(machine, controller, artefact, stations, files, self.stated(POSITION_SET), self.stated(TOUCHES))
+        return NewSetup(
+            machine,
+            controller,
+            artefact,
+            stations,
+            files,
+            self.stated(fields.POSITION_SET),
+            self.stated(fields.TOUCHES),
+        )
 
     def with_smaller_artefact(self, setup: NewSetup) -> NewSetup | None:
         """Return the set-up with a smaller artefact and its stations, or None if a person chose its size or none is
         smaller."""
         former = setup.artefact
-        size = smaller_size(former) if former.origins.get(SIZE.name, STATED) != STATED else None
+        size = smaller_size(former) if former.origins.get(fields.SIZE.name, STATED) != STATED else None
         if size is None:
             return None
         names = {
-            BALLS.name: "balls",
-            TILT.name: "tilt_deg",
-            HOLDER.name: "holder_mm",
-            BALL_DIAMETER.name: "diameter_mm",
+            fields.BALLS.name: "balls",
+            fields.TILT.name: "tilt_deg",
+            fields.HOLDER.name: "holder_mm",
+            fields.BALL_DIAMETER.name: "diameter_mm",
         }
         kept = {key: getattr(former, key) for name, key in names.items() if former.origins[name] == STATED}
         artefact = replace(
@@ -112,23 +105,27 @@ class SetupAnswers(Answers):
 
     def _artefact(self) -> tuple[ArtefactSetup, Mapping[str, str] | None]:
         """Return the dimensions of the artefact, and the texts of its files if it is not a nominal one."""
-        if self.states(ARTEFACT):
-            return _artefact_of_file(self[ARTEFACT])
-        artefact = stated_artefact(self)
-        kind = LENGTH if self.states(CERTIFIED_LENGTH) and not self.states(CALIBRATION) else self[CALIBRATION]
+        if self.states(fields.ARTEFACT):
+            return _artefact_of_file(self[fields.ARTEFACT])
+        artefact = fields.stated_artefact(self)
+        kind = (
+            LENGTH
+            if self.states(fields.CERTIFIED_LENGTH) and not self.states(fields.CALIBRATION)
+            else self[fields.CALIBRATION]
+        )
         if kind != LENGTH:
             return replace(artefact, calibration=Calibration(kind)), None
-        calibration = Calibration(kind, self[CERTIFIED_LENGTH], self[LENGTH_UNCERTAINTY])
+        calibration = Calibration(kind, self[fields.CERTIFIED_LENGTH], self[fields.LENGTH_UNCERTAINTY])
         return replace(artefact, calibration=calibration), None
 
     def _stations(self, machine: MachineSetup, artefact: ArtefactSetup) -> StationSetup:
         return propose_stations(
             machine,
             artefact,
-            count=self.stated(STATIONS),
-            first_mm=self.stated(MOUNT_AT),
-            shaft_mm=self.stated(SHAFT),
-            table_z_mm=self.stated(TABLE_Z),
+            count=self.stated(fields.STATIONS),
+            first_mm=self.stated(fields.MOUNT_AT),
+            shaft_mm=self.stated(fields.SHAFT),
+            table_z_mm=self.stated(fields.TABLE_Z),
         )
 
 

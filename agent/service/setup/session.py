@@ -14,7 +14,7 @@ from agent.files import translated, write_all_atomically
 from agent.planning.new_machine.answers import SetupAnswers
 from agent.planning.new_machine.controller_setup import SIMULATED, ControllerSetup
 from agent.planning.new_machine.field import ProposalsOnly
-from agent.planning.new_machine.fields import CONTROLLER_KIND, FIELDS
+from agent.planning.new_machine.fields import ADDRESS, CONTROLLER_KIND, FIELDS
 from agent.planning.new_machine.new_setup import NewSetup
 from agent.planning.new_machine.spindle import spindle_name
 from agent.results.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
@@ -72,7 +72,7 @@ class SetupSession:
             self._texts = {name: text for name, text in {**former, **texts}.items() if text.strip()}
             if self._texts != former:
                 self.files = self._review = None
-            if any(self._texts.get(name) != former.get(name) for name in ("controller", "address")):
+            if any(self._texts.get(name) != former.get(name) for name in (CONTROLLER_KIND.name, ADDRESS.name)):
                 self.watch.close()
                 self._seen.clear()
             return self.document()
@@ -89,7 +89,7 @@ class SetupSession:
                 "proposals": {} if setup is None else _proposals(setup),
                 "reading": _reading(self.watch.limits),
                 "connected": self.watch.connected,
-                "simulated": self._texts.get("controller", SIMULATED) == SIMULATED,
+                "simulated": self._texts.get(CONTROLLER_KIND.name, SIMULATED) == SIMULATED,
                 "axes": self._axis_findings(setup),
                 "probe": {"finding": self.watch.probe_finding.value, "by_hand": self._touched_by_hand},
                 "review": self._review,
@@ -125,10 +125,10 @@ class SetupSession:
         Raises DeviceError if it cannot be reached, and InputError if none that could be reached is stated.
         """
         with self._lock:
-            kind = self._texts.get("controller", SIMULATED)
+            kind = self._texts.get(CONTROLLER_KIND.name, SIMULATED)
             CONTROLLER_KIND.refuse_malformed(kind)
-            with translated(InputError, option="--address"):
-                controller = ControllerSetup.of(kind, self._texts.get("address"))
+            with translated(InputError, option=ADDRESS.flag):
+                controller = ControllerSetup.of(kind, self._texts.get(ADDRESS.name))
             if controller.is_simulated:
                 raise InputError("the simulated controller runs only during a run", hint="state its travel")
             self.watch.connect(controller)
