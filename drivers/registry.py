@@ -17,7 +17,6 @@ from pydantic import BaseModel, ValidationError
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError
-from drivers.options import find_former_key, rename_former_keys
 
 if TYPE_CHECKING:
     from drivers.roles import Device
@@ -76,19 +75,6 @@ def check_options(driver: str, options: Mapping[str, object], name: str) -> Mapp
     return plugin.claims(_validated(plugin, options, name))
 
 
-def current_options(driver: str, options: Mapping[str, object]) -> dict[str, object]:
-    """Return `options`, which may come from an earlier version, with renamed keys replaced by their current names.
-
-    If the driver cannot be loaded, the options are returned unchanged. The loading error is raised later, when the
-    device is created.
-    """
-    try:
-        plugin = _plugin(driver, driver)
-    except ConfigurationError:
-        return dict(options)
-    return rename_former_keys(options, plugin.settings)
-
-
 def has_several_mounts(driver: str, name: str) -> bool:
     """Return True if a single device of plugin `driver` serves one mount at each of several stations."""
     return _plugin(driver, name).several_mounts
@@ -122,18 +108,11 @@ def _entries() -> tuple[EntryPoint, ...]:
 
 
 def _validated(plugin: DriverPlugin, options: Mapping[str, object], name: str) -> BaseModel:
-    renamed = find_former_key(options, plugin.settings)
-    if renamed is not None:
-        path, current = renamed
-        raise ConfigurationError(
-            f"option '{path[-1]}' has been renamed",
-            key=".".join(["devices", name, "options", *path]),
-            hint=f"write '{current}' instead; its meaning is the same",
-        )
     try:
         return plugin.settings.model_validate(dict(options))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        problems = error.errors(include_url=False)
+        first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")  # it explains a missing one
         key = ".".join(["devices", name, "options", *(str(part) for part in first["loc"])])
         known = ", ".join(sorted(plugin.settings.model_fields))
         raise ConfigurationError(first["msg"], key=key, hint=f"options of driver {plugin.name}: {known}") from error

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
-from collections.abc import Mapping
 from contextlib import suppress
-from typing import ClassVar
 
 import structlog
 from pydantic import Field
@@ -22,8 +20,6 @@ log = structlog.get_logger()
 
 class SimulatedOperatorSettings(DriverOptions):
     """Address on which `volcal simulate` listens for control requests, as printed in its first line of output."""
-
-    former_keys: ClassVar[Mapping[str, str]] = {"answer_within_s": "response_timeout_s"}
 
     host: str = "127.0.0.1"
     port: int = Field(ge=1, le=65535)

@@ -52,17 +52,3 @@ def is_intact(state: Path) -> bool:
     """SQLite's own check of the whole file."""
     with closing(sqlite3.connect(state / FILE_NAME)) as connection:
         return bool(connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)])
-
-
-def make_version_1(state: Path) -> None:
-    """Remove everything that version 2 added: the column `aside`, and the origins of runs."""
-    operate(state, "DROP VIEW touches")
-    for table in ("steps", "events", "decisions", "tables"):
-        operate(state, f"ALTER TABLE {table} DROP COLUMN aside")
-    operate(state, "DROP TABLE origins")
-    operate(
-        state,
-        "CREATE VIEW touches AS SELECT run, ordinal, key, detail, finished AS at, result "
-        "FROM steps WHERE kind = 'TouchTowards' AND result IS NOT NULL",
-    )
-    operate(state, "PRAGMA user_version = 1")

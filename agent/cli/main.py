@@ -90,7 +90,7 @@ OWN_COMMANDS = {
         "agent.cli.offline_commands.identify:identify", "Identify a machine from measured ball centres."
     ),
     "init": OwnCommand(
-        "agent.cli.new_machine.init:init_command",
+        "agent.cli.init:init_command",
         "Ask about a machine and write machine, artefact, settings and simulator files into DIRECTORY, ready to run.",
     ),
     "nightly": OwnCommand(

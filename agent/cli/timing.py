@@ -16,7 +16,6 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.printing import results_console
 from agent.execution.run_record import RunSteps, read_steps
-from agent.files import translated
 from agent.model_files import load_machine
 from agent.planning.latency_fit import (
     ObservedStep,
@@ -27,9 +26,8 @@ from agent.planning.latency_fit import (
     suggested_settings,
 )
 from agent.planning.time_model import TimeModel, time_model
-from agent.settings.schema import Settings
+from agent.settings.load import stored_settings
 from drivers.errors import InputError
-from twin.formats.toml_reading import validate_document, with_current_keys
 from twin.units import S_PER_MIN
 
 
@@ -43,7 +41,7 @@ def timing_command(run: Path, as_json: bool) -> None:
     RUN_DIR is the folder of a run below its state directory, which also contains the journal.
     """
     run = run.resolve()
-    model, observed = _observed(read_steps(run.parent, run.name))
+    model, observed = _observed(read_steps(run.parent, run.name), run.name)
     if not observed:
         raise InputError(
             "the run has no step from which latencies can be derived",
@@ -60,10 +58,9 @@ def timing_command(run: Path, as_json: bool) -> None:
         click.echo(f"{name} = {value}")
 
 
-def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
+def _observed(recorded: RunSteps, run_id: str) -> tuple[TimeModel, list[ObservedStep]]:
     """Return the time model that predicted the step times of the run, and the observed steps of the run."""
-    with translated(InputError):
-        settings = validate_document(with_current_keys(recorded.settings, Settings), "settings of the run", Settings)
+    settings = stored_settings(recorded.settings, run_id)
     model = time_model(load_machine(settings.machine), settings.timing)
     return model, observed_steps(recorded.steps, model)
 

@@ -38,7 +38,7 @@ class Journal:
 
     There is one writer at a time. Pages and reports may read the database at the same time.
 
-    Raises ConfigurationError if the database cannot be opened or created.
+    Raises ConfigurationError if the database cannot be opened or created, or has another version.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -46,7 +46,7 @@ class Journal:
         try:
             directory.mkdir(parents=True, exist_ok=True)
             self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=2.0)
-            prepare(self._connection)
+            prepare(self._connection, self.path)
         except (OSError, sqlite3.Error) as error:
             raise ConfigurationError(
                 f"the journal cannot be opened: {error}",

@@ -19,7 +19,6 @@ COUNTS = (
     "(SELECT count(*) FROM steps WHERE steps.run = runs.run AND kind = 'TouchTowards' AND result IS NOT NULL) "
     "FROM runs "
 )
-LAST_RUN_WITH_STEPS = RUN + "WHERE run IN (SELECT run FROM steps) ORDER BY run DESC LIMIT 1"
 LAST_WORKING_RUN = RUN + (
     "WHERE run IN (SELECT run FROM steps UNION SELECT run FROM origins WHERE begun_s IS NOT NULL) "
     "ORDER BY run DESC LIMIT 1"

@@ -1,8 +1,6 @@
 """Reader of the journal, the database of all runs. It returns typed rows, changes nothing and never delays the writer.
 
-A method with the parameter `run` expects the number of a run in the journal (`RunRow.run`). The reader can read a
-journal of an older version without migrating it. Only the method `origin` (the data stored at the start of a run) and
-the argument `procedure_only` (which omits steps outside the procedure) need data that a journal of version 1 lacks.
+A method with the parameter `run` expects the number of a run in the journal (`RunRow.run`).
 
 Some rows record steps that are not part of the procedure. For example, steps withdraw the probe and restore the table
 if a run ends early, and steps move the probe back if the run is resumed.
@@ -30,7 +28,7 @@ from agent.execution.journal_rows import (
     TemperatureRow,
     TouchRow,
 )
-from agent.execution.journal_schema import FILE_NAME
+from agent.execution.journal_schema import FILE_NAME, require_version
 from drivers.errors import InputError, VolcalError
 
 if TYPE_CHECKING:
@@ -54,13 +52,14 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
     """Yield a reader of the journal in the state directory `directory`. The journal is open during the `with` block and
     is not changed.
 
-    Raises an error of the class `failure` if there is no journal, or if the journal cannot be read at the start or
-    later in the block.
+    Raises an error of the class `failure` if there is no journal, if it has another version, or if it cannot be read at
+    the start or later in the block.
     """
     path = directory / FILE_NAME
     try:
         uri = f"{path.resolve().as_uri()}?mode=ro"
         with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
+            require_version(connection, path, failure)
             yield JournalReader(connection, path)
     except sqlite3.Error as error:
         raise failure(f"the journal cannot be read: {error}", file=str(path)) from error
@@ -107,7 +106,7 @@ class JournalReader:
         """Return the row of the last run that recorded a step or passed its preflight (the simulated execution of its
         plan); None if there is none.
         """
-        return self._first(RunRow, queries.LAST_WORKING_RUN if self.has_origins() else queries.LAST_RUN_WITH_STEPS)
+        return self._first(RunRow, queries.LAST_WORKING_RUN)
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
         """Return the rows of at most `limit` runs, the latest first, each with the number of its measured balls and the
@@ -123,13 +122,6 @@ class JournalReader:
     def settings_text(self, run: int) -> str:
         """Return the settings with which the run number `run` was started, as JSON text."""
         return str(self._value("SELECT settings FROM runs WHERE run = :run", run=run))
-
-    def has_origins(self) -> bool:
-        """Return True if the journal stores for each run the data from which the run can be rebuilt (its origin).
-
-        A journal of version 1 does not store these data, so the result is False.
-        """
-        return self._one("SELECT 1 FROM sqlite_master WHERE name = 'origins'") is not None
 
     def origin(self, run: int) -> OriginRow | None:
         return self._first(OriginRow, queries.ORIGIN, run=run)
@@ -321,10 +313,7 @@ class JournalReader:
 
 
 def _restricted(query: str, procedure_only: bool) -> str:
-    """Return the statement without rows of withdrawals and returns if `procedure_only`.
-
-    Otherwise the statement does not name the column `aside`, which journals of version 1 lack.
-    """
+    """Return the statement without rows of withdrawals and returns if `procedure_only`."""
     return query.format(aside=" AND NOT aside" if procedure_only else "")
 
 

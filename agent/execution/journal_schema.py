@@ -1,45 +1,34 @@
-"""Creation of the database tables of the journal, which records all runs, and migration of a journal of an older
-version.
-"""
+"""Creation of the database tables of the journal, which records all runs, and check of their version."""
 
 from __future__ import annotations
 
 import sqlite3
 from importlib.resources import files
+from pathlib import Path
+
+from drivers.errors import ConfigurationError, VolcalError
 
 FILE_NAME = "journal.sqlite"
 
-VERSION = 2
-"""Version of the schema. In version 2 the column `aside` marks rows of withdrawals and returns, which are not part of
-the procedure, and the table `origins` stores how a run started."""
-
-_ASIDE = "ALTER TABLE {} ADD COLUMN aside INTEGER NOT NULL DEFAULT 0"
-_TOUCHES = """CREATE VIEW touches AS
-    SELECT run, ordinal, key, detail, finished AS at, result
-    FROM steps WHERE kind = 'TouchTowards' AND result IS NOT NULL AND NOT aside"""
+VERSION = 3
+"""Version of the tables, in `PRAGMA user_version`."""
 
 
-def prepare(connection: sqlite3.Connection) -> None:
-    """Create or migrate the database tables of the journal in one transaction.
+def prepare(connection: sqlite3.Connection, path: Path) -> None:
+    """Create the database tables of the journal in one transaction if the database is empty.
 
-    After a power cut, the journal has either the old tables or the new ones. If the tables already have the structure
-    of the current version, they are not changed.
+    After a power cut, the journal has all tables or none. Raises ConfigurationError if it has another version.
     """
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
-    (found,) = connection.execute("PRAGMA user_version").fetchone()
-    if found >= VERSION:
+    require_version(connection, path, ConfigurationError)
+    if _version(connection) == VERSION:
         return
     statements = (files(__package__) / "journal_schema.sql").read_text().split(";\n")
     connection.execute("BEGIN IMMEDIATE")
     try:
         for statement in statements:
             connection.execute(statement)
-        for table in ("steps", "events", "decisions", "tables"):
-            if not _has_aside(connection, table):
-                connection.execute(_ASIDE.format(table))
-        connection.execute("DROP VIEW IF EXISTS touches")
-        connection.execute(_TOUCHES)
         connection.execute(f"PRAGMA user_version = {VERSION}")
     except BaseException:
         connection.execute("ROLLBACK")
@@ -47,5 +36,16 @@ def prepare(connection: sqlite3.Connection) -> None:
     connection.execute("COMMIT")
 
 
-def _has_aside(connection: sqlite3.Connection, table: str) -> bool:
-    return any(row[1] == "aside" for row in connection.execute(f"PRAGMA table_info({table})"))
+def require_version(connection: sqlite3.Connection, path: Path, failure: type[VolcalError]) -> None:
+    """Raise an error of the class `failure` if the journal at `path` was written by another version of volcal."""
+    found = _version(connection)
+    if found not in (0, VERSION):  # an empty database has version 0
+        raise failure(
+            f"the journal has version {found}, and this version of volcal reads and writes version {VERSION}",
+            hint="move the file to another directory; the next run begins a new journal",
+            file=str(path),
+        )
+
+
+def _version(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])

@@ -74,3 +74,6 @@ CREATE TABLE IF NOT EXISTS tables (
     counts BLOB,
     aside INTEGER NOT NULL DEFAULT 0
 );
+CREATE VIEW IF NOT EXISTS touches AS
+    SELECT run, ordinal, key, detail, finished AS at, result
+    FROM steps WHERE kind = 'TouchTowards' AND result IS NOT NULL AND NOT aside;

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ STORED_DECISIONS = frozenset(
 )
 """Kinds of decisions stored in the history. The large records of a run are only in its journal."""
 _TOO_BIG = ("written",)
-_CONVERTED_FORMAT = "volcal estimate 2"
 """Format of the estimates whose parameters are converted. The module that reads them is imported for them alone."""
 
 
@@ -55,7 +53,7 @@ def machine_name(settings: Mapping[str, Any]) -> str:
 
 def run_rows(record: RunRecord) -> RunRows:
     estimate = None if record.estimate is None else json.loads(record.estimate)
-    parameters = _parameters(estimate, record.estimate)
+    parameters = _parameters(estimate)
     return RunRows(_run(record, estimate), parameters, _temperatures(record), _decisions(record))
 
 
@@ -122,16 +120,12 @@ def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _parameters(estimate: Mapping[str, Any] | None, text: str | None) -> tuple[Mapping[str, Any], ...]:
-    """Return one row for each parameter of the estimate.
-
-    Parameters of an earlier format are converted to the present error model, so that their series has no step. If they
-    cannot be converted, there are no rows.
-    """
-    if estimate is None or text is None:
+def _parameters(estimate: Mapping[str, Any] | None) -> tuple[Mapping[str, Any], ...]:
+    """Return one row for each parameter of the estimate."""
+    if estimate is None:
         return ()
     rows = []
-    for place, parameter in enumerate(_present_parameters(estimate, text)):
+    for place, parameter in enumerate(estimate["parameters"]):
         unit, factor = MICRO_UNITS[parameter["unit"]]
         rows.append(
             {
@@ -143,26 +137,6 @@ def _parameters(estimate: Mapping[str, Any] | None, text: str | None) -> tuple[M
             }
         )
     return tuple(rows)
-
-
-def _present_parameters(estimate: Mapping[str, Any], text: str) -> Sequence[Mapping[str, Any]]:
-    stored: Sequence[Mapping[str, Any]] = estimate["parameters"]
-    if estimate.get("format") != _CONVERTED_FORMAT:
-        return stored
-    from twin.errors import FormatError  # noqa: PLC0415
-    from twin.formats.estimate_file import parse_estimate  # noqa: PLC0415  slow to import, and needed for former runs
-
-    try:
-        known = parse_estimate(text, "estimate")
-    except FormatError:
-        return ()
-    if known.conversion is None:
-        return stored
-    variances = known.covariance.diagonal().tolist()
-    return [
-        {**parameter, "value": value, "standard_uncertainty": math.sqrt(max(variance, 0.0))}
-        for parameter, value, variance in zip(stored, known.parameters.tolist(), variances, strict=True)
-    ]
 
 
 def _temperatures(record: RunRecord) -> tuple[Mapping[str, Any], ...]:

@@ -35,10 +35,10 @@ from agent.results.artefact_calibration import calibration_warnings
 from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
-from agent.results.journal_entries import observations_from
 from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
 from drivers.errors import InputError
+from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
@@ -56,7 +56,7 @@ def report_of(record: RunRecord, trend: str = "", texts: Texts = ENGLISH) -> Rep
         raise InputError(
             "the journal does not contain the machine and artefact of this run",
             run=record.run_id,
-            hint="the run ended before its preflight, or an older version wrote it; files from then are in its folder",
+            hint="the run ended before its preflight",
         )
     tool = record.settings["tool"]
     found = _found(record)
@@ -101,27 +101,24 @@ def _found(record: RunRecord) -> IdentificationData | None:
     if identified is None or record.estimate is None:
         return None
     return IdentificationData(
-        observations=observations_from(identified["observations"]),
+        observations=Observations(**identified["observations"]),
         estimate=journal_estimate(_stored(record), identified["unresolved_mm2"]),
         residuals_mm=np.array(identified["residuals_mm"], dtype=np.float64),
         positions=measured_positions(record),
         volumetric=_volumetric(identified["volumetric"]),
         table=TableFacts(**identified["table"]),
-        thermometer=ThermometerFacts.of_record(identified.get("thermometer")),
-        travel=TravelParts.from_record(identified["travel"]) if "travel" in identified else None,
+        thermometer=ThermometerFacts(**identified["thermometer"]),
+        travel=TravelParts.from_record(identified["travel"]),
     )
 
 
 def _volumetric(record: Mapping[str, Any]) -> VolumetricSummary:
-    """Return the volumetric errors of the journal. In journals of earlier versions, the VE before is the one that the
-    table corrects."""
     before, after = _quantity(record["before_aligned"]), _quantity(record["after_aligned"])
-    return VolumetricSummary(before, after, record.get("table_ve_um", before.value_um))
+    return VolumetricSummary(before, after, record["table_ve_um"])
 
 
 def _quantity(record: Mapping[str, Any]) -> Quantity:
-    """Return a quantity of the journal. Journals of earlier versions contain no limits."""
-    limits = record.get("limits_um")
+    limits = record["limits_um"]
     return Quantity(record["value_um"], record["standard_uncertainty_um"], None if limits is None else tuple(limits))
 
 

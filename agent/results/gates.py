@@ -295,7 +295,7 @@ def require_unmarked(table: CompensationTable, file: str) -> None:
 
 def require_machine(table: CompensationTable, config: Path, file: str) -> None:
     """Raise InputError if `table`, read from `file`, corrects another machine than that of the settings file `config`.
-    A table that does not name its machine, such as one of an earlier version, is accepted."""
+    A table that does not name its machine is accepted."""
     with naming(config):
         machine = load_machine(read_settings(config).machine).name
     if table.machine and table.machine != machine:

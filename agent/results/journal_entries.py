@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -28,14 +28,10 @@ from agent.results.run_outcome import Outcome
 from agent.results.thermometer import ThermometerFacts
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
-from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import checksum, format_table
 from twin.design.procedure import MIN_BALLS
 from twin.units import UM_PER_MM
-
-STORED_KEYS = {"thermal_regressors": "course"}
-"""Keys of journaled observations that differ from the names of the fields."""
 
 _NAMED_FILES = ("grid", "covariance_file")
 """Keys under which a machine file or an artefact file names another file."""
@@ -67,18 +63,6 @@ def record_probe(journal: RunJournal, prepared: PreparationResult) -> None:
         journal.decision(PROBE, {"facts": asdict(facts), "warnings": warnings})
 
 
-def observations_record(observations: Observations) -> dict[str, object]:
-    """Return the journal record of `observations`, with the keys of version 2 of the journal's format."""
-    return {STORED_KEYS.get(name, name): value for name, value in vars(observations).items()}
-
-
-def observations_from(record: Mapping[str, Any]) -> Observations:
-    """Return the observations of a journal record. The record may have been written by an earlier version of the
-    program."""
-    names = {stored: name for name, stored in STORED_KEYS.items()}
-    return Observations(**{names.get(key, key): value for key, value in record.items()})
-
-
 def record_identified(
     journal: RunJournal, balls: Sequence[MeasuredBall], estimation: EstimationResult, thermometer: ThermometerFacts
 ) -> None:
@@ -93,7 +77,7 @@ def record_identified(
         IDENTIFIED,
         {
             "positions": [list(position[1:]) for position in positions],
-            "observations": observations_record(estimation.observations),
+            "observations": vars(estimation.observations),
             "residuals_mm": estimate.residuals_mm,
             "unresolved_mm2": 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2,
             "order": order_text(estimate),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 from twin.artefact.artefact_temperature import assumed_uncertainty_k
 from twin.uncertainty.thermometer_effect import ThermometerEffect
@@ -58,11 +57,6 @@ class ThermometerFacts:
             contribution_um=effect.contribution.aligned_um,
             vce_if_known_um=effect.without.aligned_um,
         )
-
-    @classmethod
-    def of_record(cls, record: Mapping[str, Any] | None) -> Self | None:
-        """Return the facts that a journal contains; None for the journal of an earlier version."""
-        return None if record is None else cls(**record)
 
     @property
     def text(self) -> str:

@@ -19,7 +19,7 @@ from agent.runs.kinds.nightly import Night
 from agent.runs.kinds.trial import OneBallTrial
 from agent.runs.kinds.verify import Verification
 from agent.runs.planned_run import Kind, StartConditions
-from agent.settings.load import POSITION_FILES, current_settings_document
+from agent.settings.load import POSITION_FILES, stored_settings
 from agent.settings.schema import Settings
 from drivers.errors import InputError
 from drivers.roles import Activation, StoreLimits
@@ -73,7 +73,7 @@ def origin_record(settings: Settings, kind: Kind, base: Path, start: StartCondit
 
 def read_origin(reader: JournalReader, run: int) -> Origin:
     """Return the origin of the run with the number `run`. Raises InputError if the journal does not contain the origin,
-    or if the run did not pass its preflight (simulated execution)."""
+    if the run did not pass its preflight (simulated execution), or if this version cannot read its settings."""
     row = reader.origin(run)
     if row is None or row.begun_s is None or row.begun_at is None:
         raise InputError("the journal does not store how this run began", hint="start a new run")
@@ -81,7 +81,7 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
     x, y, z = record["start_mm"]
     return Origin(
         run_id=row.run_id,
-        settings=Settings.model_validate(current_settings_document(json.loads(row.settings_text))),
+        settings=stored_settings(json.loads(row.settings_text), row.run_id),
         kind=_kind(record["kind"], record["options"]),
         base=Path(record["base"]),
         start=StartConditions(run, record["at"], (x, y, z), _store(record["store"])),

@@ -205,7 +205,7 @@ def _reference(directory: Path, before_run: int) -> ReferenceState | None:
     if estimate is None:
         raise InputError("the accepted run has no estimate", file=str(directory / FILE_NAME), run=decision.run_id)
     known = parse_estimate(estimate, source)
-    written = known.present_parameters(np.array(decision.record["written"], dtype=np.float64))
+    written = np.array(decision.record["written"], dtype=np.float64)
     accepted = AcceptedTable(**{**decision.record, "written": written})
     return ReferenceState(decision.run_id, decision.at, accepted, known)
 

@@ -92,8 +92,6 @@ def _last(reader: JournalReader) -> UnfinishedRun | None:
 def _refusal(reader: JournalReader, run: int, state: RunState) -> str:
     if state is RunState.ABORTING or (state in FINAL and state is not RunState.FAULTED):
         return f"it was {state.value} on request"
-    if not reader.has_origins():
-        return "it was written by an older version, which stored too little of how it began"
     origin = reader.origin(run)
     if origin is None or origin.begun_s is None:
         return "it had not begun to measure; start it again"

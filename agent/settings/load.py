@@ -9,10 +9,10 @@ from typing import Any
 
 from agent.files import read_text, translated
 from agent.settings.schema import Settings, parse_settings
-from drivers.errors import ConfigurationError, UserError
-from drivers.registry import check_options, current_options
-from twin.artefact.mount_geometry import MountGeometry
-from twin.formats.toml_reading import validate_document, with_current_keys
+from drivers.errors import ConfigurationError, InputError, UserError
+from drivers.registry import check_options
+from twin.errors import FormatError
+from twin.formats.toml_reading import validate_document
 
 POSITION_FILES = (".csv", ".toml")
 
@@ -73,19 +73,17 @@ def with_overrides(
         return validate_document(document, "command line", Settings)
 
 
-def current_settings_document(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a settings document that was stored by an earlier version, with former keys replaced by the current
-    keys."""
-    document = with_current_keys(stored, Settings)
-    if "mount" in document:
-        # Former settings contained dimensions of the artefact, which are read from the artefact file now.
-        stated = document["mount"].items()
-        document["mount"] = {key: value for key, value in stated if key not in MountGeometry.moved_keys}
-    document["devices"] = {
-        name: {**device, "options": current_options(device["driver"], device.get("options", {}))}
-        for name, device in document.get("devices", {}).items()
-    }
-    return document
+def stored_settings(document: Mapping[str, Any], run_id: str) -> Settings:
+    """Return the settings that the journal stores with a run. Raises InputError if this version cannot read them."""
+    try:
+        return validate_document(dict(document), "settings in the journal", Settings)
+    except FormatError as error:
+        raise InputError(
+            f"another version of volcal stored the settings of this run: {error.message}",
+            hint="Start a new run; the version that wrote this one can read it",
+            run=run_id,
+            key=error.where["key"],
+        ) from error
 
 
 def _check_devices(settings: Settings) -> None:

@@ -3,10 +3,9 @@ panel's heartbeat."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from ipaddress import ip_address, ip_network
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -31,13 +30,6 @@ class GatewaySettings(StrictModel):
     `clients` are the permitted addresses or networks; connections from other addresses are closed. If
     `access_code_file` is not set, panels may only read, hold and abort.
     """
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "most_clients": "max_clients",
-        "idle_s": "idle_timeout_s",
-        "silence_s": "panel_timeout_s",
-        "on_silence": "on_panel_timeout",
-    }
 
     enabled: bool = False
     host: Address = "127.0.0.1"

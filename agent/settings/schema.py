@@ -7,9 +7,8 @@ committed under ``config/schema``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
@@ -100,12 +99,6 @@ class ProcedureSettings(StrictModel):
     """Measuring procedure. `position_set` consists of names joined by + (such as S1+S3), or is the path of a position
     file."""
 
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "find_feed_mm_per_min": "first_touch_feed_mm_per_min",
-        "careful_feed_mm_per_min": "guarded_feed_mm_per_min",
-        "reorder": "optimise_order",
-    }
-
     position_set: str = "S3"
     stations: list[PositiveInt] | None = None
     touches_per_ball: Literal[5, 9, 13, 25] = 5
@@ -154,10 +147,6 @@ class QualificationSettings(StrictModel):
     `limit_um` is the limit of the form error and of each residual of the sphere fitted to these touches.
     `ball_radius_sigma_um` is the standard deviation of the radii of the artefact's balls.
     """
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "ball_spread_um": "ball_radius_sigma_um",
-    }
 
     enabled: bool = True
     ball: int | None = Field(default=None, ge=0)
@@ -213,18 +202,6 @@ class GateSettings(StrictModel):
     uncertainty (`max_unmeasured_fraction`), or never if `allow_extrapolation` is False.
     """
 
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "largest_chi2": "max_chi2",
-        "smallest_freedom": "min_degrees_of_freedom",
-        "largest_correction_um": "max_correction_um",
-        "largest_slope_um_per_mm": "max_slope_um_per_mm",
-        "largest_change": "max_change",
-    }
-    removed_keys: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("max_remaining_fraction", "largest_remaining_share"),
-        "Delete it: `verification.min_gain` alone states which improvement is worth a new table",
-    )
-
     max_chi2: PositiveFloat = 2.0
     min_degrees_of_freedom: PositiveInt = 30
     max_correction_um: PositiveFloat = 300.0
@@ -254,12 +231,6 @@ class VerificationSettings(StrictModel):
     active table: of two equally good tables, it expects the one that it has just measured to be better by up to 22 %.
     """
 
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "largest_chi2": "max_chi2",
-        "largest_share": "max_missing_fraction",
-        "max_remaining_fraction": "max_missing_fraction",
-    }
-
     positions_deg: Annotated[list[Angles], Field(min_length=1)] | None = None
     positions: PositiveInt = 4
     grid_deg: PositiveFloat = Field(default=30.0, le=90.0)
@@ -276,10 +247,6 @@ class TimingSettings(StrictModel):
     its command; `turn_latency_s` includes the settling of the mount. `relocation_minutes` is the time needed to move
     the artefact to another station; the simulated operator needs no time.
     """
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "carrying_minutes": "relocation_minutes",
-    }
 
     speed_deg_per_s: PositiveFloat = 20.0
     acceleration_deg_per_s2: PositiveFloat = 40.0
@@ -310,14 +277,6 @@ class NightlySettings(StrictModel):
     night contains everything that is known of the active table, so it does not overrate its own. If the held-out balls
     cannot show a reduction as small as that of a night, they must not become worse beyond their noise.
     """
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "held_out": "held_out_positions",
-        "looked_at": "check_positions",
-        "largest_chi2": "max_chi2",
-        "largest_growth": "max_ve_growth",
-        "smallest_gain": "min_gain",
-    }
 
     slot_minutes: PositiveFloat = Field(default=15.0, le=1440.0)
     reserve_minutes: float = Field(default=0.5, ge=0.0, le=60.0)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
@@ -20,13 +19,6 @@ class ServiceSettings(StrictModel):
     An unattended start is permitted only within `hours` (local time, for example 22:00-05:30). This computer must also
     have been on for at least `warm_up_minutes`.
     """
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "answer_within_minutes": "answer_timeout_minutes",
-        "hung_after_s": "hang_timeout_s",
-        "computing_minutes": "computation_timeout_minutes",
-        "stop_within_s": "stop_timeout_s",
-    }
 
     host: str = "127.0.0.1"
     port: int = Field(default=8517, ge=0, le=65535)

@@ -3,8 +3,7 @@ drift of the machine."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -36,17 +35,6 @@ class TemperatureSettings(StrictModel):
     The first `repeat_positions` positions at the first station are measured again at the end of the run if the machine
     temperature has changed by at least `repeat_after_change_k`.
     """
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "largest_rate_k_per_h": "max_rate_k_per_h",
-        "largest_departure_k": "max_departure_k",
-        "look_every_s": "poll_interval_s",
-        "deadline_minutes": "max_wait_minutes",
-        "drift_event_um": "drift_warning_um",
-        "smallest_change_k": "min_change_k",
-        "close_run_k": "repeat_after_change_k",
-        "close_positions": "repeat_positions",
-    }
 
     artefact_sensors: list[Sensor] = Field(default=["artefact"], min_length=1)
     machine_sensors: list[Sensor] = Field(default=["machine"])

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -35,13 +34,6 @@ class PermissionPins(DriverOptions):
 
 class LinuxCncSettings(DriverOptions):
     """Settings of the driver `linuxcnc`."""
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "answer_within_s": "response_timeout_s",
-        "watch_s": "watchdog_timeout_s",
-        "held_at_most_s": "max_hold_s",
-        "homing_within_s": "homing_timeout_s",
-    }
 
     bridge_command: tuple[str, ...] = Field(
         default=("/usr/bin/python3",),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -82,14 +81,6 @@ class ModbusCncSettings(DriverOptions):
     """Settings of driver `modbus-cnc`. The key `host` selects a TCP link, and `serial` selects a serial line (Modbus
     RTU).
     """
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "number": "number_format",
-        "acknowledge_within_s": "acknowledge_timeout_s",
-        "heartbeat_lost_after_s": "heartbeat_timeout_s",
-        "held_at_most_s": "max_hold_s",
-        "table_within_s": "table_timeout_s",
-    }
 
     host: str | None = Field(default=None, min_length=1, description="host name or address of the controller")
     port: int = Field(default=502, ge=1, le=65535)

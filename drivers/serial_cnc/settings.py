@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import Field
 
@@ -29,17 +28,6 @@ class BankSettings(DriverOptions):
 
 class SerialCncSettings(DriverOptions):
     """Settings of driver `serial-cnc`."""
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "referenced_by_hand": "manual_referencing",
-        "answer_within_s": "response_timeout_s",
-        "boot_within_s": "boot_timeout_s",
-        "repeats": "retries",
-        "left_moving_s": "initial_motion_timeout_s",
-        "held_at_most_s": "max_hold_s",
-        "free_within_mm": "release_distance_mm",
-        "stated_temperatures_c": "declared_temperatures_c",
-    }
 
     port: str = Field(
         min_length=1, description="for example /dev/serial/by-id/…, which does not change if others are plugged in"

@@ -60,9 +60,9 @@ SETTINGS = {
         changed("[timing]", "[gates]\nmax_unmeasured_fraction = 20.0\n[timing]"),
         ["gates.max_unmeasured_fraction"],
     ),
-    "key that no longer exists": (
+    "key that resembles another": (
         changed("[timing]", "[gates]\nmax_remaining_fraction = 0.5\n[timing]"),
-        ["gates.max_remaining_fraction", "no longer exists", "verification.min_gain"],
+        ["key gates.max_remaining_fraction", "unknown key", "Did you mean"],
     ),
     "no TOML": (lambda text: text + "x = [", ["not valid TOML"]),
     "no machine file": (changed("machines/case-study.toml", "machines/none.toml"), ["none.toml"]),

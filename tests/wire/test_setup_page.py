@@ -11,13 +11,13 @@ import pytest
 from httpx import Client
 
 from agent.errors import Aborted
-from agent.runs.new_machine import new_files
-from agent.runs.new_machine.fields import SETUP_FIELDS, option_texts, read_options
+from agent.planning.new_machine import controller_setup
+from agent.planning.new_machine.fields import FIELDS, option_texts
+from agent.results import new_machine_files
 from agent.service.daemon.serve_setup import serve_setup
 from agent.service.http.endpoint import HttpServer
 from agent.service.page.setup_app import create_setup_app
-from agent.service.setup import controller_watch
-from agent.service.setup.session import FIELDS, SetupSession
+from agent.service.setup.session import SetupSession
 from agent.settings.service import ServiceSettings
 from drivers.errors import LinkLost
 from drivers.roles import AxisLimits, ProbeStatus, Vector
@@ -145,7 +145,7 @@ def test_first_the_class_is_missing_then_the_travel_then_everything_is_proposed(
     assert document["missing"] is None
     proposals = document["proposals"]
     without = {"address", "artefact", "certified_length", "length_uncertainty", "position_set", "touches"}
-    assert set(proposals) >= {field.name for field in SETUP_FIELDS} - without
+    assert set(proposals) >= set(FIELDS) - without
     assert proposals["chain"] == "tool-Z-bed-Y-X-workpiece"
     stated(client, **{name: proposals[name] for name in ("rapid", "mount_at", "travel", "spindle", "balls", "stylus")})
     assert client.get("/api/setup").json()["problems"] == {}
@@ -172,7 +172,7 @@ def test_the_files_of_reviewed_answers_are_written_once_and_whole(
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as broken:
-        broken.setattr(new_files, "write_all_atomically", full)
+        broken.setattr(new_machine_files, "write_all_atomically", full)
         assert client.post("/api/setup/write").status_code == 500
     assert not session.directory.exists()
     session.directory.mkdir()
@@ -195,12 +195,17 @@ def test_options_of_the_command_line_are_shown_as_they_were_stated() -> None:
         "machine_class": "mill",
         "travel": ("800", "-1:500", "400"),
         "rapid": (1e4, 2.5, 3.0),
-        "touches": 9,
+        "touches": "9",
         "size": None,
+        "stylus": 150.123456789012,
     }
-    texts = option_texts(typed)
-    assert texts == {"machine_class": "mill", "travel": "800 -1:500 400", "rapid": "10000.0 2.5 3.0", "touches": "9"}
-    assert {name: getattr(read_options(texts), name) for name in typed} == typed
+    assert option_texts(typed) == {
+        "machine_class": "mill",
+        "travel": "800 -1:500 400",
+        "rapid": "10000 2.5 3",
+        "touches": "9",
+        "stylus": "150.123456789012",
+    }
 
 
 def test_what_was_read_holds_until_another_controller_is_stated(
@@ -273,7 +278,7 @@ class Panel:
 @pytest.fixture
 def panel(client: Client, session: SetupSession, monkeypatch: pytest.MonkeyPatch) -> Iterator[Panel]:
     made = Panel()
-    monkeypatch.setattr(controller_watch, "create_device", lambda *_: made)
+    monkeypatch.setattr(controller_setup, "create_device", lambda *_: made)
     stated(client, **MILL, controller="modbus-cnc", address="127.0.0.1:1")
     assert client.post("/api/setup/connect").json()["connected"]
     yield made

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from twin.errors import DataError
 
@@ -30,13 +30,6 @@ class MountGeometry:
     a surface above it at the height `table_z_mm`, and the pedestal ends `head_mm` below the mount location. A stylus
     that points upwards then reaches the artefact from below. A part whose radius is 0 does not exist.
     """
-
-    moved_keys: ClassVar[Mapping[str, str]] = {
-        "bar_radius_mm": "'radius_mm' in section [beam] of the artefact file",
-        "bar_overhang_mm": "'overhang_mm' in section [beam] of the artefact file",
-        "post_radius_mm": "'radius_mm' in section [holders] of the artefact file",
-    }
-    """Present place of each key of former versions that described the artefact, by the former key."""
 
     shaft_mm: float = 120.0
     shaft_direction: tuple[float, float, float] = (0.0, -1.0, 0.0)

@@ -26,6 +26,8 @@ from twin.formats.toml_reading import StrictModel
 from twin.machine.kinematic_chain import AXES
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um")
+FORMAT = "volcal compensation table 1"
+_REMEDY = "Write the table again with the version of volcal that reads it"
 MEANING = "added to the commanded axis position"
 
 Triple = tuple[float, float, float]
@@ -81,7 +83,7 @@ def format_side_file(table: CompensationTable) -> str:
     `format_table` returns for the same table."""
     x, y, z = (_rounded(nodes) for nodes in table.nodes)
     document: dict[str, object] = {
-        "format": "volcal compensation table 1",
+        "format": FORMAT,
         "meaning": MEANING,
         **{key: name for key, name in (("machine", table.machine), ("artefact", table.artefact)) if name},
         "crc32": checksum(format_table(table)),
@@ -110,7 +112,7 @@ def parse_table(text: str, side_text: str, source: str, side_source: str) -> Com
     The CRC-32 checksum of the CSV text is compared with the checksum in the side file before the CSV rows are read.
     Raises FormatError, which names the file and the row, column or key, if the checksum differs or a text is invalid.
     """
-    side = read_json(side_text, side_source, SideFile)
+    side = read_json(side_text, side_source, SideFile, format_name=FORMAT, remedy=_REMEDY)
     found = checksum(text)
     if found != side.crc32:
         raise FormatError(

@@ -18,7 +18,6 @@ from twin.arrays import Array
 from twin.artefact.artefact_calibration import COVERAGE_FACTOR, ArtefactCalibration
 from twin.artefact.certificate import BallDistance
 from twin.errors import FormatError, TwinError
-from twin.formats.former_levers import conversion_of, convert_unknowns
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import StrictModel
@@ -29,8 +28,7 @@ from twin.machine.kinematic_chain import parse_chain
 from twin.units import MM_PER_UM, UM_PER_MM
 
 FORMAT = "volcal estimate 3"
-FORMER_FORMAT = "volcal estimate 2"
-"""Format of earlier versions, whose lever arms begin at the zeros of the axes."""
+_REMEDY = "Identify again from the balls.csv of that run (volcal identify), or calibrate the machine again"
 _ASYMMETRY = 1e-9
 _INDEFINITE = 1e-6
 
@@ -64,22 +62,18 @@ class NullDirectionSection(StrictModel):
 
 
 class ScalesSection(StrictModel):
-    """Estimated scales. In files of older versions, `prior` also applies to the error motions and `independent` is
-    absent."""
-
     noise: float
     prior: float
     mixed: float
     waves_x: float
     waves_y: float
     waves_z: float
-    stationary: float = 1.0
-    independent: float | None = None
+    stationary: float
+    independent: float
 
     @property
     def scales(self) -> Scales:
-        values = self.model_dump()
-        return Scales(**{**values, "independent": self.prior if self.independent is None else self.independent})
+        return Scales(**self.model_dump())
 
 
 class RejectedBallSection(StrictModel):
@@ -130,13 +124,9 @@ class VolumetricSection(StrictModel):
 
 class EstimateFile(StrictModel):
     """Content of an estimate file. `artefact_calibration` is written for other programs; it follows from
-    `carried_over`.
+    `carried_over`."""
 
-    A file of the format `volcal estimate 2` has no section `volumetric`, and its parameters belong to lever arms that
-    begin at the zeros of the axes.
-    """
-
-    format: Literal["volcal estimate 2", "volcal estimate 3"]
+    format: Literal["volcal estimate 3"]
     provenance: dict[str, str]
     formulation: Literal["centres", "distances"]
     model: EstimatedModelSection
@@ -153,20 +143,17 @@ class EstimateFile(StrictModel):
     scales_at_bounds: tuple[str, ...]
     order_evidence: tuple[OrderSection, ...]
     rejected: tuple[RejectedBallSection, ...]
-    certificate: tuple[CertificateSection, ...] = ()
-    artefact_calibration: dict[str, Any] | None = None
-    volumetric: VolumetricSection | None = None
+    certificate: tuple[CertificateSection, ...]
+    artefact_calibration: dict[str, Any] | None
+    volumetric: VolumetricSection | None
     carried_over: CarriedOverSection
 
 
 @dataclass(frozen=True, eq=False)
 class StoredEstimate:
     """Estimate of the errors of a machine as stored in a file. Its content is sufficient for building a compensation
-    table, for comparing estimates, and for use as the prior of the next estimate.
-
-    All values are those of the present error model, except in `document`, the content of the file. `conversion` (p, p)
-    is the matrix that was applied to the p parameters of a file of an earlier format, or None if they are as stored.
-    """
+    table, for comparing estimates, and for use as the prior of the next estimate. `document` is the content of the
+    file."""
 
     model: ErrorModel
     parameters: Array
@@ -176,16 +163,10 @@ class StoredEstimate:
     z: Array
     z_covariance: Array
     document: EstimateFile
-    conversion: Array | None = None
-
-    def present_parameters(self, stored: Array) -> Array:
-        """Return the parameters (p,) of the present error model from others that were stored by the same version of the
-        software as this estimate."""
-        return stored if self.conversion is None else np.asarray(self.conversion @ stored)
 
     @property
     def certificate_check(self) -> tuple[BallCheck, ...]:
-        """Comparison of each certified ball centre with the measurements; empty in files of older versions."""
+        """Comparison of each certified ball centre with the measurements."""
         return tuple(
             BallCheck(row.ball, row.contradiction, _millimetres(row.apparent_error_um), row.certified)
             for row in self.document.certificate
@@ -305,12 +286,9 @@ def _text(value: object) -> str:
 
 
 def parse_estimate(text: str, source: str) -> StoredEstimate:
-    """Return the stored estimate given as JSON text. The parameters of a file of an earlier format are converted to the
-    present error model.
-
-    Raise FormatError, which names `source` and the key, if the text is invalid or the parameters cannot be converted.
-    """
-    document = read_json(text, source, EstimateFile)
+    """Return the stored estimate given as JSON text. Raise FormatError, which names `source` and the key, if the text
+    is invalid or has another format."""
+    document = read_json(text, source, EstimateFile, format_name=FORMAT, remedy=_REMEDY)
     try:
         chain = parse_chain(document.model.chain)
         cross = document.model.cross_effect
@@ -320,24 +298,15 @@ def parse_estimate(text: str, source: str) -> StoredEstimate:
     _check_names(document, model, source)
     unknowns = read_unknowns(document.carried_over, model, source)
     z, z_covariance = read_moments(document.carried_over, unknowns.blocks.size, source)
-    parameters = np.array([parameter.value for parameter in document.parameters])
-    covariance = _covariance(document, source)
-    tool_offsets = np.array(document.tool_offsets_mm, dtype=np.float64)
-    conversion = conversion_of(model, tool_offsets, source) if document.format == FORMER_FORMAT else None
-    if conversion is not None:
-        parameters, covariance = conversion @ parameters, conversion @ covariance @ conversion.T
-        covariance = 0.5 * (covariance + covariance.T)
-        unknowns, z, z_covariance = convert_unknowns(unknowns, z, z_covariance, conversion, source)
     return StoredEstimate(
         model=model,
-        parameters=parameters,
-        covariance=covariance,
-        tool_offsets=tool_offsets,
+        parameters=np.array([parameter.value for parameter in document.parameters]),
+        covariance=_covariance(document, source),
+        tool_offsets=np.array(document.tool_offsets_mm, dtype=np.float64),
         unknowns=unknowns,
         z=z,
         z_covariance=z_covariance,
         document=document,
-        conversion=conversion,
     )
 
 

@@ -71,7 +71,7 @@ class CarriedOverSection(StrictModel):
 
     `mean` and `covariance` are in units of the prior standard deviations. Only the lower triangle of the covariance is
     stored, row by row. `scale` contains the unit of each parameter in mm or rad. `drift_factor` is absent if no
-    night has told anything about the drift yet, as in files of earlier versions.
+    night has told anything about the drift yet.
     """
 
     scale: Row

@@ -7,7 +7,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
@@ -19,11 +19,6 @@ class StrictModel(BaseModel):
     an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    former_keys: ClassVar[Mapping[str, str]] = {}
-    """New name of each renamed key, by its old name. A file with an old key is refused with a message that gives the
-    new name."""
-    removed_keys: ClassVar[Mapping[str, str]] = {}
-    """What to do about a key that no longer exists, by its name. A file with such a key is refused."""
 
 
 _UNION_LABEL = re.compile(r"(float|int|bool|str|constrained-\w+)$|.*\[")
@@ -32,17 +27,11 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def forbid_unknown_keys(kind: type) -> BeforeValidator:
-    """Return a validator that refuses unknown keys for the dataclass `kind`; pydantic itself ignores such keys.
-
-    The class attribute `moved_keys` of `kind`, if it exists, gives the present place of keys of former versions.
-    """
+    """Return a validator that refuses unknown keys for the dataclass `kind`; pydantic itself ignores such keys."""
     known = {field.name for field in dataclasses.fields(kind)}
-    moved: Mapping[str, str] = getattr(kind, "moved_keys", {})
 
     def check(value: object) -> object:
         unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
-        if unknown and unknown[0] in moved:
-            raise ValueError(f"key {unknown[0]!r} has moved: write {moved[unknown[0]]}")
         if unknown:
             raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
         return value
@@ -68,23 +57,6 @@ def validate_document(document: dict[str, Any], source: str, kind: type[Section]
         return kind.model_validate(document)
     except ValidationError as error:
         raise _as_format_error(error, source, kind) from None
-
-
-def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
-    """Return a copy of `document` in which former names of keys are replaced by the current names, without keys that no
-    longer exist. The keys are those of the model class `kind` and of its sections.
-
-    The function is used for documents that an earlier version of this program stored. In a file written by a user, a
-    former key is an error instead.
-    """
-    former, removed = (kind.former_keys, kind.removed_keys) if issubclass(kind, StrictModel) else ({}, {})
-    current = {former.get(key, key): value for key, value in document.items() if key not in removed}
-    for key, value in current.items():
-        field = kind.model_fields.get(key)
-        section = _model_inside(field.annotation) if field else None
-        if section is not None and isinstance(value, Mapping) and issubclass(section, StrictModel):
-            current[key] = with_current_keys(value, section)
-    return current
 
 
 def key_path(location: Sequence[str | int]) -> str:
@@ -116,7 +88,7 @@ def _describe(
     known = _known_keys(kind, location[:-1])
     name = str(location[-1]) if location else ""
     if problem == "extra_forbidden":
-        return _describe_unknown(name, _section_at(kind, location[:-1]), known)
+        return _describe_unknown(name, known)
     if problem == "missing":
         if location and isinstance(location[-1], int):
             return f"the list is too short: value number {location[-1] + 1} is missing", ""
@@ -126,15 +98,7 @@ def _describe(
     return f"{text[:1].lower()}{text[1:]}, found {value!r:.80}", ""
 
 
-def _describe_unknown(name: str, section: type[BaseModel] | None, known: list[str]) -> tuple[str, str]:
-    if section is not None and issubclass(section, StrictModel):
-        if name in section.former_keys:
-            return (
-                f"key '{name}' has been renamed",
-                f"Write '{section.former_keys[name]}' instead; the reference page of this file states its meaning",
-            )
-        if name in section.removed_keys:
-            return f"key '{name}' no longer exists", section.removed_keys[name]
+def _describe_unknown(name: str, known: list[str]) -> tuple[str, str]:
     close = difflib.get_close_matches(name, known, n=1)
     return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _known_keys_hint(known)
 

@@ -194,7 +194,7 @@ class IdentificationData:
     `positions` is the list of positions to which the indices in `observations.position` refer. `residuals_mm` (n, 3)
     holds the residuals of the n observations, in the order of the observations. `thermometer` is the effect of the
     artefact's thermometer on the result, and `travel` the volumetric error inside and outside the measured region. Both
-    are None in a report on the journal of an earlier version. `numbers` contains the number of each position in the
+    are None if they are not known. `numbers` contains the number of each position in the
     file of the ball centres; it is empty if they were not read from a file.
     """
 

@@ -12,12 +12,13 @@ from fastapi import APIRouter, Depends, FastAPI, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
-from agent.planning.setup_proposal.axis_check import Direction, Part
-from agent.runs.new_machine.fields import LONGEST_TEXT, SETUP_FIELDS, STEPS, SetupField
+from agent.planning.new_machine.field import LONGEST_TEXT
+from agent.planning.new_machine.fields import SETUP_FIELDS, STEPS, catalogue
 from agent.service.http import problems
 from agent.service.http.guard import Guard, require_token
 from agent.service.http.problems import DOCUMENTED
 from agent.service.page.static_files import mount_document
+from agent.service.setup.axis_check import Direction, Part
 from agent.service.setup.session import SetupSession
 
 Document = dict[str, Any]
@@ -73,8 +74,12 @@ def _reading(session: SetupSession) -> APIRouter:
 
     @router.get("/fields")
     def fields() -> Document:
-        """Return the steps and their fields."""
-        return {"steps": list(STEPS), "fields": [_field_document(field) for field in SETUP_FIELDS]}
+        """Return the steps, their fields, and the words of the fields in both languages."""
+        fields = [
+            {"name": field.name, "step": field.step, "kind": field.kind.value, "choices": field.choices}
+            for field in SETUP_FIELDS
+        ]
+        return {"steps": STEPS, "fields": fields, "words": catalogue()}
 
     @router.get("/look")
     def look() -> Document:
@@ -147,14 +152,3 @@ def _statements(session: SetupSession) -> APIRouter:
         return {"accepted": True}
 
     return router
-
-
-def _field_document(field: SetupField) -> Document:
-    return {
-        "name": field.name,
-        "flag": field.flag,
-        "step": field.step,
-        "kind": field.kind.value,
-        "text": field.text,
-        "choices": [str(choice) for choice in field.choices],
-    }

@@ -8,11 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
 
-from agent.planning.setup_proposal.axis_check import Jog, ProbeFinding, judge_trigger
-from agent.planning.setup_proposal.controller_setup import ControllerSetup
-from drivers.clock import RealClock
-from drivers.errors import CommandRejected, ConfigurationError, DeviceError, LinkLost
-from drivers.registry import DeviceContext, create_device
+from agent.planning.new_machine.controller_setup import ControllerSetup
+from agent.service.setup.axis_check import Jog, ProbeFinding, judge_trigger
+from drivers.errors import CommandRejected, DeviceError, LinkLost
 from drivers.roles import AxisLimits, Device, Machine, Probe
 
 NOT_CONNECTED = "the controller is not connected"
@@ -44,16 +42,7 @@ class ControllerWatch:
         """
         with self._lock:
             self._close()
-            context = DeviceContext("cnc", RealClock(), self._directory)
-            device = create_device(controller.driver, controller.connection_options(), context)
-            try:
-                device.open()
-                if not isinstance(device, Machine):
-                    raise ConfigurationError(f"driver {controller.driver} is not a machine", key="controller")
-                limits = device.limits()
-            except BaseException:
-                device.close()
-                raise
+            device, limits = controller.open(self._directory)
             self._device, self.controller, self.limits = device, controller, limits
             return limits
 

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event, RLock
 from typing import Any
 
 from agent.files import translated, write_all_atomically
-from agent.planning.setup_files.new_setup import NewSetup
-from agent.planning.setup_proposal.axis_check import Direction, Finding, JogObservation, Part, ProbeFinding
-from agent.planning.setup_proposal.controller_setup import SIMULATED, ControllerSetup
-from agent.runs.new_machine.answers import InitOptions, SetupAnswers
-from agent.runs.new_machine.fields import SETUP_FIELDS
-from agent.runs.new_machine.new_files import PREVIEW, NewFiles, prepare_files, refuse_existing
-from agent.runs.new_machine.questions import ProposalsOnly
+from agent.planning.new_machine.answers import SetupAnswers
+from agent.planning.new_machine.controller_setup import SIMULATED, ControllerSetup
+from agent.planning.new_machine.field import ProposalsOnly
+from agent.planning.new_machine.fields import ADDRESS, CONTROLLER_KIND, FIELDS
+from agent.planning.new_machine.new_setup import NewSetup
+from agent.planning.new_machine.spindle import spindle_name
+from agent.runs.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
+from agent.service.setup.axis_check import Direction, Finding, JogObservation, Part, ProbeFinding
 from agent.service.setup.controller_watch import ControllerWatch
-from agent.service.setup.documents import proposal_texts, reading_document, review_document
 from drivers.errors import InputError, VolcalError
+from drivers.roles import AxisLimits
 from twin.machine.kinematic_chain import parse_chain
+from twin.units import S_PER_MIN
 
 Document = dict[str, Any]
-FIELDS = {field.name: field for field in SETUP_FIELDS}
-BY_FLAG = {field.flag: field.name for field in SETUP_FIELDS}
+BY_FLAG = {field.flag: field.name for field in FIELDS.values()}
 MISSING = "is needed"
 
 
@@ -70,7 +72,7 @@ class SetupSession:
             self._texts = {name: text for name, text in {**former, **texts}.items() if text.strip()}
             if self._texts != former:
                 self.files = self._review = None
-            if any(self._texts.get(name) != former.get(name) for name in ("controller", "address")):
+            if any(self._texts.get(name) != former.get(name) for name in (CONTROLLER_KIND.name, ADDRESS.name)):
                 self.watch.close()
                 self._seen.clear()
             return self.document()
@@ -84,10 +86,10 @@ class SetupSession:
                 "answers": self._texts,
                 "problems": problems,
                 "missing": missing,
-                "proposals": {} if setup is None else proposal_texts(setup),
-                "reading": reading_document(self.watch.limits),
+                "proposals": {} if setup is None else _proposals(setup),
+                "reading": _reading(self.watch.limits),
                 "connected": self.watch.connected,
-                "simulated": self._texts.get("controller", SIMULATED) == SIMULATED,
+                "simulated": self._texts.get(CONTROLLER_KIND.name, SIMULATED) == SIMULATED,
                 "axes": self._axis_findings(setup),
                 "probe": {"finding": self.watch.probe_finding.value, "by_hand": self._touched_by_hand},
                 "review": self._review,
@@ -97,23 +99,23 @@ class SetupSession:
     def _understood(self) -> tuple[NewSetup | None, dict[str, Document], str | None]:
         """Return the set-up that the texts describe, the problem of each field whose text is wrong, and the first field
         that is missing. A problem of no field has the name ""."""
-        options: dict[str, Any] = {}
         problems: dict[str, Document] = {}
         for name, text in self._texts.items():
             try:
-                options[name] = FIELDS[name].read(text)
+                FIELDS[name].refuse_malformed(text)
             except InputError as error:
                 problems[name] = _problem(error)
+        good = {name: text for name, text in self._texts.items() if name not in problems}
         try:
-            return self._answers(options).collect(), problems, None
+            return self._answers(good).collect(), problems, None
         except VolcalError as error:
             name = _field_of(error)
-            if name not in options and MISSING in error.message:
+            if name not in good and MISSING in error.message:
                 return None, problems, None if name in problems else name
             return None, {name: _problem(error), **problems}, None
 
-    def _answers(self, options: Mapping[str, Any]) -> SetupAnswers:
-        return SetupAnswers(InitOptions(**options), ProposalsOnly(), self.directory, read=self.watch.limits_of)
+    def _answers(self, texts: Mapping[str, str]) -> SetupAnswers:
+        return SetupAnswers(texts, ProposalsOnly(), self.directory, read_limits=self.watch.limits_of)
 
     # ------------------------------------------------------------------ controller
 
@@ -123,10 +125,10 @@ class SetupSession:
         Raises DeviceError if it cannot be reached, and InputError if none that could be reached is stated.
         """
         with self._lock:
-            texts = {name: self._texts.get(name) for name in ("controller", "address")}
-            kind = FIELDS["controller"].read(texts["controller"] or SIMULATED)
-            with translated(InputError, option="--address"):
-                controller = ControllerSetup.of(kind, texts["address"])
+            kind = self._texts.get(CONTROLLER_KIND.name, SIMULATED)
+            CONTROLLER_KIND.refuse_malformed(kind)
+            with translated(InputError, option=ADDRESS.flag):
+                controller = ControllerSetup.of(kind, self._texts.get(ADDRESS.name))
             if controller.is_simulated:
                 raise InputError("the simulated controller runs only during a run", hint="state its travel")
             self.watch.connect(controller)
@@ -193,12 +195,13 @@ class SetupSession:
         """
         with self._lock:
             if self._review is None:
-                options = {name: FIELDS[name].read(text) for name, text in self._texts.items()}
+                for name, text in self._texts.items():
+                    FIELDS[name].refuse_malformed(text)
                 scratch = Path(self._scratch.name) / secrets.token_hex(4)
                 scratch.mkdir()
-                self.files = prepare_files(self._answers(options), scratch)
+                self.files = prepare_files(self._answers(self._texts), scratch)
                 pictures = self.files.draw(scratch / PREVIEW)
-                self._review = review_document(self.files, self.directory, pictures)
+                self._review = _review(self.files, self.directory, pictures)
             return self.document()
 
     def preview(self, name: str) -> Path | None:
@@ -253,3 +256,50 @@ def _field_of(error: VolcalError) -> str:
 
 def _problem(error: VolcalError) -> Document:
     return {"detail": error.message, "hint": error.hint}
+
+
+def _reading(limits: AxisLimits | None) -> Document | None:
+    """Return what a controller reports; null where it does not report a value."""
+    if limits is None:
+        return None
+    return {
+        "lower_mm": _finite(limits.lower_mm),
+        "upper_mm": _finite(limits.upper_mm),
+        "rapid_mm_per_min": _finite(S_PER_MIN * value for value in limits.rapid_mm_per_s),
+        "acceleration_mm_per_s2": _finite(limits.acceleration_mm_per_s2),
+    }
+
+
+def _proposals(setup: NewSetup) -> dict[str, str]:
+    """Return the values of a set-up as texts by name of the field, as a person would state them."""
+    texts = {name: field.shown(setup) for name, field in FIELDS.items() if field.shown is not None}
+    return {name: text for name, text in texts.items() if text is not None}
+
+
+def _review(files: NewFiles, directory: Path, pictures: Sequence[Path]) -> Document:
+    """Return the files with their texts, the plan with its pictures, and the forecast of the gates."""
+    setup, job = files.setup, files.chosen.job
+    procedure = job.settings.procedure
+    return {
+        **files.document(directory),
+        "texts": dict(files.texts),
+        "refused": None if files.refused is None else str(files.refused),
+        "preview": [path.name for path in pictures],
+        "preview_directory": str(pictures[0].parent),
+        "summary": {
+            "machine": setup.machine.name,
+            "class": setup.machine.kind.name,
+            "travel_mm": list(setup.machine.travel_mm),
+            "chain": setup.machine.chain,
+            "spindle": spindle_name(setup.machine.spindle),
+            "artefact": job.artefact.name,
+            "balls_of_artefact": job.artefact.count,
+            "stations": len(setup.stations.places_mm),
+            "position_set": procedure.position_set,
+            "touches_per_ball": procedure.touches_per_ball,
+        },
+    }
+
+
+def _finite(values: Iterable[float]) -> list[float | None]:
+    return [float(value) if math.isfinite(value) else None for value in values]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -16,12 +15,6 @@ class CompensationSettings(DriverOptions):
 
     The INI and HAL files of the machine must be set up for the same method.
     """
-
-    former_keys: ClassVar[Mapping[str, str]] = {
-        "way": "method",
-        "largest_correction_mm": "max_correction_mm",
-        "within_s": "timeout_s",
-    }
 
     method: Literal["external-offsets", "kinematics", "comp-files"] = Field(
         description="method whose HAL and INI fragments the machine loads"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.planning.setup_proposal.axis_check import (
+from agent.service.setup.axis_check import (
     Direction,
     Finding,
     Jog,

@@ -14,8 +14,6 @@ from service_house import outcome
 
 from agent.cli.main import LazyGroup, main
 from agent.execution.states import RunState
-from agent.settings.schema import Settings
-from twin.formats.toml_reading import StrictModel
 
 ROOT = Path(__file__).resolve().parents[3]
 REFERENCE = ROOT / "docs" / "reference"
@@ -101,29 +99,3 @@ def test_the_command_page_names_every_option(name: str) -> None:
     text = page("cli.md")
     options = [max(p.opts, key=len) for p in command.params if isinstance(p, click.Option)]
     assert [option for option in options if f"`{option}`" not in text] == []
-
-
-def test_settings_page_lists_every_removed_key() -> None:
-    listed = [CODE.findall(row[0]) for row in rows(section(page("settings.md"), "Removed keys"))]
-    declared = {
-        f"{name}.{removed}"
-        for name, field in Settings.model_fields.items()
-        if isinstance(field.annotation, type) and issubclass(field.annotation, StrictModel)
-        for removed in field.annotation.removed_keys
-    }
-    assert {key for keys in listed for key in keys} == declared
-
-
-def test_settings_page_lists_every_renamed_key() -> None:
-    documented = {
-        (former.strip("`"), present.strip("`"))
-        for former, present in rows(section(page("settings.md"), "Renamed keys"))
-        if former.startswith("`")
-    }
-    declared = {
-        (f"{name}.{former}", f"{name}.{present}")
-        for name, field in Settings.model_fields.items()
-        if isinstance(field.annotation, type) and issubclass(field.annotation, StrictModel)
-        for former, present in field.annotation.former_keys.items()
-    }
-    assert documented == declared

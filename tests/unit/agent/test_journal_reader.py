@@ -1,4 +1,4 @@
-"""Reader of the journal: rows of runs, whole or interrupted, of this version and an older one."""
+"""Reader of the journal: rows of runs, whole or interrupted."""
 
 from __future__ import annotations
 
@@ -6,17 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from journal_surgery import make_version_1
 
 from agent.errors import JournalFailed
 from agent.execution.journal import Journal
 from agent.execution.journal_copy import copy_journal
 from agent.execution.journal_reader import JournalReader, has_journal, open_journal
 from agent.execution.journal_schema import FILE_NAME
-from agent.execution.run_record import read_record
 from agent.execution.states import RunState
 from agent.execution.steps import MoveTo, ReadTemperatures, Record, TouchTowards
-from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import VirtualClock
 from drivers.errors import InputError
 from drivers.roles import TableImage, Touch
@@ -115,17 +112,6 @@ def test_the_active_table_is_a_staged_one_only_if_it_was_accepted(state: Path) -
         image = reader.image(backup)
     assert image is not None
     assert image.same_as(TABLE)
-
-
-def test_a_journal_of_version_1_is_read_as_it_is(state: Path) -> None:
-    make_version_1(state)
-    before = (state / FILE_NAME).read_bytes()
-    record = read_record(state, FIRST)
-    assert (record.balls, record.touches, len(record.tables), record.minutes) == (1, 1, 2, 2.0)
-    unfinished = unfinished_run(state)
-    assert unfinished is not None
-    assert "older version" in unfinished.refusal
-    assert (state / FILE_NAME).read_bytes() == before
 
 
 def test_reading_creates_nothing_and_raises_the_error_of_the_caller(tmp_path: Path) -> None:

@@ -11,15 +11,24 @@ import numpy as np
 import pytest
 
 from agent.planning.job_preparation import reached_balls
-from agent.planning.setup_files.new_setup import ARTEFACT_FILE, SCENARIO_FILE, SETTINGS_FILE, NewSetup, checked_files
-from agent.planning.setup_proposal.artefact_geometry import nominal_length_mm, reference_pair
-from agent.planning.setup_proposal.artefact_setup import SHAPES, Calibration, check_balls, propose_artefact
-from agent.planning.setup_proposal.controller_setup import ControllerSetup
-from agent.planning.setup_proposal.error_family import propose_family
-from agent.planning.setup_proposal.machine_class import MACHINE_CLASSES
-from agent.planning.setup_proposal.machine_setup import MachineSetup, Triple
-from agent.planning.setup_proposal.spindle import SPINDLES, holder_direction, parse_spindle, points_up, spindle_name
-from agent.planning.setup_proposal.station_setup import positions_of, propose_mount, propose_stations
+from agent.planning.new_machine.artefact_geometry import nominal_length_mm, reference_pair
+from agent.planning.new_machine.artefact_setup import (
+    SHAPES,
+    ArtefactSetup,
+    Calibration,
+    check_balls,
+    nominal_artefact,
+    propose_shape,
+    propose_size,
+)
+from agent.planning.new_machine.controller_setup import ControllerSetup
+from agent.planning.new_machine.error_family import propose_family
+from agent.planning.new_machine.machine_class import MACHINE_CLASSES
+from agent.planning.new_machine.machine_setup import MachineSetup, Triple
+from agent.planning.new_machine.new_setup import ARTEFACT_FILE, SCENARIO_FILE, SETTINGS_FILE, NewSetup
+from agent.planning.new_machine.setup_files import checked_files
+from agent.planning.new_machine.spindle import SPINDLES, holder_direction, parse_spindle, points_up, spindle_name
+from agent.planning.new_machine.station_setup import positions_of, propose_mount, propose_stations
 from agent.settings.load import load_settings
 from simulators.scenario import read_scenario
 from twin.design.procedure import MIN_BALLS
@@ -43,6 +52,11 @@ def machine(name: str, travel: Triple, spindle: str) -> MachineSetup:
     same = (kind.rapid_mm_per_min, kind.rapid_mm_per_min, kind.rapid_mm_per_min)
     chain = kind.chain(frame, travel)
     return MachineSetup("mine", kind, (x, y, z), frame, chain, kind.stylus_mm, same, same, same)
+
+
+def propose_artefact(machine: MachineSetup, shape: str | None = None) -> ArtefactSetup:
+    shape = shape or propose_shape(machine.travel_mm)
+    return nominal_artefact(shape, propose_size(shape, machine.travel_mm))
 
 
 def setup(

@@ -1,10 +1,7 @@
-from collections.abc import Mapping
-from typing import ClassVar
-
 import pytest
 
 from twin.errors import FormatError
-from twin.formats.toml_reading import StrictModel, key_path, read_toml, with_current_keys
+from twin.formats.toml_reading import StrictModel, key_path, read_toml
 
 
 class Inner(StrictModel):
@@ -57,28 +54,3 @@ def test_no_toml_at_all():
 
 def test_key_path():
     assert key_path(("axes", "X", "range_mm", 0)) == "axes.X.range_mm[0]"
-
-
-class Renamed(StrictModel):
-    former_keys: ClassVar[Mapping[str, str]] = {"largest": "maximum"}
-
-    maximum: float = 1.0
-
-
-class Holder(StrictModel):
-    former_keys: ClassVar[Mapping[str, str]] = {"old_section": "section"}
-
-    section: Renamed = Renamed()
-
-
-def test_a_former_key_is_refused_with_its_new_name():
-    with pytest.raises(FormatError, match=r"key 'largest' has been renamed \(.*key section.largest\).*Write 'maximum'"):
-        read_toml("[section]\nlargest = 2.0\n", "settings.toml", Holder)
-    with pytest.raises(FormatError, match=r"key 'old_section' has been renamed .*Write 'section'"):
-        read_toml("[old_section]\nmaximum = 2.0\n", "settings.toml", Holder)
-
-
-def test_a_stored_document_is_read_with_its_former_keys():
-    stored = {"old_section": {"largest": 2.0}}
-    assert Holder.model_validate(with_current_keys(stored, Holder)) == Holder(section=Renamed(maximum=2.0))
-    assert stored == {"old_section": {"largest": 2.0}}

@@ -34,7 +34,6 @@ from twin.machine.deviation_basis import cross_arguments
 from twin.machine.error_model import DIRECTIONS, ErrorModel
 from twin.machine.kinematic_chain import AXES
 from twin.machine.legendre import legendre_values, normalise_positions
-from twin.machine.lever_origin import lower_ends_of_arms
 
 MOST_RECORDS = 100_000
 _MM_DECIMALS, _RAD_DECIMALS = 7, 10
@@ -91,7 +90,7 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
     z[0] += b * (table.z - low[2])
     z[1] -= a * (table.z - low[2])
     # the model measures lever arms from the lower ends of the ranges, the kernel from the zeros of the axes
-    levers = lower_ends_of_arms(model)
+    levers = _lower_ends_of_arms(model)
     for one, lever in zip(series, levers, strict=True):
         one[:3] -= np.cross(one[3:].T, lever).T
     v, w = cross_arguments(model, table.y[:, None], table.z[None, :])
@@ -105,6 +104,20 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
     names = _CROSSED_WITH_LEVER if levers[2, 1] and twist.any() else _CROSSED
     z[[DIRECTIONS.index(name[1]) for name in names]] = 0.0
     return Motions((x, y, z), {name: crossed[name] for name in names})
+
+
+def _lower_ends_of_arms(model: ErrorModel) -> Array:
+    """Return, for X, Y and Z, the vector (3, 3) in mm from the zeros to the lower ends of those axes whose travel is
+    part of the lever arm of this axis."""
+    low, arm, found = np.array(model.ranges_mm)[:, 0], np.zeros(3), np.zeros((3, 3))
+    for letter in model.chain.axes:
+        axis = AXES.index(letter)
+        if letter in model.chain.tool_side:
+            found[axis] = arm
+        arm[axis] += low[axis]
+        if letter in model.chain.workpiece_side:
+            found[axis] = arm
+    return found
 
 
 def _without_rigid_motion(motions: Motions, source: ExportSource) -> Motions:

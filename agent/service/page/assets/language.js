@@ -11,6 +11,9 @@ export async function loadWords(...names) {
   document.documentElement.lang = language;
 }
 
+/* Adds messages that the service states itself. */
+export const addWords = (words) => Object.assign(catalogue, words);
+
 export const languages = () => Object.keys(Object.values(catalogue)[0] ?? { en: "" });
 export const languageNow = () => language;
 

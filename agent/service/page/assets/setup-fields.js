@@ -30,7 +30,7 @@ export function fieldOf(field) {
   return { element, update, name: field.name };
 }
 
-const labelOf = (field) => (known(`field.${field.name}`) ? say(`field.${field.name}`) : field.text);
+const labelOf = (field) => say(`field.${field.name}`);
 const clean = (field, text) => (NUMERIC.has(field.kind) ? text.trim().replaceAll(",", ".") : text.trim());
 
 function textField(field) {
@@ -54,7 +54,7 @@ function choiceField(field) {
 }
 
 function wordOf(field, choice) {
-  if (field.name === "machine_class") return `${choice}: ${say(`class.${choice}`)}`;
+  if (field.name === "machine_class") return `${choice}: ${say(`machine_class.${choice}`)}`;
   return known(`${field.name}.${choice}`) ? say(`${field.name}.${choice}`) : choice;
 }
 

@@ -1,6 +1,6 @@
 /* State of the set-up as the service last sent it, and requests that change it. */
 import { askToken } from "./dialogs.js";
-import { known, say } from "./language.js";
+import { addWords, known, say } from "./language.js";
 import { hide, showProblem } from "./notices.js";
 import { ask, read, Refused, token } from "./requests.js";
 
@@ -11,7 +11,8 @@ let last = Promise.resolve();
 export const onState = (listener) => listeners.add(listener);
 
 export async function load() {
-  const { fields, steps } = await read("/api/setup/fields");
+  const { fields, steps, words } = await read("/api/setup/fields");
+  addWords(words);
   Object.assign(seen, { fields, steps: [...steps, "review"] });
   take(await read("/api/setup"));
 }

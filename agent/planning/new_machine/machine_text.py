@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from agent.planning.setup_files.toml_text import TomlText
-from agent.planning.setup_proposal.error_family import propose_family
-from agent.planning.setup_proposal.machine_setup import MachineSetup
-from agent.planning.setup_proposal.spindle import spindle_name
+from agent.planning.new_machine.error_family import propose_family
+from agent.planning.new_machine.fields import ACCELERATION, CHAIN, FEED, RAPID, STYLUS, TRAVEL
+from agent.planning.new_machine.machine_setup import MachineSetup
+from agent.planning.new_machine.spindle import spindle_name
+from agent.planning.new_machine.toml_text import TomlText
 from twin.machine.kinematic_chain import AXES
 
 FAMILY_COMMENTS = {
@@ -21,33 +22,24 @@ FAMILY_COMMENTS = {
 def machine_text(machine: MachineSetup) -> str:
     """Return the machine file, in which every line is explained and has the origin of its value."""
     text = TomlText()
-    origin = machine.origins.get
+    origin = f"; {machine.origins[STYLUS.name]}" if STYLUS.name in machine.origins else ""
     text.comment(
         f"{machine.name}: {machine.kind.description}. Written by `volcal init`; every value may be changed. Paths in "
         "this file are relative to it. All keys: docs/reference/files.md."
     )
     text.key("name", machine.name, "appears in every report, table and history of this machine")
-    text.key("chain", machine.chain, _with("from the tool to the workpiece", origin("chain")))
+    CHAIN.write(text, machine.chain, machine.origins)
     for index, letter in enumerate(AXES):
         text.section(f"axes.{letter}")
-        low, high = machine.limits_mm[index]
-        text.key(
-            "range_mm",
-            [float(low), float(high)],
-            _with("axis positions at the ends of the travel (soft limits)", origin("limits_mm")),
-        )
-        text.key("rapid_mm_per_min", machine.rapid_mm_per_min[index], _with("rapid", origin("rapid_mm_per_min")))
-        text.key("feed_mm_per_min", machine.feed_mm_per_min[index], _with("feed", origin("feed_mm_per_min")))
-        text.key(
-            "acceleration_mm_per_s2",
-            machine.acceleration_mm_per_s2[index],
-            _with("for predicted minutes", origin("acceleration_mm_per_s2")),
-        )
+        TRAVEL.write(text, [float(end) for end in machine.limits_mm[index]], machine.origins)
+        RAPID.write(text, machine.rapid_mm_per_min[index], machine.origins)
+        FEED.write(text, machine.feed_mm_per_min[index], machine.origins)
+        ACCELERATION.write(text, machine.acceleration_mm_per_s2[index], machine.origins)
     text.section("tools.probe", "Vector from the ram reference (spindle nose) to the stylus centre.")
     text.key(
         "offset_mm",
         [float(value) for value in machine.tool_offset_mm],
-        _with(f"stylus {machine.stylus_mm:g} mm along {spindle_name(machine.spindle)}", origin("stylus_mm")),
+        f"stylus {machine.stylus_mm:g} mm along {spindle_name(machine.spindle)}{origin}",
     )
     text.section("model", "Model of the geometric errors that is identified from the measurements.")
     text.key("order", 5, "highest Legendre order of each error along its axis")
@@ -65,7 +57,3 @@ def machine_text(machine: MachineSetup) -> str:
     for name, value in propose_family(machine.kind, machine.travel_mm).items():
         text.key(name, value, FAMILY_COMMENTS[name])
     return str(text)
-
-
-def _with(meaning: str, origin: str | None) -> str:
-    return f"{meaning}; {origin}" if origin else meaning

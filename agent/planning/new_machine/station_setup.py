@@ -8,17 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.planning.setup_proposal.artefact_setup import TOUCHED_MM, ArtefactSetup
-from agent.planning.setup_proposal.machine_setup import MachineSetup
-from agent.planning.setup_proposal.spindle import points_up
+from agent.planning.new_machine.artefact_setup import TOUCHED_MM, ArtefactSetup
+from agent.planning.new_machine.machine_setup import PROPOSED, STATED, MachineSetup, Triple
+from agent.planning.new_machine.spindle import points_up
 from twin.artefact.position_set import Position
 from twin.collision.probe_frame import VERTICAL, ProbeFrame
 from twin.machine.kinematic_chain import AXES
 
-Triple = tuple[float, float, float]
-
-STATED = "as stated"
-PROPOSED = "proposed"
 MOST_STATIONS = 6
 OVERLAP = 1.5
 """Number of artefacts per travel along which the stations stand: neighbouring stations overlap by a half."""

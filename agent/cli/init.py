@@ -5,23 +5,41 @@ from __future__ import annotations
 import json
 import math
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
 from agent.cli.errors import reported
-from agent.cli.new_machine.asking import ask_here, ask_on_page
 from agent.cli.printing import facts_table, gates_table, results_console
 from agent.files import check_folder
-from agent.planning.setup_proposal.spindle import spindle_name
+from agent.planning.new_machine.answers import SetupAnswers
+from agent.planning.new_machine.field import FieldKind, ProposalsOnly, SetupField
+from agent.planning.new_machine.fields import SETUP_FIELDS, option_texts
+from agent.planning.new_machine.spindle import spindle_name
 from agent.results.gate_forecast import require_forecast
-from agent.runs.new_machine.fields import SETUP_FIELDS, FieldKind, SetupField
-from agent.runs.new_machine.new_files import NewFiles, refuse_existing
+from agent.runs.new_machine_files import PREVIEW, NewFiles, prepare_files, refuse_existing
+from drivers.errors import InputError
+
+Answer = TypeVar("Answer")
 
 
-def _click_type(field: SetupField) -> dict[str, Any]:
+class TerminalQuestions:
+    """Questions to a person at a terminal, who is asked again after an answer that cannot be read."""
+
+    def ask(self, field: SetupField[Any], question: str, read: Callable[[str], Answer], proposal: str | None) -> Answer:
+        kind = click.Choice(list(field.choices)) if field.choices else None
+        while True:
+            text = str(click.prompt(question, default=proposal, type=kind, err=True))
+            try:
+                return read(text)
+            except InputError as error:
+                click.echo(f"{error}", err=True)
+
+
+def _click_type(field: SetupField[Any]) -> dict[str, Any]:
     """Return the arguments of the option of a field that say what it takes."""
     lowest, highest = (None if math.isinf(end) else end for end in (field.lowest, field.highest))
     first, last = (None if end is None else int(end) for end in (lowest, highest))
@@ -41,7 +59,8 @@ def _click_type(field: SetupField) -> dict[str, Any]:
 def _setup_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options that answer the questions."""
     for field in reversed(SETUP_FIELDS):
-        command = click.option(field.flag, field.name, help=field.text, **_click_type(field))(command)
+        text = field.option or f"{field.en}."
+        command = click.option(field.flag, field.name, help=text, **_click_type(field))(command)
     return command
 
 
@@ -62,11 +81,11 @@ def init_command(
         refuse_existing(directory)
     check_folder(directory)
     if page:
-        files, document = ask_on_page(directory, typed, port=port, force=force, as_json=as_json)
+        files, document = _ask_on_page(directory, typed, port=port, force=force, as_json=as_json)
     elif port is not None:
         raise click.UsageError("--port needs --page")
     else:
-        files, document = ask_here(directory, typed, interactive=sys.stdin.isatty() and not yes)
+        files, document = _ask_here(directory, typed, interactive=sys.stdin.isatty() and not yes)
     if as_json:
         click.echo(json.dumps(document, allow_nan=False))
     else:
@@ -74,6 +93,46 @@ def init_command(
     if files.refused is not None:
         raise files.refused
     require_forecast(files.forecasts)
+
+
+def _ask_here(directory: Path, typed: Mapping[str, Any], *, interactive: bool) -> tuple[NewFiles, dict[str, Any]]:
+    """Ask in the terminal, write the files, and return them with the result."""
+    answers = SetupAnswers(option_texts(typed), TerminalQuestions() if interactive else ProposalsOnly(), directory)
+    with tempfile.TemporaryDirectory() as scratch:
+        try:
+            files = prepare_files(answers, Path(scratch))
+        finally:
+            for note in answers.notes:
+                click.echo(f"note: {note}", err=True)
+        files.write(directory)
+        preview = files.draw(directory / PREVIEW)
+    return files, {**files.document(directory), "preview": [str(path) for path in preview]}
+
+
+def _ask_on_page(
+    directory: Path, typed: Mapping[str, Any], *, port: int | None, force: bool, as_json: bool
+) -> tuple[NewFiles, dict[str, Any]]:
+    """Serve the set-up page until a person has written the files and finished it, and return them with the result.
+
+    `typed` are the options of the command line, which the page shows as stated. Raises Aborted if the page was ended
+    before anything was written.
+    """
+    from agent.service.daemon.serve_setup import SETUP_PORT, serve_setup  # noqa: PLC0415  the web server is slow to import
+    from agent.service.setup.session import SetupSession  # noqa: PLC0415
+
+    def ready(url: str) -> None:
+        if as_json:
+            click.echo(json.dumps({"url": url}))
+        else:
+            click.echo(f"open in a browser on this computer: {url}")
+            click.echo("Ctrl-C ends the page; nothing is written before its last step")
+
+    session = SetupSession(directory, option_texts(typed), force=force)
+    serve_setup(session, SETUP_PORT if port is None else port, ready)
+    files, document = session.written_files, session.written
+    assert files is not None  # noqa: S101  serve_setup raises otherwise
+    assert document is not None  # noqa: S101
+    return files, document
 
 
 def _show(files: NewFiles, document: Mapping[str, Any]) -> None:

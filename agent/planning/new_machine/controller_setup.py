@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Self
 
+from drivers.clock import RealClock
+from drivers.errors import ConfigurationError
+from drivers.registry import DeviceContext, create_device
+from drivers.roles import AxisLimits, Device, Machine
 from twin.errors import DataError
 
 SIMULATED = "simulated"
 MODBUS = "modbus-cnc"
 SERIAL = "serial-cnc"
 LINUXCNC = "linuxcnc"
-CONTROLLERS = (SIMULATED, MODBUS, SERIAL, LINUXCNC)
 
 MODBUS_PORT = 502
 SIMULATOR_HOST = "127.0.0.1"
@@ -21,7 +25,7 @@ SIMULATOR_PORTS = {"modbus": 5020, "time": 5021, "control": 5022, "can": 29536}
 
 @dataclass(frozen=True)
 class ControllerSetup:
-    """Controller of one of the `CONTROLLERS`.
+    """Controller of one of the kinds above.
 
     `host` and `port` are the address of a Modbus TCP server, `serial_port` is the name of a serial port. They are empty
     and 0 for other kinds.
@@ -76,3 +80,19 @@ class ControllerSetup:
                 return {"port": self.serial_port}
             case _:
                 return {}
+
+    def open(self, directory: Path) -> tuple[Device, AxisLimits]:
+        """Connect to the controller of the machine in `directory`, and return the open device with the travel and the
+        dynamics that it reports. Nothing is moved or written.
+
+        Raises DeviceError if it cannot be reached, and ConfigurationError if it is no machine.
+        """
+        device = create_device(self.driver, self.connection_options(), DeviceContext("cnc", RealClock(), directory))
+        try:
+            device.open()
+            if not isinstance(device, Machine):
+                raise ConfigurationError(f"driver {self.driver} is not a machine", key="controller")
+            return device, device.limits()
+        except BaseException:
+            device.close()
+            raise

@@ -6,13 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from agent.planning.setup_proposal.machine_setup import MachineSetup
+from agent.planning.new_machine.machine_setup import Triple
 from twin.errors import DataError
 
 SHAPES = ("tilted-bar", "straight-bar", "ball-plate", "tetrahedron")
 TILTED_BAR, STRAIGHT_BAR, BALL_PLATE, TETRAHEDRON = SHAPES
-CALIBRATIONS = ("certificate", "length", "none")
-CERTIFICATE, LENGTH, NONE = CALIBRATIONS
+CERTIFICATE, LENGTH, NONE = "certificate", "length", "none"
 
 SIZES_MM = {
     TILTED_BAR: (120, 150, 175, 200, 250, 300, 350, 400, 500, 600, 800, 1000, 1200, 1500),
@@ -93,20 +92,20 @@ class ArtefactSetup:
         return thickness + 0.25 * self.height_mm + self.holder_mm
 
 
-def propose_shape(machine: MachineSetup) -> str:
+def propose_shape(travel_mm: Triple) -> str:
     """Return the proposed shape: a tilted bar, or a straight one if it is so short that the stylus would touch a tilted
     neighbour of the ball while the bar is inclined."""
-    return TILTED_BAR if propose_size(TILTED_BAR, machine) >= TILTED_FROM_MM else STRAIGHT_BAR
+    return TILTED_BAR if propose_size(TILTED_BAR, travel_mm) >= TILTED_FROM_MM else STRAIGHT_BAR
 
 
-def propose_size(shape: str, machine: MachineSetup) -> float:
-    """Return the size in mm of an artefact that fits the travel of the machine.
+def propose_size(shape: str, travel_mm: Triple) -> float:
+    """Return the size in mm of an artefact that fits the travels of a machine, in mm.
 
     At an elevation of 45° the artefact must fit into the shortest travel and, along an axis, into the medium one. On a
     flat machine this would be too short for the long axes; there the artefact is half the medium travel, and it is
     measured at smaller elevations. A plate or tetrahedron extends in all directions, so it is smaller than a bar.
     """
-    shortest, medium, _ = sorted(machine.travel_mm)
+    shortest, medium, _ = sorted(travel_mm)
     if shape in (BALL_PLATE, TETRAHEDRON):
         wanted = min(medium / DIAGONAL, max(shortest - TOUCHED_MM, FLAT_SHARE * medium))
     else:
@@ -119,12 +118,6 @@ def smaller_size(artefact: ArtefactSetup) -> float | None:
     """Return the next smaller proposed size of the same shape in mm, or None if there is none."""
     smaller = [size for size in SIZES_MM[artefact.shape] if size < artefact.size_mm]
     return float(max(smaller)) if smaller else None
-
-
-def propose_artefact(machine: MachineSetup, shape: str | None = None) -> ArtefactSetup:
-    """Return an artefact of the given or proposed shape whose size fits the travel of the machine."""
-    shape = shape or propose_shape(machine)
-    return nominal_artefact(shape, propose_size(shape, machine))
 
 
 def nominal_artefact(shape: str, size_mm: float) -> ArtefactSetup:

@@ -1,10 +1,8 @@
-"""Text of the settings file of a new machine."""
+"""Texts of the settings file of a new machine and of the simulator scenario that matches it."""
 
 from __future__ import annotations
 
-from agent.planning.setup_files.geometry_text import add_mount, add_probe
-from agent.planning.setup_files.toml_text import TomlText
-from agent.planning.setup_proposal.controller_setup import (
+from agent.planning.new_machine.controller_setup import (
     LINUXCNC,
     MODBUS,
     SERIAL,
@@ -12,8 +10,12 @@ from agent.planning.setup_proposal.controller_setup import (
     SIMULATOR_PORTS,
     ControllerSetup,
 )
-from agent.planning.setup_proposal.machine_setup import MachineSetup
-from agent.planning.setup_proposal.station_setup import StationSetup, station_axis
+from agent.planning.new_machine.fields import PROBE_DIAMETER, STEM, TIP_DIAMETER
+from agent.planning.new_machine.machine_setup import PROPOSED, STATED, MachineSetup
+from agent.planning.new_machine.new_setup import ARTEFACT_FILE, MACHINE_FILE, NewSetup
+from agent.planning.new_machine.spindle import holder_direction, points_up
+from agent.planning.new_machine.station_setup import StationSetup, station_axis
+from agent.planning.new_machine.toml_text import TomlText
 
 CONTROLLER_PAGES = {
     MODBUS: "docs/how-to/plc-side-of-the-modbus-link.md",
@@ -28,26 +30,24 @@ AXES_OF_MOUNT = (("azimuth", 1, 180.0), ("elevation", 2, 90.0))
 """Name, proposed CANopen node and limit in degrees of each axis of the mount."""
 
 
-def settings_text(
-    machine: MachineSetup,
-    controller: ControllerSetup,
-    stations: StationSetup,
-    *,
-    position_set: str,
-    touches_per_ball: int,
-    held_out_positions: int | None,
-    machine_file: str,
-    artefact_file: str,
-) -> str:
+PROBE_COMMENTS = {
+    **{field.key: field.comment for field in (TIP_DIAMETER, STEM, PROBE_DIAMETER)},
+    "reach_mm": "from the stylus centre to the ram face; not longer than the tool offset",
+    "ram_half_width_mm": "half the width of the ram, quill or spindle nose",
+    "ram_length_mm": "length of the ram that must not hit anything",
+}
+
+
+def settings_text(setup: NewSetup, position_set: str) -> str:
     """Return the settings file of the agent, in which every line is explained."""
-    text = TomlText()
+    text, machine, controller, stations = TomlText(), setup.machine, setup.controller, setup.stations
     text.comment(
         "Settings of volcal for this machine, written by `volcal init`. Every command reads this file if it is called "
         "in this directory. Paths are relative to it. All keys: docs/reference/settings.md; check a change with "
         "`volcal config check volcal.toml`."
     )
-    text.key("machine", machine_file, "travel, chain, tools and error family")
-    text.key("artefact", artefact_file, "ball centres and their uncertainty")
+    text.key("machine", MACHINE_FILE, "travel, chain, tools and error family")
+    text.key("artefact", ARTEFACT_FILE, "ball centres and their uncertainty")
     text.key("tool", "probe", "tool of the machine file with which is measured")
     text.key("state_directory", "runs", "journal, tables and reports")
     _add_clock(text, controller)
@@ -55,10 +55,49 @@ def settings_text(
     _add_mount_device(text, controller)
     _add_operator(text, controller)
     _add_roles(text)
-    add_mount(text, machine, stations)
-    add_probe(text, machine)
-    _add_procedure(text, machine, stations, position_set, touches_per_ball, held_out_positions)
+    _add_mount(text, machine, stations)
+    _add_probe(text, machine)
+    _add_procedure(text, setup, position_set)
     _add_limits(text, machine, controller)
+    return str(text)
+
+
+def scenario_text(machine: MachineSetup, stations: StationSetup) -> str:
+    """Return the scenario of a simulated machine of this family, with the same mount, probe and stations.
+
+    Its errors are drawn from the family of the machine file with Legendre order 7, richer than the identified model.
+    """
+    text = TomlText()
+    text.comment(
+        "Scenario for `volcal simulate` and `volcal calibrate --simulated`: a machine of this family with errors of "
+        "its own, which the agent does not know. All keys: docs/reference/scenario.md."
+    )
+    text.key("machine", MACHINE_FILE, "its travel, chain, tools and family")
+    text.key("artefact", ARTEFACT_FILE, "its nominal or certified centres; the true ones differ, see below")
+    text.key("tool", "probe")
+    text.key("seed", 1, "of all noise, and of the errors of the mount")
+    text.key("standing_at", 1, "station of mount and artefact at the start")
+    text.comment("The same places, mount and probe as in the settings.")
+    text.key("stations_mm", [list(place) for place in stations.places_mm])
+    _add_mount(text, machine, stations)
+    _add_probe(text, machine)
+    text.section("truth")
+    text.key("seed", 21, "another number is another machine of the family")
+    text.key("legendre_order", 7, "the identified model has order 5, as a real machine is richer than any model")
+    text.key("scale", 1.0, "times the amplitudes of the family: 0.3 is a good machine, 3.0 a bad one")
+    text.section("artefact_truth")
+    text.key("certificate_error", 1.0, "the true centres differ by this many standard uncertainties")
+    text.section("trigger")
+    text.key("pretravel_um", 8.0, "of the probe, the same in all directions")
+    text.key("lobing_um", 0.5, "its variation around the stylus, three lobes")
+    text.key("touch_sigma_um", 1.0, "repeatability of a touch, 1 σ")
+    text.section("axes")
+    text.key("repeatability_um", 0.2)
+    text.key("backlash_um", 0.2)
+    text.section("temperatures")
+    text.key("artefact_c", 20.5)
+    text.key("machine_c", 21.0)
+    text.key("ambient_c", 20.8)
     return str(text)
 
 
@@ -141,30 +180,24 @@ def _add_roles(text: TomlText) -> None:
     text.key("operator", "operator")
 
 
-def _add_procedure(
-    text: TomlText,
-    machine: MachineSetup,
-    stations: StationSetup,
-    position_set: str,
-    touches_per_ball: int,
-    held_out_positions: int | None,
-) -> None:
+def _add_procedure(text: TomlText, setup: NewSetup, position_set: str) -> None:
+    stations = setup.stations
     text.section("stations")
     text.comment(
-        f"Places of the mount along {station_axis(machine)}: the point of its azimuth axis at the height of the middle "
-        "of the artefact (vertical spindle: at which the elevation axis meets it), in the workpiece frame (axis "
+        f"Places of the mount along {station_axis(setup.machine)}: the point of its azimuth axis at the height of the "
+        "middle of the artefact (vertical spindle: at which the elevation axis meets it), in the workpiece frame (axis "
         "position + tool offset, so of a stylus centre that would stand there). "
         f"{stations.origins['places_mm'].capitalize()}."
     )
     text.key("places_mm", [list(place) for place in stations.places_mm])
     text.section("procedure", "How is measured; `volcal plan` shows balls, minutes and the expected result.")
     text.key("position_set", position_set, "S1 along the axes, S3 along the diagonals of the planes; or a file")
-    text.key("touches_per_ball", touches_per_ball, "5, 9, 13 or 25: more touches, less noise, more minutes")
+    text.key("touches_per_ball", setup.touches, "5, 9, 13 or 25: more touches, less noise, more minutes")
     text.section("verification", "Fresh positions that prove a new table are measured at these stations.")
     count = len(stations.places_mm)
     text.key("stations", sorted({1, count}), "the first and the last")
-    if held_out_positions is not None:
-        text.key("positions", held_out_positions, "as many as are needed to show the predicted improvement")
+    if setup.held_out_positions is not None:
+        text.key("positions", setup.held_out_positions, "as many as are needed to show the predicted improvement")
 
 
 def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSetup) -> None:
@@ -186,3 +219,33 @@ def _add_limits(text: TomlText, machine: MachineSetup, controller: ControllerSet
         text.section("gates", "A table that does not pass these limits is never written.")
         text.key("max_correction_um", 1000.0, f"a {machine.kind.name} may have large errors")
         text.key("max_slope_um_per_mm", 5.0, "the same")
+
+
+def _add_mount(text: TomlText, machine: MachineSetup, stations: StationSetup) -> None:
+    """Add the section `[mount]`."""
+    text.section("mount", "Rotary mount of the artefact: dimensions for its pose and for the collision check.")
+    text.key("shaft_mm", stations.shaft_mm, "from the azimuth axis to the origin of the artefact frame")
+    hanging = points_up(machine.spindle)
+    if machine.spindle.is_vertical:
+        meaning = "in the artefact frame: it " + ("hangs below" if hanging else "stands above") + " the azimuth axis"
+        text.key("shaft_direction", list(holder_direction(machine.spindle)), meaning)
+    if hanging:
+        text.key("hanging", True, "the mount hangs from a surface above it, and the stylus probes from below")
+    text.key(
+        "pedestal_radius_mm",
+        stations.pedestal_radius_mm,
+        "post above the azimuth axis, up to its surface"
+        if hanging
+        else "post under the azimuth axis, down to the table",
+    )
+    text.key("head_mm", stations.head_mm, "end of the post beyond the place of the mount")
+    surface = "surface from which the mount hangs" if hanging else "table surface"
+    table = f"height of the {surface}, workpiece frame (axis position + tool offset)"
+    text.key("table_z_mm", stations.table_z_mm, f"{table}; {stations.origins['table_z_mm']}")
+
+
+def _add_probe(text: TomlText, machine: MachineSetup) -> None:
+    """Add the section `[probe]`."""
+    text.section("probe", "Dimensions of the probe for the collision check. What is proposed: measure yours.")
+    for name, value in machine.probe.items():
+        text.key(name, value, f"{PROBE_COMMENTS[name]}; {STATED if name in machine.stated_probe else PROPOSED}")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from agent.planning.setup_files.toml_text import TomlText
-from agent.planning.setup_proposal.artefact_geometry import (
+from typing import Any
+
+from agent.planning.new_machine.artefact_geometry import (
     ArtefactGeometry,
     SolidPart,
     artefact_geometry,
@@ -11,11 +12,14 @@ from agent.planning.setup_proposal.artefact_geometry import (
     reference_pair,
     turned,
 )
-from agent.planning.setup_proposal.artefact_setup import CERTIFICATE, LENGTH, ArtefactSetup
-from agent.planning.setup_proposal.spindle import BESIDE, holder_direction
+from agent.planning.new_machine.artefact_setup import CERTIFICATE, LENGTH, ArtefactSetup
+from agent.planning.new_machine.field import SetupField
+from agent.planning.new_machine.fields import BALL_DIAMETER, BALLS, HOLDER, SIZE, TILT
+from agent.planning.new_machine.machine_setup import PROPOSED
+from agent.planning.new_machine.spindle import BESIDE, holder_direction
+from agent.planning.new_machine.toml_text import TomlText
 from twin.collision.probe_frame import ProbeFrame
 
-PROPOSED = "proposed"
 NOMINAL = "nominal: type in the certificate before a run on the real machine"
 UNCERTIFIED = "none: nominal centres"
 
@@ -60,7 +64,7 @@ def artefact_text(artefact: ArtefactSetup, spindle: ProbeFrame) -> str:
     text.key("certificate", NOMINAL if kind == CERTIFICATE else UNCERTIFIED)
     text.key("cte_per_k", 11.5e-6, "thermal expansion: steel 11.5e-6, carbon fibre about 0.5e-6")
     text.key("cte_standard_uncertainty_per_k", 0.3e-6)
-    text.key("ball_diameter_mm", artefact.diameter_mm, artefact.origins.get("diameter_mm", PROPOSED))
+    BALL_DIAMETER.write(text, artefact.diameter_mm, {BALL_DIAMETER.name: PROPOSED, **artefact.origins})
     text.key(
         "standard_uncertainty_um",
         artefact.calibration.standard_uncertainty_um,
@@ -90,32 +94,29 @@ def _length(artefact: ArtefactSetup) -> float:
 
 def _add_bar(text: TomlText, artefact: ArtefactSetup) -> None:
     """Add the section of a bar whose holders point along -Y."""
-    origin = artefact.origins.get
     text.section("bar", "Nominal geometry, used until `balls` is given.")
-    text.key("balls", artefact.balls, _with("number of balls", origin("balls")))
-    text.key("length_mm", artefact.size_mm, _with("between the centres of the end balls", origin("size_mm")))
-    meaning = "holders tilted alternately up, out, down and in; 0: straight"
-    text.key("tilt_deg", artefact.tilt_deg, _with(meaning, origin("tilt_deg")))
-    meaning = "from the axis of the bar to a ball centre"
-    text.key("holder_length_mm", artefact.holder_mm, _with(meaning, origin("holder_mm")))
+    BALLS.write(text, artefact.balls, artefact.origins)
+    SIZE.write(text, artefact.size_mm, artefact.origins)
+    TILT.write(text, artefact.tilt_deg, artefact.origins)
+    HOLDER.write(text, artefact.holder_mm, artefact.origins)
 
 
 def _add_centres(text: TomlText, artefact: ArtefactSetup, geometry: ArtefactGeometry, spindle: ProbeFrame) -> None:
     """Add the nominal centres of the balls."""
 
-    def origin(key: str) -> str:
-        return artefact.origins.get(key, PROPOSED)
+    def origin(field: SetupField[Any]) -> str:
+        return artefact.origins.get(field.name, PROPOSED)
 
     axis = "-Y" if holder_direction(spindle) == BESIDE else "+Z" if spindle.sign < 0 else "-Z"
     tilt = (
-        f", tilted by {artefact.tilt_deg:g}° ({origin('tilt_deg')}) alternately to either side, up and down"
+        f", tilted by {artefact.tilt_deg:g}° ({origin(TILT)}) alternately to either side, up and down"
         if artefact.tilt_deg
         else ""
     )
     text.comment(
-        f"Nominal centres in mm: {artefact.balls} balls ({origin('balls')}), {artefact.size_mm:g} mm "
-        f"{SIZES.get(artefact.shape, 'between the end balls')} ({origin('size_mm')}), on holders of "
-        f"{artefact.holder_mm:g} mm ({origin('holder_mm')}) along {axis}{tilt}."
+        f"Nominal centres in mm: {artefact.balls} balls ({origin(BALLS)}), {artefact.size_mm:g} mm "
+        f"{SIZES.get(artefact.shape, 'between the end balls')} ({origin(SIZE)}), on holders of "
+        f"{artefact.holder_mm:g} mm ({origin(HOLDER)}) along {axis}{tilt}."
     )
     text.rows("balls", [[_rounded(value) for value in ball] for ball in geometry.balls])
 
@@ -147,7 +148,3 @@ def _add_part(text: TomlText, part: SolidPart) -> None:
 
 def _rounded(value: float) -> float:
     return round(value, 4) + 0.0
-
-
-def _with(meaning: str, origin: str | None) -> str:
-    return f"{meaning}; {origin}" if origin else meaning

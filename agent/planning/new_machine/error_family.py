@@ -15,7 +15,7 @@ agrees with the measurements.
 
 from __future__ import annotations
 
-from agent.planning.setup_proposal.machine_class import MachineClass
+from agent.planning.new_machine.machine_class import MachineClass
 
 REFERENCE_LENGTH_MM = 800.0
 POSITIONING_UM = 12.0

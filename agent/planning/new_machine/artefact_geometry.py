@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from itertools import combinations
 
-from agent.planning.setup_proposal.artefact_setup import (
+from agent.planning.new_machine.artefact_setup import (
     BALL_PLATE,
     PLATE_THICKNESS_MM,
     TETRAHEDRON,

@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from agent.planning.setup_proposal.machine_class import MachineClass
+from agent.planning.new_machine.machine_class import MachineClass
 from twin.collision.probe_frame import ProbeFrame
 from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES, parse_chain
 
 Limits = tuple[float, float]
 Triple = tuple[float, float, float]
+ThreeLimits = tuple[Limits, Limits, Limits]
+
+STATED = "as stated"
+PROPOSED = "proposed"
+"""Origins of a value; others name their source."""
 
 SHORTEST_TRAVEL_MM = 40.0
 LONGEST_TRAVEL_MM = 20000.0
@@ -37,7 +42,7 @@ class MachineSetup:
 
     name: str
     kind: MachineClass
-    limits_mm: tuple[Limits, Limits, Limits]
+    limits_mm: ThreeLimits
     spindle: ProbeFrame
     chain: str
     stylus_mm: float
@@ -68,8 +73,7 @@ class MachineSetup:
     @property
     def travel_mm(self) -> Triple:
         """Lengths of the travels of X, Y and Z in mm."""
-        (x_low, x_high), (y_low, y_high), (z_low, z_high) = self.limits_mm
-        return x_high - x_low, y_high - y_low, z_high - z_low
+        return lengths_of(self.limits_mm)
 
     @property
     def tool_offset_mm(self) -> Triple:
@@ -95,6 +99,12 @@ class MachineSetup:
             "ram_length_mm": _rounded(self.travel_mm[self.spindle.axis] + 100.0),
             **self.stated_probe,
         }
+
+
+def lengths_of(limits_mm: ThreeLimits) -> Triple:
+    """Return the lengths of three travels."""
+    x, y, z = (high - low for low, high in limits_mm)
+    return x, y, z
 
 
 def check_travel(axis: str, low: float, high: float) -> None:

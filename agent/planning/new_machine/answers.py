@@ -1,0 +1,166 @@
+"""Set-up of a new machine from the answers about it: stated, read from the controller, asked or proposed."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from agent.files import read_text, translated
+from agent.model_files import load_artefact
+from agent.planning.new_machine import fields
+from agent.planning.new_machine.artefact_setup import LENGTH, ArtefactSetup, Calibration, nominal_artefact, smaller_size
+from agent.planning.new_machine.controller_setup import MODBUS, SERIAL, ControllerSetup
+from agent.planning.new_machine.field import Answers
+from agent.planning.new_machine.machine_setup import STATED, MachineSetup
+from agent.planning.new_machine.new_setup import ARTEFACT_FILE, NewSetup
+from agent.planning.new_machine.station_setup import StationSetup, propose_stations
+from drivers.errors import ConfigurationError, DeviceError, InputError
+from drivers.roles import AxisLimits
+
+
+@dataclass
+class SetupAnswers(Answers):
+    """Answers about one machine, and remarks (`notes`) for the person who typed the command."""
+
+    notes: list[str] = field(default_factory=list)
+    read_limits: Callable[[ControllerSetup, Path], AxisLimits] | None = None
+    """Source of what the controller reports, by default the controller itself."""
+
+    def collect(self) -> NewSetup:
+        """Return the set-up of the machine, and ask what is not stated in the order of the steps. Raises InputError,
+        which names the option, if an answer is missing or impossible."""
+        kind = self[fields.MACHINE_CLASS]
+        needed = self[fields.CONTROLLER_KIND] in (MODBUS, SERIAL)
+        with translated(InputError):
+            controller = ControllerSetup.of(
+                self[fields.CONTROLLER_KIND], self[fields.ADDRESS] if needed else self.stated(fields.ADDRESS)
+            )
+        self.limits = self._reported_limits(controller)
+        limits, spindle, chain = self[fields.TRAVEL], self[fields.SPINDLE], self[fields.CHAIN]
+        stylus, name = self[fields.STYLUS], self[fields.NAME]
+        with translated(InputError):
+            probe = {
+                one.key: self[one]
+                for one in (fields.TIP_DIAMETER, fields.STEM, fields.PROBE_DIAMETER)
+                if self.states(one)
+            }
+            machine = MachineSetup(
+                name=name,
+                kind=kind,
+                limits_mm=limits,
+                spindle=spindle,
+                chain=chain,
+                stylus_mm=stylus,
+                rapid_mm_per_min=self[fields.RAPID],
+                feed_mm_per_min=self[fields.FEED],
+                acceleration_mm_per_s2=self[fields.ACCELERATION],
+                origins=self.origins,
+                stated_probe=probe,
+            )
+        artefact, files = self._artefact()
+        stations = self._stations(machine, artefact)
+        return NewSetup(
+            machine,
+            controller,
+            artefact,
+            stations,
+            files,
+            self.stated(fields.POSITION_SET),
+            self.stated(fields.TOUCHES),
+        )
+
+    def with_smaller_artefact(self, setup: NewSetup) -> NewSetup | None:
+        """Return the set-up with a smaller artefact and its stations, or None if a person chose its size or none is
+        smaller."""
+        former = setup.artefact
+        size = smaller_size(former) if former.origins.get(fields.SIZE.name, STATED) != STATED else None
+        if size is None:
+            return None
+        names = {
+            fields.BALLS.name: "balls",
+            fields.TILT.name: "tilt_deg",
+            fields.HOLDER.name: "holder_mm",
+            fields.BALL_DIAMETER.name: "diameter_mm",
+        }
+        kept = {key: getattr(former, key) for name, key in names.items() if former.origins[name] == STATED}
+        artefact = replace(
+            nominal_artefact(former.shape, size), **kept, calibration=former.calibration, origins=former.origins
+        )
+        return replace(setup, artefact=artefact, stations=self._stations(setup.machine, artefact))
+
+    def _reported_limits(self, controller: ControllerSetup) -> AxisLimits | None:
+        """Return the travel and dynamics that the controller reports, None if there is no controller to be asked.
+
+        If the controller cannot be reached, this is noted, and the travel must be stated.
+        """
+        if controller.is_simulated:
+            return None
+        try:
+            return (self.read_limits or read_axis_limits)(controller, self.directory)
+        except (DeviceError, ConfigurationError) as error:
+            self.notes.append(f"the controller was not reached, so nothing was read from it: {error}")
+            return None
+
+    def _artefact(self) -> tuple[ArtefactSetup, Mapping[str, str] | None]:
+        """Return the dimensions of the artefact, and the texts of its files if it is not a nominal one."""
+        if self.states(fields.ARTEFACT):
+            return _artefact_of_file(self[fields.ARTEFACT])
+        artefact = fields.stated_artefact(self)
+        kind = (
+            LENGTH
+            if self.states(fields.CERTIFIED_LENGTH) and not self.states(fields.CALIBRATION)
+            else self[fields.CALIBRATION]
+        )
+        if kind != LENGTH:
+            return replace(artefact, calibration=Calibration(kind)), None
+        calibration = Calibration(kind, self[fields.CERTIFIED_LENGTH], self[fields.LENGTH_UNCERTAINTY])
+        return replace(artefact, calibration=calibration), None
+
+    def _stations(self, machine: MachineSetup, artefact: ArtefactSetup) -> StationSetup:
+        return propose_stations(
+            machine,
+            artefact,
+            count=self.stated(fields.STATIONS),
+            first_mm=self.stated(fields.MOUNT_AT),
+            shaft_mm=self.stated(fields.SHAFT),
+            table_z_mm=self.stated(fields.TABLE_Z),
+        )
+
+
+def read_axis_limits(controller: ControllerSetup, directory: Path) -> AxisLimits:
+    """Connect to the controller, and return the travel and the dynamics of its axes. Nothing is moved or written.
+
+    Raises DeviceError if the controller cannot be reached.
+    """
+    device, limits = controller.open(directory)
+    device.close()
+    return limits
+
+
+def _artefact_of_file(path: Path) -> tuple[ArtefactSetup, Mapping[str, str]]:
+    """Return the dimensions of the artefact in a file, and the texts to be copied: the file itself and, under its own
+    name, the covariance file that it names."""
+    artefact = load_artefact(path)
+    text = read_text(path)
+    copied = {ARTEFACT_FILE: text}
+    covariance = tomllib.loads(text).get("covariance_file")
+    if covariance is not None:
+        if Path(covariance).name != covariance:
+            raise InputError(
+                "the covariance file is in another directory",
+                hint="put it beside the artefact file",
+                file=str(path),
+                key="covariance_file",
+            )
+        copied[covariance] = read_text(path.parent / covariance)
+    described = ArtefactSetup(
+        shape="",
+        size_mm=2.0 * artefact.half_length_mm,
+        balls=artefact.count,
+        tilt_deg=0.0,
+        holder_mm=artefact.holder_length_mm,
+        diameter_mm=artefact.ball_diameter_mm,
+    )
+    return described, copied

@@ -1,0 +1,62 @@
+"""All files of a new machine, written and checked together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from agent.planning.job import Job
+from agent.planning.job_preparation import prepare_job, reached_balls
+from agent.planning.new_machine.artefact_text import artefact_text
+from agent.planning.new_machine.machine_text import machine_text
+from agent.planning.new_machine.new_setup import (
+    ARTEFACT_FILE,
+    LAST_EFFORT,
+    MACHINE_FILE,
+    POSITIONS_FILE,
+    SCENARIO_FILE,
+    SETTINGS_FILE,
+    NewSetup,
+)
+from agent.planning.new_machine.settings_text import scenario_text, settings_text
+from agent.planning.new_machine.station_setup import positions_of
+from agent.settings.load import load_settings
+from twin.design.procedure import MIN_BALLS
+from twin.formats.position_set_file import format_positions
+
+
+def checked_files(setup: NewSetup, directory: Path) -> tuple[Mapping[str, str], Job]:
+    """Write the files of a new machine into the empty scratch `directory`, check them as `volcal config check` does,
+    and return their texts by file name, and the job that they describe.
+
+    Without a named set, a position file with the orientations that the probe can measure is among the files. Raises
+    ConfigurationError if the files contradict each other, for example because no ball is within reach.
+    """
+    named = setup.named_set
+    texts = _texts(setup, named or LAST_EFFORT.named_set)
+    job = _written(texts, directory)
+    if named is not None:
+        return texts, job
+    measurable = [
+        position
+        for position in positions_of(setup.stations, setup.machine.spindle, is_bar=setup.artefact.is_bar)
+        if reached_balls(job, position) >= MIN_BALLS
+    ]
+    texts = {**_texts(setup, POSITIONS_FILE), POSITIONS_FILE: format_positions(measurable)}
+    return texts, _written(texts, directory)
+
+
+def _texts(setup: NewSetup, position_set: str) -> dict[str, str]:
+    """Return the texts of machine, artefact, settings and scenario file by file name."""
+    return {
+        MACHINE_FILE: machine_text(setup.machine),
+        **(setup.artefact_files or {ARTEFACT_FILE: artefact_text(setup.artefact, setup.machine.spindle)}),
+        SETTINGS_FILE: settings_text(setup, position_set),
+        SCENARIO_FILE: scenario_text(setup.machine, setup.stations),
+    }
+
+
+def _written(texts: Mapping[str, str], directory: Path) -> Job:
+    for name, text in texts.items():
+        (directory / name).write_text(text, encoding="utf-8")
+    return prepare_job(load_settings(directory / SETTINGS_FILE), directory)

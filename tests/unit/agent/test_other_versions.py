@@ -1,0 +1,110 @@
+"""What another version of volcal stored is refused in one sentence that names file, version and remedy."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from journal_surgery import operate
+from journaled import SETTINGS, run_id
+
+from agent.cli.main import main
+from agent.errors import JournalFailed
+from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
+from agent.execution.journal_schema import FILE_NAME, VERSION
+from agent.execution.states import RunState
+from agent.runs.origin import read_origin
+from agent.runs.reference_state import read_reference
+from drivers.clock import VirtualClock
+from drivers.errors import ConfigurationError, InputError
+
+CONFIG = Path(SETTINGS["machine"]).parents[1]
+OTHER_ESTIMATE = json.dumps({"format": "volcal estimate 2", "parameters": []})
+WORDS = "has the format 'volcal estimate 2', and this version of volcal reads 'volcal estimate 3'"
+
+
+def test_a_command_refuses_an_estimate_of_another_format(tmp_path: Path) -> None:
+    (tmp_path / "other.json").write_text(OTHER_ESTIMATE)
+    (tmp_path / "balls.csv").write_text(
+        "position,station,azimuth_deg,elevation_deg,tool,ball,x_mm,y_mm,z_mm,sigma_um,temperature_c\n"
+        + "".join(f"1,1,0,0,probe,{ball},{1200 + 140 * ball},700,800,1,20\n" for ball in range(11))
+    )
+    result = CliRunner().invoke(
+        main,
+        [
+            *("identify", str(tmp_path / "balls.csv"), "--machine", str(CONFIG / "machines" / "case-study.toml")),
+            *("--artefact", str(CONFIG / "artefacts" / "ball-bar-1500.toml"), "--out", str(tmp_path / "out")),
+            *("--carried-over", str(tmp_path / "other.json")),
+        ],
+    )
+    assert result.exit_code == 2, result.output
+    said = " ".join(result.output.split())
+    assert WORDS in said
+    assert "other.json" in said
+    assert "balls.csv" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_refuses_an_accepted_estimate_of_another_format(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    run = journal.start_run(run_id(1), "calibrate", {**SETTINGS, "history": {}}, "0.1.0", VirtualClock())
+    run.estimate(OTHER_ESTIMATE)
+    run.decision("accepted", {"machine": "m", "artefact": "a", "tool": "probe", "crc32": 7, "written": []})
+    run.state(RunState.COMPLETE, "", final=True)
+    journal.close()
+    with pytest.raises(InputError, match=WORDS) as caught:
+        read_reference(tmp_path)
+    assert run_id(1) in caught.value.where["file"]
+    assert "calibrate the machine again" in caught.value.hint
+
+
+@pytest.mark.parametrize("version", [1, VERSION - 1, VERSION + 1])
+def test_a_journal_of_another_version_is_neither_read_nor_changed(tmp_path: Path, version: int) -> None:
+    Journal(tmp_path).close()
+    operate(tmp_path, f"PRAGMA user_version = {version}")
+    before = (tmp_path / FILE_NAME).read_bytes()
+    words = f"the journal has version {version}, and this version of volcal reads and writes version {VERSION}"
+    for failure in (InputError, JournalFailed):
+        with pytest.raises(failure, match=words) as caught, open_journal(tmp_path, failure):
+            pass
+        assert "move the file" in caught.value.hint
+        assert caught.value.where["file"].endswith(FILE_NAME)
+    with pytest.raises(ConfigurationError, match=words):
+        Journal(tmp_path)
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"gates": {"largest_chi2": 3.0}}, "gates.largest_chi2"),
+        ({"mount": {"post_radius_mm": 4.0}}, "mount"),
+    ],
+)
+def test_a_run_with_settings_that_this_version_does_not_know_is_not_resumed(
+    tmp_path: Path, changes: dict[str, Any], key: str
+) -> None:
+    roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "mount", "operator"), "cnc")
+    stored = {
+        "machine": "machine.toml",
+        "artefact": "bar.toml",
+        "stations": {"places_mm": [[0.0, 0.0, 0.0]]},
+        "roles": roles,
+        "devices": {"cnc": {"driver": "linuxcnc"}},
+        **changes,
+    }
+    journal = Journal(tmp_path)
+    run = journal.start_run("run-1", "verify", stored, "1.0", VirtualClock())
+    start = {"at": "2026-01-01T00:00:00+00:00", "start_mm": [0.0, 0.0, 0.0]}
+    run.origin({"kind": "verify", "options": {}, "base": str(tmp_path), "files": {}, **start})
+    run.begun()
+    journal.close()
+    words = "another version of volcal stored the settings of this run"
+    with open_journal(tmp_path) as reader, pytest.raises(InputError, match=words) as caught:
+        read_origin(reader, 1)
+    assert (caught.value.where["run"], caught.value.where["key"]) == ("run-1", key)
+    assert "Start a new run" in caught.value.hint
