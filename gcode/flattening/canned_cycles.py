@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from twin.compensation.gcode.arcs import PLANE_AXES
-from twin.compensation.gcode.codes import AXIS_LETTERS, MOTIONS
-from twin.compensation.gcode.flattening.statements import BlockWord, Statement, block_text, number_text
-from twin.compensation.gcode.flattening.system_parameters import program_position
-from twin.compensation.gcode.modal import MM_PER_INCH, ModalState
-from twin.compensation.gcode.source import SourceLine
+from gcode.arcs import PLANE_AXES
+from gcode.codes import AXIS_LETTERS, MOTIONS
+from gcode.flattening.statements import BlockWord, Statement, block_text, number_text
+from gcode.flattening.system_parameters import program_position
+from gcode.modal import MM_PER_INCH, ModalState
+from gcode.source import SourceLine
 
 CYCLES = (730, 810, 820, 830, 850, 860, 890)
 _PECKS = (730, 830)

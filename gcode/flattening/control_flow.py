@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from twin.compensation.gcode.source import SourceLine
+from gcode.source import SourceLine
 
 _O_WORD = re.compile(r"/?(?:n[\d.]+)?o(?:<([^<>]*)>|(\d+)|(?=\[))")
 _KEYWORD = re.compile(

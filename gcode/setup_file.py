@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from twin.compensation.gcode.setup import NO_OFFSET, PartSetup, Triple
+from gcode.setup import NO_OFFSET, PartSetup, Triple
 from twin.errors import FormatError
 from twin.formats.toml_reading import StrictModel, read_toml
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from twin.compensation.gcode.correction_summary import CorrectionSummary
-from twin.compensation.gcode.flattening.flattener import Flattener, SubprogramFiles
-from twin.compensation.gcode.interpreter import MARK, Interpreter
-from twin.compensation.gcode.modal import UNKNOWN, ModalState
-from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
-from twin.compensation.gcode.writer import ProgramWriter
+from gcode.correction_summary import CorrectionSummary
+from gcode.flattening.flattener import Flattener, SubprogramFiles
+from gcode.interpreter import MARK, Interpreter
+from gcode.modal import UNKNOWN, ModalState
+from gcode.setup import CorrectionOptions, PartSetup
+from gcode.writer import ProgramWriter
 from twin.compensation.table import CompensationTable
 
 

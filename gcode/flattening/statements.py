@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from twin.compensation.gcode.flattening.expressions import ExpressionReader
-from twin.compensation.gcode.flattening.parameters import Key, ProgramParameters
-from twin.compensation.gcode.source import SourceLine
-from twin.compensation.gcode.words import code_number
+from gcode.flattening.expressions import ExpressionReader
+from gcode.flattening.parameters import Key, ProgramParameters
+from gcode.source import SourceLine
+from gcode.words import code_number
 
 _DECIMALS = 9
 _SHOWN = re.compile(r"\(\s*(?:debug|print|log)\s*,", re.IGNORECASE)

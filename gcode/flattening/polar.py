@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from twin.compensation.gcode.flattening.statements import BlockWord
-from twin.compensation.gcode.flattening.system_parameters import program_position
-from twin.compensation.gcode.modal import ModalState
-from twin.compensation.gcode.source import SourceLine
+from gcode.flattening.statements import BlockWord
+from gcode.flattening.system_parameters import program_position
+from gcode.modal import ModalState
+from gcode.source import SourceLine
 
 _XY_PLANE = 170
 

@@ -12,8 +12,8 @@ import re
 from collections.abc import Callable
 from functools import partial
 
-from twin.compensation.gcode.flattening.parameters import Key, ProgramParameters
-from twin.compensation.gcode.source import SourceLine
+from gcode.flattening.parameters import Key, ProgramParameters
+from gcode.source import SourceLine
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
 _NAME = re.compile(r"<([^<>]*)>")

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.compensation.gcode.correction import correct_program
-from twin.compensation.gcode.flattening import flattener
-from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
+from gcode.correction import correct_program
+from gcode.flattening import flattener
+from gcode.setup import CorrectionOptions, PartSetup
 from twin.compensation.table import Anchor, CompensationTable, regular_nodes
 from twin.errors import FormatError
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from twin.compensation.gcode.source import SourceLine
+from gcode.source import SourceLine
 
 Key = int | str
 SystemValue = Callable[[Key, SourceLine], float | None]

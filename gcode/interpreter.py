@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from twin.compensation.gcode import datum
-from twin.compensation.gcode.arcs import PLANE_AXES, Arc, read_arc
-from twin.compensation.gcode.codes import (
+from gcode import datum
+from gcode.arcs import PLANE_AXES, Arc, read_arc
+from gcode.codes import (
     FIRST,
     MOTIONS,
     PROGRAM_END,
@@ -23,12 +23,12 @@ from twin.compensation.gcode.codes import (
     check_letters,
     remember_words,
 )
-from twin.compensation.gcode.lines import MoveBlock
-from twin.compensation.gcode.modal import INVERSE_TIME, MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, ModalState
-from twin.compensation.gcode.setup import NO_OFFSET, CorrectionOptions, PartSetup, Triple
-from twin.compensation.gcode.source import SourceLine
-from twin.compensation.gcode.words import Block, code_number, is_program_number, read_block, read_plain
-from twin.compensation.gcode.writer import ProgramWriter
+from gcode.lines import MoveBlock
+from gcode.modal import INVERSE_TIME, MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, ModalState
+from gcode.setup import NO_OFFSET, CorrectionOptions, PartSetup, Triple
+from gcode.source import SourceLine
+from gcode.words import Block, code_number, is_program_number, read_block, read_plain
+from gcode.writer import ProgramWriter
 
 MARK = "volcal gcode correct"
 """Text in a comment of every corrected program, by which a second correction of the same program is refused."""

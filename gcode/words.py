@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NoReturn
 
-from twin.compensation.gcode.source import SourceLine
+from gcode.source import SourceLine
 
 _WORD = re.compile(r"([A-Z]|(?<=.)\$)[ \t]*([-+]?(?:\d+\.?\d*|\.\d+)|(?<=[FS])#<_HAL\[[^\[\]<>]*\]>)|([^ \t])")
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+))"

@@ -12,15 +12,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from twin.compensation.gcode.arcs import Arc
-from twin.compensation.gcode.chord_tolerance import TableCurvature
-from twin.compensation.gcode.codes import AXIS_LETTERS
-from twin.compensation.gcode.correction_summary import CorrectionSummary
-from twin.compensation.gcode.lines import LineFormatter, MoveBlock
-from twin.compensation.gcode.modal import MM_PER_INCH, Frame
-from twin.compensation.gcode.move_batch import CorrectedPoints, Indices, MovePaths, correct_points, round_to_words
-from twin.compensation.gcode.setup import CorrectionOptions, Triple
-from twin.compensation.gcode.words import Block
+from gcode.arcs import Arc
+from gcode.chord_tolerance import TableCurvature
+from gcode.codes import AXIS_LETTERS
+from gcode.correction_summary import CorrectionSummary
+from gcode.lines import LineFormatter, MoveBlock
+from gcode.modal import MM_PER_INCH, Frame
+from gcode.move_batch import CorrectedPoints, Indices, MovePaths, correct_points, round_to_words
+from gcode.setup import CorrectionOptions, Triple
+from gcode.words import Block
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
 

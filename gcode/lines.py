@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from twin.compensation.gcode.source import SourceLine
+from gcode.source import SourceLine
 
 ALL_AXES = 7
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gcode.words import Block
 from twin.arrays import Array
-from twin.compensation.gcode.words import Block
 
 Axes = tuple[int, int, int]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from twin.compensation.gcode.modal import ModalState
-from twin.compensation.gcode.setup import Triple
-from twin.compensation.gcode.source import SourceLine
+from gcode.modal import ModalState
+from gcode.setup import Triple
+from gcode.source import SourceLine
 
 SAVE, INVALIDATE, RESTORE, SAVE_FOR_RETURN = 700, 710, 720, 730
 STATE_CODES = (SAVE, INVALIDATE, RESTORE, SAVE_FOR_RETURN)

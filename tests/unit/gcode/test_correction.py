@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.compensation.gcode.correction import correct_program
-from twin.compensation.gcode.correction_summary import CorrectionSummary
-from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
+from gcode.correction import correct_program
+from gcode.correction_summary import CorrectionSummary
+from gcode.setup import CorrectionOptions, PartSetup
 from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError, FormatError
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 
-from twin.compensation.gcode.codes import AXIS_LETTERS
-from twin.compensation.gcode.modal import UNKNOWN, ModalState
-from twin.compensation.gcode.setup import NO_OFFSET, SYSTEMS, Triple
-from twin.compensation.gcode.words import Block
-from twin.compensation.gcode.writer import ProgramWriter
+from gcode.codes import AXIS_LETTERS
+from gcode.modal import UNKNOWN, ModalState
+from gcode.setup import NO_OFFSET, SYSTEMS, Triple
+from gcode.words import Block
+from gcode.writer import ProgramWriter
 
 _NO_POSITION = "its position at that point is not known"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from twin.compensation.gcode.setup import NO_OFFSET, SYSTEMS, PartSetup, Triple
+from gcode.setup import NO_OFFSET, SYSTEMS, PartSetup, Triple
 
 MM_PER_INCH = 25.4
 INVERSE_TIME = 930

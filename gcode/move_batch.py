@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gcode.arcs import Arc, arc_points
+from gcode.chord_tolerance import TableCurvature
+from gcode.modal import Frame
 from twin.arrays import Array
-from twin.compensation.gcode.arcs import Arc, arc_points
-from twin.compensation.gcode.chord_tolerance import TableCurvature
-from twin.compensation.gcode.modal import Frame
 from twin.compensation.table import CompensationTable
 
 Indices = NDArray[np.int64]

@@ -7,10 +7,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from twin.compensation.gcode.flattening.parameters import Key
-from twin.compensation.gcode.modal import ModalState
-from twin.compensation.gcode.setup import SYSTEMS, Triple
-from twin.compensation.gcode.source import SourceLine
+from gcode.flattening.parameters import Key
+from gcode.modal import ModalState
+from gcode.setup import SYSTEMS, Triple
+from gcode.source import SourceLine
 
 _POSITION, _SYSTEM, _G92_ACTIVE, _TOOL = 5420, 5220, 5210, 5400
 _FIRST_OFFSET, _OFFSET_STEP = 5221, 20

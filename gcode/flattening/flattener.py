@@ -11,28 +11,28 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from twin.compensation.gcode.flattening.canned_cycles import CannedCycles
-from twin.compensation.gcode.flattening.control_flow import (
+from gcode.flattening.canned_cycles import CannedCycles
+from gcode.flattening.control_flow import (
     END_OF_DO,
     PROGRAM_NUMBER,
     ControlFlow,
     OWord,
     read_control,
 )
-from twin.compensation.gcode.flattening.expressions import ExpressionReader
-from twin.compensation.gcode.flattening.parameters import LOCAL_NUMBERS, ProgramParameters
-from twin.compensation.gcode.flattening.polar import cartesian
-from twin.compensation.gcode.flattening.saved_state import (
+from gcode.flattening.expressions import ExpressionReader
+from gcode.flattening.parameters import LOCAL_NUMBERS, ProgramParameters
+from gcode.flattening.polar import cartesian
+from gcode.flattening.saved_state import (
     INVALIDATE,
     SAVE,
     SAVE_FOR_RETURN,
     STATE_CODES,
     SavedState,
 )
-from twin.compensation.gcode.flattening.statements import Statement, block_text, read_statement, shows_parameters
-from twin.compensation.gcode.flattening.system_parameters import SystemParameters
-from twin.compensation.gcode.modal import ModalState
-from twin.compensation.gcode.source import SourceLine
+from gcode.flattening.statements import Statement, block_text, read_statement, shows_parameters
+from gcode.flattening.system_parameters import SystemParameters
+from gcode.modal import ModalState
+from gcode.source import SourceLine
 
 SubprogramFiles = Callable[[str], Iterable[str] | None]
 """Function that returns the lines of the file of a subprogram with this name, or None if there is no such file."""

@@ -7,8 +7,8 @@ refused, that is, the program is not corrected.
 
 from __future__ import annotations
 
-from twin.compensation.gcode.modal import SYSTEM_CODES
-from twin.compensation.gcode.words import Block
+from gcode.modal import SYSTEM_CODES
+from gcode.words import Block
 
 AXIS_LETTERS = "XYZ"
 MOTIONS = (0, 10, 20, 30)
