@@ -8,47 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, Self
+from typing import Self, TypeAlias
 
+from agent.reports.journal_estimate import JournalEstimate
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
 from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
 from twin.arrays import Array
-from twin.artefact.artefact_calibration import ArtefactCalibration
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
-from twin.identification import BallCheck, Estimate, FieldKnowledge, Scales
+from twin.identification import Estimate
 
-
-class ReportedEstimate(FieldKnowledge, Protocol):
-    """Interface of an estimate of the machine's errors with the properties that a report shows. The estimate comes from
-    an identification that has just been made, or from the journal of a run."""
-
-    @property
-    def formulation(self) -> str: ...
-    @property
-    def parameters(self) -> Array: ...
-    @property
-    def standard_uncertainty(self) -> Array: ...
-    @property
-    def chi2_normalised(self) -> float: ...
-    @property
-    def degrees_of_freedom(self) -> float: ...
-    @property
-    def rejected(self) -> tuple[tuple[int, int, int], ...]: ...
-    @property
-    def scales(self) -> Scales: ...
-    @property
-    def rank(self) -> int: ...
-    @property
-    def conditioning(self) -> float: ...
-    @property
-    def null_summary(self) -> tuple[str, ...]: ...
-    @property
-    def certificate_check(self) -> tuple[BallCheck, ...]: ...
-    @property
-    def artefact_calibration(self) -> ArtefactCalibration | None: ...
+ReportedEstimate: TypeAlias = Estimate | JournalEstimate
+"""Estimate of the machine's errors that has just been made, or that was read from the journal of a run."""
 
 
 @dataclass(frozen=True)

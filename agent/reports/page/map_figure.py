@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
-from agent.figures.report_style import INK, MAP_COLOURS, Drawing, Margins
+from agent.figures.style import INK, MAP_COLOURS, Drawing, Margins
 from agent.reports.page.workspace_maps import PlaneMap
 
 WIDTH_IN = 10.4

@@ -3,7 +3,7 @@ tip between contact and trip), both over the angle about the stylus."""
 
 from __future__ import annotations
 
-from agent.figures.report_style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing, Margins
+from agent.figures.style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing, Margins
 from agent.results.facts import ProbeFacts
 
 RING_LOOK = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))

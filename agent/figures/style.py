@@ -1,34 +1,45 @@
-"""Style of report figures, with one set of colours. Text and axes follow the light or dark theme of the report page.
-
-Figures are drawn with placeholder colours, which are replaced by CSS variables of the page in the finished SVG. The
-same drawing can therefore be shown on a light screen, on a dark screen and on paper.
+"""Style of all figures: one set of colours, fonts and axes for reports and studies.
 
 The colours of lines and points are those of Okabe and Ito, which can be distinguished with the common forms of colour
 blindness. The colours of maps are those of viridis, whose lightness increases evenly.
+
+Figures of studies have a light background and are rendered both as PNG and as SVG. Figures of a report are rendered as
+SVG, in which each colour is replaced by a CSS variable of the report page. The same drawing can therefore be shown on a
+light screen, on a dark screen and on paper.
 """
 
 from __future__ import annotations
 
 import io
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
+from cycler import cycler
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-INK = "#010101"
-"""Placeholder colour of text, axes and zero lines, replaced by `currentColor` of the page."""
-GRID = "#020202"
-BLUE = "#030303"
-ORANGE = "#040404"
-GREEN = "#050505"
-PURPLE = "#060606"
-
+INK = "#1b2430"
+"""Colour of text, axes and zero lines."""
+QUIET = "#5a6675"
+GRID = "#dfe4e9"
+BLUE = "#0072b2"
+ORANGE = "#d55e00"
+GREEN = "#009e73"
+PURPLE = "#cc79a7"
+SKY = "#56b4e9"
+AMBER = "#e69f00"
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, INK)
+"""Colours of series, in order of use."""
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""Markers of series, so that series can be distinguished without colour."""
 MAP_COLOURS = "viridis"
 BAND_OPACITY = 0.22
+DOTS_PER_INCH = 150
 
 PAGE_VARIABLES = {
     INK: "currentColor",
@@ -38,6 +49,9 @@ PAGE_VARIABLES = {
     GREEN: "var(--green)",
     PURPLE: "var(--purple)",
 }
+"""Colours that a figure of a report may use, with the CSS variables of the page that replace them."""
+
+Draw = Callable[[Figure], None]
 
 _SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -55,19 +69,75 @@ _SETTINGS: dict[Any, Any] = {
     "text.color": INK,
     "xtick.color": INK,
     "ytick.color": INK,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": GRID,
-    "grid.linewidth": 0.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "lines.linewidth": 1.3,
     "legend.frameon": False,
+}
+_REPORT_SETTINGS: dict[Any, Any] = {
+    **_SETTINGS,
+    "axes.linewidth": 0.6,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.3,
     "savefig.dpi": 110,
 }
+_STUDY_SETTINGS: dict[Any, Any] = {
+    **_SETTINGS,
+    "axes.titlelocation": "left",
+    "axes.linewidth": 0.7,
+    "grid.linewidth": 0.6,
+    "axes.prop_cycle": cycler(color=SERIES),
+    "lines.linewidth": 1.5,
+    "lines.markersize": 4.5,
+    "figure.facecolor": "white",
+    "axes.facecolor": "white",
+    "savefig.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "image.cmap": MAP_COLOURS,
+}
+_NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Figure that has been rendered both as PNG and as SVG."""
+
+    png: bytes
+    svg: str
+
+
+def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
+    """Return a figure in the style of the studies, rendered as PNG and as SVG. The function `draw` receives the empty
+    figure and draws on it.
+
+    `size_in` contains the width and the height in inches. The same input always gives the same bytes.
+    """
+    with mpl.rc_context(_STUDY_SETTINGS):
+        mpl.rcParams["svg.hashsalt"] = name
+        figure = Figure(figsize=size_in, dpi=DOTS_PER_INCH)
+        draw(figure)
+        return Picture(_png(figure), _svg(figure))
+
+
+def headed(draw: Draw, heading: str) -> Draw:
+    """Return a function that draws what `draw` draws, with the line `heading` above it.
+
+    A title that `draw` gives to the whole figure stays below this line.
+    """
+
+    def draw_headed(figure: Figure) -> None:
+        draw(figure)
+        figure.suptitle("\n".join(filter(None, (heading, figure.get_suptitle()))), fontsize=8.5, color=QUIET)
+
+    return draw_headed
+
+
+def from_zero(axes: Axes, label: str) -> None:
+    """Set the label of the vertical axis of the plot `axes` to `label`, and start the scale of this axis at zero."""
+    axes.set_ylabel(label)
+    axes.set_ylim(bottom=0.0)
 
 
 @dataclass(frozen=True)
@@ -94,7 +164,7 @@ class Drawing:
         self.name = name
         self._size = (width_in, height_in)
         self._margins = margins or Margins()
-        self._context = mpl.rc_context(_SETTINGS)
+        self._context = mpl.rc_context(_REPORT_SETTINGS)
         self._svg = ""
 
     def __enter__(self) -> Figure:
@@ -114,7 +184,9 @@ class Drawing:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         try:
             if kind is None:
-                self._svg = _themed(_raw_svg(self._figure), self.name)
+                for axes in self._figure.axes:
+                    make_transparent(axes)
+                self._svg = _themed(_svg(self._figure), self.name)
         finally:
             self._context.__exit__(None, None, None)
 
@@ -129,10 +201,14 @@ def make_transparent(axes: Axes) -> None:
     axes.patch.set_alpha(0.0)
 
 
-def _raw_svg(figure: Figure) -> str:
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
+    return buffer.getvalue()
+
+
+def _svg(figure: Figure) -> str:
     buffer = io.StringIO()
-    for axes in figure.axes:
-        make_transparent(axes)
     unstamped = {"Date": None, "Creator": None, "Format": None, "Type": None}
     FigureCanvasSVG(figure).print_svg(buffer, metadata=unstamped)  # type: ignore[no-untyped-call]
     return buffer.getvalue()
@@ -145,10 +221,7 @@ def _themed(svg: str, name: str) -> str:
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
     svg = re.sub(r'<svg [^>]*?(viewBox="[^"]*")[^>]*>', rf'<svg {_NAMESPACES} \1 data-figure="{name}">', svg, count=1)
     svg = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
-    for stand_in, variable in PAGE_VARIABLES.items():
-        svg = svg.replace(stand_in, variable)
+    for colour, variable in PAGE_VARIABLES.items():
+        svg = svg.replace(colour, variable)
     svg = re.sub(r"font-family: [^;\"]*", "font-family: var(--figure-font)", svg)
     return re.sub(r"font: ([^;\"]*?)px [^;\"]*", r"font: \1px var(--figure-font)", svg)
-
-
-_NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
