@@ -12,8 +12,8 @@ from agent.reports.page.data import (
     TemperatureTrace,
     VerificationFacts,
     VerifiedPosition,
+    name_of_positions,
 )
-from agent.reports.page.position_naming import name_of_positions
 
 __all__ = [
     "EventLine",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations, product
 from typing import Self, TypeAlias
 
 from agent.reports.journal_estimate import JournalEstimate
@@ -17,11 +18,13 @@ from agent.results.thermometer import ThermometerFacts
 from agent.results.travel_parts import TravelParts
 from twin.arrays import Array
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import Position
+from twin.artefact.position_set import POSITION_SETS, Position, set_orientations
 from twin.identification import Estimate
 
 ReportedEstimate: TypeAlias = Estimate | JournalEstimate
 """Estimate of the machine's errors that has just been made, or that was read from the journal of a run."""
+SAME_ANGLE_DEG = 0.01
+SIDES_DEG = (0.0, 90.0, 180.0, -90.0)
 
 
 @dataclass(frozen=True)
@@ -214,3 +217,27 @@ class ReportData:
     gates: tuple[Gate, ...] = ()
     warnings: tuple[str, ...] = ()
     run: RunFacts = RunFacts()
+
+
+def name_of_positions(positions: Sequence[Position]) -> str:
+    """Return a name for a list of positions.
+
+    The name is, for example, `S3, 4 stations` if every station has the orientations of the standard set S3, with the
+    holders of the bar towards any of the four sides. The name may combine several sets. If no combination fits, the
+    name states the number of positions.
+    """
+    stations: dict[int, set[tuple[float, float]]] = {}
+    for position in positions:
+        stations.setdefault(position.station, set()).add((position.azimuth_deg, position.elevation_deg))
+    known = [names for count in range(1, len(POSITION_SETS) + 1) for names in combinations(POSITION_SETS, count)]
+    for names, facing_deg in product(known, SIDES_DEG):
+        wanted = {pair for name in names for pair in set_orientations(name, facing_deg)}
+        if all(_same(found, wanted) for found in stations.values()):
+            return f"{'+'.join(names)}, {len(stations)} station{'s' if len(stations) != 1 else ''}"
+    return f"{len(positions)} user-defined positions"
+
+
+def _same(found: set[tuple[float, float]], wanted: set[tuple[float, float]]) -> bool:
+    return len(found) == len(wanted) and all(
+        any(abs(a - c) < SAME_ANGLE_DEG and abs(b - d) < SAME_ANGLE_DEG for c, d in wanted) for a, b in found
+    )
