@@ -269,10 +269,10 @@ def first_failed_gate(fit: SphereFit, probing: ProbingParameters) -> FailedGate 
     worst = int(np.abs(fit.residuals).argmax())
     pole = pole_error_mm(fit, probing)
     checks = (
-        ("radius", deviation, limits.radius_deviation_mm, "radius is off by"),
-        ("form", fit.form, limits.form_mm, "form is"),
-        ("touch", fit.residuals[worst], limits.touch_mm, f"touch {worst} is off the sphere by"),
-        ("pole", 0.0 if pole is None else pole, limits.pole_mm, "the pole is off the sphere through the rest by"),
+        ("radius", deviation, limits.radius_limit_mm, "radius is off by"),
+        ("form", fit.form, limits.form_limit_mm, "form is"),
+        ("touch", fit.residuals[worst], limits.touch_limit_mm, f"touch {worst} is off the sphere by"),
+        ("pole", 0.0 if pole is None else pole, limits.pole_limit_mm, "the pole is off the sphere through the rest by"),
     )
     for gate, value_mm, limit_mm, words in checks:
         figure_um, limit_um = float(value_mm) * UM_PER_MM, limit_mm * UM_PER_MM
